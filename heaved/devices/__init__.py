@@ -1,0 +1,1 @@
+"""Everything that reads sensors: register profiles, Modbus polling, recordings as a source."""

@@ -1,0 +1,1 @@
+"""Pure estimators: numpy and scipy only; time, bytes and randomness are arguments."""

@@ -1,0 +1,1 @@
+"""Everything that leaves the daemon: the TCP stream, metrics and health over HTTP."""

@@ -1,0 +1,175 @@
+"""Records that cross rooms: what a device said, what the pipeline concludes.
+
+The one place where units, frames and signs are defined:
+
+* SI units and radians. Degrees exist only in files, on the wire and on screens.
+* Body axes x forward, y port, z up (right-handed). Specific force: at rest ``az = +9.80665``.
+* Heave positive up. Roll positive port side up. Pitch positive bow up (*minus* the right-hand rotation about y).
+  Yaw/heading positive clockwise from above, as a compass.
+* Body rates ``gx, gy, gz`` are right-handed about x, y, z; so the pitch rate of a level ship is ``-gy``.
+* ``t_s`` is monotonic time (seconds) of *validity*: the moment at which the slave sampled, never of arrival.
+* ``nan`` means "not known". It is left out on the wire; it is never replaced by zero.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from math import nan
+
+import msgspec
+
+GRAVITY_MPS2 = 9.80665
+"""Standard gravity (ISO 80000-3), m/s2."""
+
+
+class Fault(Enum):
+    """Why a sample carries no (trustworthy) values."""
+
+    NONE = "none"
+    TIMEOUT = "timeout"
+    CRC = "crc"
+    EXCEPTION = "exception"
+    LENGTH = "length"
+    OUT_OF_RANGE = "out_of_range"
+    NOT_FINITE = "not_finite"
+    STUCK = "stuck"
+    STALE = "stale"
+    DISCONNECTED = "disconnected"
+
+
+class ImuSample(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """One reading of an accelerometer, IMU or attitude sensor."""
+
+    t_s: float
+    ax_mps2: float = nan
+    ay_mps2: float = nan
+    az_mps2: float = nan
+    roll_rad: float = nan
+    pitch_rad: float = nan
+    yaw_rad: float = nan
+    gx_radps: float = nan
+    gy_radps: float = nan
+    gz_radps: float = nan
+    fault: Fault = Fault.NONE
+
+
+class LaserSample(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """One reading of the laser gauge: the raw distance, sign and offset not yet applied."""
+
+    t_s: float
+    laser_m: float = nan
+    fault: Fault = Fault.NONE
+
+
+Sample = ImuSample | LaserSample
+
+
+class HeaveState(Enum):
+    """How far the published heave can be trusted."""
+
+    SETTLING = "settling"
+    VALID = "valid"
+    DEGRADED = "degraded"
+    INVALID = "invalid"
+
+
+class LaserState(Enum):
+    """VALID: fresh and plausible; STALE: configured, but nothing fresh; OFF: none configured."""
+
+    VALID = "valid"
+    STALE = "stale"
+    OFF = "off"
+
+
+class CorrectionState(Enum):
+    """OFF: disabled; LEARNING: no accepted network yet; ACTIVE: applied, laser fresh; HOLDING: laser absent."""
+
+    OFF = "off"
+    LEARNING = "learning"
+    ACTIVE = "active"
+    HOLDING = "holding"
+
+
+class Quality(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    heave: HeaveState
+    laser: LaserState
+    correction: CorrectionState
+    reasons: tuple[str, ...] = ()
+
+
+class RockPrediction(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """Attitude predicted for ``t_s + horizon_s``; standard deviations of the prediction error."""
+
+    horizon_s: float
+    roll_rad: float = nan
+    pitch_rad: float = nan
+    yaw_rad: float = nan
+    roll_std_rad: float = nan
+    pitch_std_rad: float = nan
+    yaw_std_rad: float = nan
+
+
+class HeaveForecast(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """Heave predicted for ``t_s + horizon_s``."""
+
+    horizon_s: float
+    heave_m: float = nan
+    std_m: float = nan
+
+
+class MotionFrame(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """All that is known of the motion at ``t_s``: one per IMU sample, one per missed sample time too."""
+
+    t_s: float
+    quality: Quality
+    heave_m: float = nan
+    heave_std_m: float = nan
+    heave_velocity_mps: float = nan
+    heave_acceleration_mps2: float = nan
+    observer_m: float = nan
+    """Observer output after the multi-step shift, before the learned correction."""
+    correction_m: float = nan
+    lead_s: float = nan
+    """Lead of the inertial displacement over the truth, removed by the multi-step observer."""
+    reference_m: float = nan
+    """Laser heave (sign applied, constant removed), when fresh."""
+    roll_rad: float = nan
+    pitch_rad: float = nan
+    yaw_rad: float = nan
+    rock: tuple[RockPrediction, ...] = ()
+    forecast: tuple[HeaveForecast, ...] = ()
+
+
+class TrainingWindow(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """What the trainer is handed. Arrays travel as little-endian float64 bytes (C order)."""
+
+    number: int
+    """Counts the windows; the result carries it back."""
+    inputs: bytes
+    """(n, d): rows of the last d observer outputs, metres, oldest first."""
+    targets: bytes
+    """(n,): laser heave minus observer output, metres."""
+    rows: int
+    width: int
+    hidden: int
+    learning_rate: float
+    epochs: int
+    output: str
+    """"linear" or "sigmoid"."""
+    seed: int
+
+
+class TrainedNetwork(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """A trained residual network, or the reason why there is none. Weights as TrainingWindow's arrays."""
+
+    number: int
+    weights: bytes = b""
+    """Flat: W1 (hidden, width), b1 (hidden,), w2 (hidden,), b2 (1,), then input mean, input std, target mean,
+    target std (one scalar each), all float64."""
+    width: int = 0
+    hidden: int = 0
+    output: str = "linear"
+    seconds: float = nan
+    """CPU time the training took."""
+    message: str = ""
+    """Empty when well."""

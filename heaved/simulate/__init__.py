@@ -1,0 +1,1 @@
+"""A simulated ship: seaways, vessel response, sensors (pure, seeded) and Modbus slaves that serve them."""

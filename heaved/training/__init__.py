@@ -1,0 +1,1 @@
+"""Training of the residual network: torch lives here and only in the trainer process."""
