@@ -1,0 +1,335 @@
+"""Register profiles: what the registers of a Modbus sensor mean, in both directions. Pure: no bus, no clock.
+
+A profile lists blocks of neighbouring registers, each read in one request, and the fields in them. ``decode`` turns
+registers into the values of :mod:`heaved.samples`, ``encode`` turns values into registers (the simulator's side).
+"""
+
+from __future__ import annotations
+
+import struct
+import sys
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from math import isfinite, isnan, pi
+from typing import Annotated, Literal
+
+import msgspec
+
+from heaved.samples import GRAVITY_MPS2, Fault
+
+RegisterType = Literal["int16", "uint16", "int32", "uint32", "float32"]
+ByteOrder = Literal["ABCD", "DCBA", "BADC", "CDAB"]
+Unit = Literal["m/s2", "g", "m", "cm", "mm", "deg", "rad", "deg/s", "rad/s", "degC", "s", "ms", "us", "1"]
+Quantity = Literal[
+    "ax_mps2", "ay_mps2", "az_mps2",
+    "roll_rad", "pitch_rad", "yaw_rad",
+    "gx_radps", "gy_radps", "gz_radps",
+    "laser_m",
+    "temperature_c", "signal", "device_time_s",
+]  # fmt: skip
+Role = Literal["imu", "laser"]
+Name = Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9_.-]{1,64}$")]
+
+
+class Field(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One value: ``si = sign * to_si(unit, raw * scale + offset_value)``."""
+
+    quantity: Quantity
+    offset: Annotated[int, msgspec.Meta(ge=0, le=124)]
+    """First register, counted from the block's start."""
+    type: RegisterType = "int16"
+    byte_order: ByteOrder = "ABCD"
+    """Order in which the bytes of the value stand on the line; AB for 16 bits is big-endian, as Modbus has it."""
+    scale: float = 1.0
+    offset_value: float = 0.0
+    unit: Unit = "1"
+    sign: Literal[1, -1] = 1
+    min: float | None = None
+    """Smallest plausible value, in ``unit``, before the sign; outside is a fault, never a value."""
+    max: float | None = None
+
+
+class Block(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Neighbouring registers, read in one request."""
+
+    function: Literal["holding", "input"] = "holding"
+    start: Annotated[int, msgspec.Meta(ge=0, le=65535)]
+    fields: Annotated[tuple[Field, ...], msgspec.Meta(min_length=1)]
+
+
+class Profile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the registers of one kind of device mean."""
+
+    name: str
+    description: str = ""
+    blocks: Annotated[tuple[Block, ...], msgspec.Meta(min_length=1)]
+
+
+class DeviceSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One ``[[device]]``: what it is, where it is, how often it is asked."""
+
+    name: Name
+    role: Role
+    link: str
+    """``tcp://host:port`` or ``rtu:///dev/ttyUSB0?baudrate=115200&parity=N&stopbits=1``."""
+    device_id: Annotated[int, msgspec.Meta(ge=0, le=247)] = 1
+    profile: Profile
+    rate_hz: Annotated[float, msgspec.Meta(gt=0, le=1000)]
+    timeout_ms: Annotated[float, msgspec.Meta(ge=1, le=10_000)] = 50.0
+    latency_ms: Annotated[float, msgspec.Meta(ge=-1000, le=1000)] = 0.0
+    """Sample time minus the time at which the request was sent; negative for a device that answers old values."""
+    stuck_after_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] = 2.0
+    """Identical registers for longer than this are a fault (0: never)."""
+
+
+# ---- codec -----------------------------------------------------------------------------------------------------------
+
+MAX_REGISTERS = 125
+"""Most registers that one read may ask for (Modbus application protocol V1.1b3, 6.3)."""
+
+_SI: dict[str, tuple[float, str]] = {
+    "m/s2": (1.0, "acceleration"),
+    "g": (GRAVITY_MPS2, "acceleration"),
+    "m": (1.0, "length"),
+    "cm": (1e-2, "length"),
+    "mm": (1e-3, "length"),
+    "rad": (1.0, "angle"),
+    "deg": (pi / 180.0, "angle"),
+    "rad/s": (1.0, "angular rate"),
+    "deg/s": (pi / 180.0, "angular rate"),
+    "degC": (1.0, "temperature"),
+    "s": (1.0, "time"),
+    "ms": (1e-3, "time"),
+    "us": (1e-6, "time"),
+    "1": (1.0, "number"),
+}
+"""Unit -> factor to SI (degrees Celsius stay), and what kind of thing it measures."""
+
+_KIND: dict[str, str] = {
+    **dict.fromkeys(("ax_mps2", "ay_mps2", "az_mps2"), "acceleration"),
+    **dict.fromkeys(("roll_rad", "pitch_rad", "yaw_rad"), "angle"),
+    **dict.fromkeys(("gx_radps", "gy_radps", "gz_radps"), "angular rate"),
+    "laser_m": "length",
+    "temperature_c": "temperature",
+    "signal": "number",
+    "device_time_s": "time",
+}
+
+_CODE: dict[str, str] = {"int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "float32": "f"}
+_FINITE_MAX = sys.float_info.max
+_FLOAT32_MAX = 3.4028234663852886e38
+_LIMITS: dict[str, tuple[float, float]] = {
+    "int16": (-(2**15), 2**15 - 1),
+    "uint16": (0, 2**16 - 1),
+    "int32": (-(2**31), 2**31 - 1),
+    "uint32": (0, 2**32 - 1),
+    "float32": (-_FLOAT32_MAX, _FLOAT32_MAX),
+}
+_ROLE_QUANTITIES: dict[Role, tuple[Quantity, ...]] = {
+    "imu": ("ax_mps2", "ay_mps2", "az_mps2", "roll_rad", "pitch_rad", "yaw_rad", "gx_radps", "gy_radps", "gz_radps"),
+    "laser": ("laser_m",),
+}
+
+
+def role_quantities(role: Role) -> tuple[Quantity, ...]:
+    """What a device in that role measures; the other quantities (temperature, signal, device time) accompany it."""
+    return _ROLE_QUANTITIES[role]
+
+
+def field_registers(field: Field) -> int:
+    """Registers that the field takes: 1 or 2."""
+    return 1 if field.type in ("int16", "uint16") else 2
+
+
+def block_registers(block: Block) -> int:
+    """Registers to ask for: up to the end of the last field. Gaps between fields are read and ignored."""
+    return max(field.offset + field_registers(field) for field in block.fields)
+
+
+def si_step(field: Field) -> float:
+    """Resolution of an integer field in SI units: what one count of the register means."""
+    return abs(field.scale) * _SI[field.unit][0] if field.type != "float32" else 0.0
+
+
+class Decoded(msgspec.Struct, frozen=True):
+    """What the registers of one block say: every value in SI units, or a fault and no values at all."""
+
+    values: dict[Quantity, float]
+    fault: Fault = Fault.NONE
+    detail: str = ""
+    """What, where, what to do; empty when well."""
+
+
+class _Group:
+    """Fields of one block that one ``struct`` format reads: all big-endian, or all little-endian.
+
+    The four byte orders are two choices: the bytes within the value (ABCD, CDAB big; DCBA, BADC little) and the order
+    in which its two registers are picked (as they stand, or swapped). A 16-bit value has only the first.
+    """
+
+    def __init__(self, fields: list[Field], little: bool) -> None:
+        self.fields = fields
+        self.indices: list[int] = []
+        for field in fields:
+            registers = list(range(field.offset, field.offset + field_registers(field)))
+            if field.byte_order in ("CDAB", "BADC"):
+                registers.reverse()
+            self.indices += registers
+        self.words = struct.Struct(f">{len(self.indices)}H")
+        self.numbers = struct.Struct(("<" if little else ">") + "".join(_CODE[field.type] for field in fields))
+        self.steps = [
+            (
+                field.quantity,
+                field.scale,
+                field.offset_value,
+                # The largest finite number stands for "no limit", so that one comparison refuses inf and nan too.
+                -_FINITE_MAX if field.min is None else max(field.min, -_FINITE_MAX),
+                _FINITE_MAX if field.max is None else min(field.max, _FINITE_MAX),
+                field.sign * _SI[field.unit][0],
+                field,
+            )
+            for field in fields
+        ]
+
+
+class BlockCodec:
+    """Registers of one block to values and back; compiled once, because a fast sensor is decoded hundreds of times a
+    second on the daemon's only loop."""
+
+    def __init__(self, block: Block) -> None:
+        self.block = block
+        self.registers = block_registers(block)
+        big = [field for field in block.fields if field.byte_order in ("ABCD", "CDAB")]
+        little = [field for field in block.fields if field.byte_order in ("DCBA", "BADC")]
+        self._groups = [_Group(fields, fields is little) for fields in (big, little) if fields]
+
+    def decode(self, registers: Sequence[int]) -> Decoded:
+        """Values in SI units; a wrong length, a non-finite float or an implausible value is a fault, not a value.
+
+        Raises:
+            struct.error: a register is not within 0..65535.
+        """
+        if len(registers) != self.registers:
+            return Decoded({}, Fault.LENGTH, f"{len(registers)} registers instead of {self.registers} {self._where()}")
+        values: dict[Quantity, float] = {}
+        for group in self._groups:
+            raw = group.numbers.unpack(group.words.pack(*[registers[i] for i in group.indices]))
+            for number, (quantity, scale, offset_value, low, high, factor, field) in zip(raw, group.steps, strict=True):
+                value = number * scale + offset_value
+                if not low <= value <= high:
+                    return self._implausible(field, value)
+                values[quantity] = value * factor
+        return Decoded(values)
+
+    def encode(self, values: Mapping[Quantity, float]) -> list[int]:
+        """Registers that ``decode`` turns back into ``values``, but for quantisation.
+
+        Integers are rounded to the nearest and saturate at the limits of their type, float32 at its largest finite
+        value. Fields without a value, and gaps, are zero.
+
+        Raises:
+            ValueError: nan for an integer field.
+        """
+        registers = [0] * self.registers
+        for group in self._groups:
+            raw = [_raw(field, values[field.quantity]) if field.quantity in values else 0 for field in group.fields]
+            for index, word in zip(group.indices, group.words.unpack(group.numbers.pack(*raw)), strict=True):
+                registers[index] = word
+        return registers
+
+    def _where(self) -> str:
+        last = self.block.start + self.registers - 1
+        return f"({self.block.function} registers {self.block.start}..{last})"
+
+    def _implausible(self, field: Field, value: float) -> Decoded:
+        where = f"{field.quantity} ({self.block.function} register {self.block.start + field.offset})"
+        if not isfinite(value):
+            hint = "the sensor has no reading, or the profile's byte order or address is wrong"
+            return Decoded({}, Fault.NOT_FINITE, f"{where} is {value}: {hint}")
+        low = "-inf" if field.min is None else f"{field.min:g}"
+        high = "inf" if field.max is None else f"{field.max:g}"
+        detail = f"{where} is {value:.6g}, outside {low}..{high} {field.unit}: check the sensor, or the profile's map"
+        return Decoded({}, Fault.OUT_OF_RANGE, detail)
+
+
+def _raw(field: Field, si: float) -> float:
+    """The number that stands in the registers for a value in SI units."""
+    raw = (si / (field.sign * _SI[field.unit][0]) - field.offset_value) / field.scale
+    if isnan(raw) and field.type != "float32":
+        raise ValueError(f"{field.quantity}: {field.type} registers cannot say nan")
+    low, high = _LIMITS[field.type]
+    raw = raw if isnan(raw) else min(max(raw, low), high)
+    return raw if field.type == "float32" else round(raw)
+
+
+@lru_cache(maxsize=256)
+def codec(block: Block) -> BlockCodec:
+    """The compiled codec of a block. Looking it up costs more than decoding: keep it where it is used often."""
+    return BlockCodec(block)
+
+
+def decode(block: Block, registers: Sequence[int]) -> Decoded:
+    """See :meth:`BlockCodec.decode`."""
+    return codec(block).decode(registers)
+
+
+def encode(block: Block, values: Mapping[Quantity, float]) -> list[int]:
+    """See :meth:`BlockCodec.encode`."""
+    return codec(block).encode(values)
+
+
+# ---- validation ------------------------------------------------------------------------------------------------------
+
+
+def profile_faults(profile: Profile) -> list[str]:
+    """Everything that is wrong with a profile beyond its types, one message each; empty when it is sound."""
+    faults: list[str] = []
+    carried: dict[str, str] = {}
+    for number, block in enumerate(profile.blocks):
+        where = f"profile {profile.name}: block {number} ({block.function}, start {block.start})"
+        length = block_registers(block)
+        if length > MAX_REGISTERS:
+            faults.append(f"{where}: {length} registers, but one read carries {MAX_REGISTERS} at most: split the block")
+        if block.start + length > 65536:
+            faults.append(f"{where}: ends beyond register 65535")
+        taken: dict[int, str] = {}
+        for field in block.fields:
+            faults += [f"{where}: {field.quantity}: {message}" for message in _field_faults(field)]
+            if field.quantity in carried:
+                faults.append(f"{where}: {field.quantity} is given twice: also in {carried[field.quantity]}")
+            else:
+                carried[field.quantity] = f"block {number}"
+            registers = range(field.offset, field.offset + field_registers(field))
+            clashes = sorted({taken[register] for register in registers if register in taken})
+            faults += [f"{where}: {field.quantity} overlaps {other} (offset {field.offset})" for other in clashes]
+            taken.update(dict.fromkeys(registers, field.quantity))
+    return faults
+
+
+def _field_faults(field: Field) -> list[str]:
+    faults = []
+    kind = _SI[field.unit][1]
+    if kind != _KIND[field.quantity]:
+        faults.append(f"unit {field.unit!r} measures {kind}, not {_KIND[field.quantity]}")
+    if field.scale == 0.0 or not isfinite(field.scale):
+        faults.append(f"scale is {field.scale}; it must be finite and not 0")
+    if not isfinite(field.offset_value):
+        faults.append(f"offset_value is {field.offset_value}; it must be finite")
+    if any(limit is not None and isnan(limit) for limit in (field.min, field.max)):
+        faults.append("min and max must be numbers")
+    elif field.min is not None and field.max is not None and field.min > field.max:
+        faults.append(f"min {field.min:g} is above max {field.max:g}")
+    return faults
+
+
+def device_faults(device: DeviceSpec) -> list[str]:
+    """Faults of a device's profile, and a profile that carries nothing of what the device's role needs."""
+    faults = [f"device {device.name}: {message}" for message in profile_faults(device.profile)]
+    carried = {field.quantity for block in device.profile.blocks for field in block.fields}
+    needed = role_quantities(device.role)
+    if carried.isdisjoint(needed):
+        faults.append(
+            f"device {device.name}: role {device.role} needs {' or '.join(needed)}, "
+            f"but profile {device.profile.name} carries only {', '.join(sorted(carried))}"
+        )
+    return faults

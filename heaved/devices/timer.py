@@ -1,0 +1,152 @@
+"""Absolute deadlines on the event loop, by timerfd: the loop's own timers round to whole milliseconds.
+
+Linux only. Times are CLOCK_MONOTONIC seconds, as ``time.monotonic`` gives them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import ctypes
+import os
+import sys
+import time
+from math import floor
+from types import TracebackType
+from typing import Self
+
+import msgspec
+
+
+class Pace:
+    """Deadlines ``start + n * period``, counted in whole periods so that rounding never adds up. Pure."""
+
+    def __init__(self, period_s: float, start_s: float) -> None:
+        if not period_s > 0.0:
+            raise ValueError(f"period must be positive, not {period_s} s")
+        self.period_s = period_s
+        self.start_s = start_s
+        self._number = 0
+
+    @property
+    def due_s(self) -> float:
+        return self.start_s + self._number * self.period_s
+
+    def advance(self, now_s: float) -> int:
+        """On to the next deadline; of those that have passed already only the latest is kept.
+
+        Returns how many were skipped, so that a stall is counted and never followed by a burst.
+        """
+        following = self._number + 1
+        self._number = max(following, floor((now_s - self.start_s) / self.period_s))
+        return self._number - following
+
+
+class DeadlineTimer:
+    """Waits for absolute deadlines, one at a time. A context manager within a running loop."""
+
+    def __init__(self) -> None:
+        self._fd = -1
+        self._woken: asyncio.Future[None] | None = None
+
+    def __enter__(self) -> Self:
+        self._fd = _create()
+        asyncio.get_running_loop().add_reader(self._fd, self._expired)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        asyncio.get_running_loop().remove_reader(self._fd)
+        os.close(self._fd)
+        self._fd = -1
+
+    async def wait_until(self, deadline_s: float) -> float:
+        """Returns the lateness: now minus the deadline, seconds. A deadline in the past still lets the loop run once.
+
+        Raises:
+            RuntimeError: somebody waits already.
+        """
+        if self._woken is not None:
+            raise RuntimeError("this timer is waited for already")
+        self._woken = asyncio.get_running_loop().create_future()
+        _arm(self._fd, deadline_s)
+        try:
+            await self._woken
+        finally:
+            self._woken = None
+        return time.monotonic() - deadline_s
+
+    def _expired(self) -> None:
+        # A wait that was cancelled and begun anew has re-armed the timer: then there is nothing to read yet.
+        with contextlib.suppress(BlockingIOError):
+            os.read(self._fd, 8)
+            if self._woken is not None and not self._woken.done():
+                self._woken.set_result(None)
+
+
+class Tick(msgspec.Struct, frozen=True):
+    due_s: float
+    lateness_s: float
+    """Woken minus due."""
+    skipped: int
+    """Deadlines that passed unserved just before this one."""
+
+
+class PeriodicTimer:
+    """One deadline every period, for ever; late ones are counted, not made up for. A context manager."""
+
+    def __init__(self, period_s: float, start_s: float | None = None) -> None:
+        self._pace = Pace(period_s, time.monotonic() if start_s is None else start_s)
+        self._timer = DeadlineTimer()
+
+    def __enter__(self) -> Self:
+        self._timer.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._timer.__exit__(kind, error, trace)
+
+    async def tick(self) -> Tick:
+        """The next deadline, when it has come."""
+        skipped = self._pace.advance(time.monotonic())
+        due_s = self._pace.due_s
+        return Tick(due_s, await self._timer.wait_until(due_s), skipped)
+
+
+# ---- timerfd ---------------------------------------------------------------------------------------------------------
+
+if sys.version_info >= (3, 13):
+
+    def _create() -> int:
+        return os.timerfd_create(time.CLOCK_MONOTONIC, flags=os.TFD_NONBLOCK | os.TFD_CLOEXEC)
+
+    def _arm(fd: int, deadline_s: float) -> None:
+        os.timerfd_settime(fd, flags=os.TFD_TIMER_ABSTIME, initial=max(deadline_s, 1e-9))
+
+else:
+
+    class _Timespec(ctypes.Structure):
+        _fields_ = (("seconds", ctypes.c_long), ("nanoseconds", ctypes.c_long))
+
+    class _Itimerspec(ctypes.Structure):
+        _fields_ = (("interval", _Timespec), ("value", _Timespec))
+
+    _TFD_TIMER_ABSTIME = 1
+    _libc = ctypes.CDLL(None, use_errno=True)
+
+    def _create() -> int:
+        # The flags of timerfd_create are those of open.
+        fd: int = _libc.timerfd_create(time.CLOCK_MONOTONIC, os.O_NONBLOCK | os.O_CLOEXEC)
+        if fd < 0:
+            raise OSError(ctypes.get_errno(), "timerfd_create failed")
+        return fd
+
+    def _arm(fd: int, deadline_s: float) -> None:
+        # A value of zero would disarm the timer.
+        seconds, nanoseconds = divmod(max(round(deadline_s * 1e9), 1), 1_000_000_000)
+        value = _Itimerspec(_Timespec(0, 0), _Timespec(seconds, nanoseconds))
+        if _libc.timerfd_settime(fd, _TFD_TIMER_ABSTIME, ctypes.byref(value), None) != 0:
+            raise OSError(ctypes.get_errno(), "timerfd_settime failed")

@@ -1,0 +1,670 @@
+"""The bus against raw slaves: what may go wrong on a line, and what must come of it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import logging
+import os
+import random
+from math import isnan
+from pathlib import Path
+
+import pytest
+import serial
+from modbus_slaves import (
+    Results,
+    RtuSlave,
+    TcpSlave,
+    count_of,
+    counter_profile,
+    device,
+    mbap_answer,
+    rtu,
+    rtu_answer,
+    running,
+    tcp_answer,
+)
+from pymodbus.client import AsyncModbusTcpClient
+from pymodbus.pdu.register_message import ReadHoldingRegistersResponse
+
+from heaved.devices.modbus import Bus, PollResult
+from heaved.devices.profile import Block, Field, Profile
+from heaved.samples import Fault, ImuSample, LaserSample
+
+
+def well(result: object) -> bool:
+    return result.fault is Fault.NONE  # type: ignore[attr-defined]
+
+
+class CountingSlave:
+    """Answers every register with the number of the request, so that the age of an answer shows in its value."""
+
+    def __init__(self) -> None:
+        self.requests = 0
+
+    def __call__(self, request: bytes) -> bytes:
+        self.requests += 1
+        return rtu_answer(request, [self.requests] * count_of(request))
+
+
+# ---- the everyday ----------------------------------------------------------------------------------------------------
+
+
+async def test_rtu_poll_gives_samples_with_times() -> None:
+    slave = RtuSlave(CountingSlave())
+    link = f"rtu://{slave.path}?baudrate=115200"
+    results = Results()
+    async with running([device(link, latency_ms=-2.0)], results):
+        await results.number(20)
+    slave.close()
+    good = [result for result in results.all if well(result)]
+    assert len(good) == len(results.all)
+    for result in good:
+        assert isinstance(result.sample, ImuSample)
+        # 8 bytes of 10 bits at 115200 baud before the slave has heard the request; then its latency.
+        assert result.sample.t_s == pytest.approx(result.sent_s + 8 * 10 / 115200 - 0.002, abs=1e-9)
+        assert isnan(result.sample.roll_rad)
+        assert result.detail == ""
+    dues = [result.due_s for result in results.all]
+    periods = [(due - dues[0]) * 200.0 for due in dues]
+    assert periods == pytest.approx([round(number) for number in periods], abs=1e-6)
+    # Every deadline that is missing between two results is counted as skipped.
+    for number in range(1, len(periods)):
+        assert round(periods[number] - periods[number - 1]) == 1 + results.all[number].skipped
+
+
+async def test_tcp_poll_of_two_devices_on_one_connection() -> None:
+    slave = TcpSlave(lambda request: tcp_answer(request, [request[6]] * int.from_bytes(request[10:12])))
+    await slave.start()
+    link = f"tcp://127.0.0.1:{slave.port}"
+    laser = Profile(name="laser", blocks=(Block(
+        function="input", start=0, fields=(
+            Field(quantity="laser_m", offset=0, unit="mm"), Field(quantity="temperature_c", offset=1, unit="degC"),
+        ),
+    ),))  # fmt: skip
+    results = Results()
+    imu_spec = device(link, device_id=7, latency_ms=3.0)
+    laser_spec = device(link, name="gauge", role="laser", device_id=9, profile=laser, rate_hz=100.0)
+    async with running([imu_spec, laser_spec], results):
+        await results.number(12)
+    await slave.stop()
+    assert {request[7] for request in slave.requests if request[6] == 7} == {3}
+    assert {request[7] for request in slave.requests if request[6] == 9} == {4}
+    for result in results.all:
+        assert result.fault is Fault.NONE
+        if result.device == "gauge":
+            assert isinstance(result.sample, LaserSample)
+            assert result.sample.laser_m == pytest.approx(0.009)
+            assert result.extra == {"temperature_c": 9.0}
+        else:
+            assert isinstance(result.sample, ImuSample)
+            assert result.sample.az_mps2 == 7.0
+            assert result.sample.t_s == pytest.approx(result.sent_s + 0.003, abs=1e-9)
+
+
+async def test_sample_is_dated_by_the_block_with_the_vertical_acceleration() -> None:
+    slave = TcpSlave(lambda request: tcp_answer(request, [1] * int.from_bytes(request[10:12])))
+    await slave.start()
+    blocks = (
+        Block(start=0x40, fields=(Field(quantity="roll_rad", offset=0, unit="rad"),)),
+        Block(start=0x34, fields=(Field(quantity="az_mps2", offset=0, unit="m/s2"),)),
+    )
+    results = Results()
+    spec = device(f"tcp://127.0.0.1:{slave.port}", profile=Profile(name="two", blocks=blocks))
+    asked: list[float] = []
+    answer = slave.answer
+
+    def note(request: bytes) -> bytes:
+        if request[9] == 0x34:
+            asked.append(asyncio.get_running_loop().time())
+        return answer(request)
+
+    slave.answer = note
+    async with running([spec], results):
+        await results.number(3)
+    await slave.stop()
+    first = results.all[0]
+    assert isinstance(first.sample, ImuSample)
+    assert (first.sample.roll_rad, first.sample.az_mps2) == (1.0, 1.0)
+    # Sent after the first block was done, and before the slave saw it.
+    assert first.due_s + first.lateness_s < first.sample.t_s < asked[0]
+
+
+# ---- late answers ----------------------------------------------------------------------------------------------------
+
+
+class LateSlave:
+    """Keeps the answer to one request back until it hears another, then sends both: the worst moment for it."""
+
+    def __init__(self, keep_back: set[int]) -> None:
+        self.keep_back = keep_back
+        self.data_reads = 0
+        self.kept = b""
+        self.last_value = 0
+
+    def __call__(self, request: bytes) -> bytes:
+        count = count_of(request)
+        if count != 3:
+            answer = rtu_answer(request, [0xEEEE] * count)
+        else:
+            self.data_reads += 1
+            self.last_value = self.data_reads
+            answer = rtu_answer(request, [self.data_reads] * count)
+            if self.data_reads in self.keep_back:
+                self.kept += answer
+                return b""
+        late, self.kept = self.kept, b""
+        return late + answer
+
+
+async def test_late_rtu_answer_is_never_taken_for_the_next_one() -> None:
+    late = LateSlave({5, 9, 10, 14})
+    slave = RtuSlave(late)
+    results = Results()
+    ages: list[int] = []
+
+    def note(result: object) -> None:
+        results(result)  # type: ignore[arg-type]
+        if well(result):
+            # Nothing was asked since: the value must be that of the very last data request.
+            ages.append(late.last_value - round(result.sample.az_mps2))  # type: ignore[attr-defined]
+
+    task = asyncio.create_task(Bus([device(f"rtu://{slave.path}?baudrate=115200", timeout_ms=30.0)], note).run())
+    await results.until(lambda result: well(result) and result.sample.az_mps2 >= 25)  # type: ignore[union-attr]
+    task.cancel()
+    with contextlib.suppress(asyncio.CancelledError):
+        await task
+    slave.close()
+    assert set(ages) == {0}
+    assert [result.fault for result in results.all].count(Fault.TIMEOUT) >= 4
+
+
+async def test_answer_to_a_cancelled_read_is_never_taken_by_the_next_bus() -> None:
+    late = LateSlave({4})
+    slave = RtuSlave(late)
+    spec = device(f"rtu://{slave.path}?baudrate=115200", timeout_ms=2000.0)
+    results = Results()
+    heard = asyncio.Event()
+
+    def answer(request: bytes) -> bytes:
+        data = late(request)
+        if not data:
+            heard.set()
+        return data
+
+    slave.answer = answer
+    async with running([spec], results):
+        async with asyncio.timeout(10):
+            await heard.wait()  # request 4 is under way: now the task is cancelled
+    assert late.kept
+    again = Results()
+    async with running([spec], again):
+        first = await again.until(well)
+        values = {round(result.sample.az_mps2) for result in again.all if well(result)}  # type: ignore[union-attr]
+    slave.close()
+    assert round(first.sample.az_mps2) == 5  # type: ignore[union-attr]
+    assert 4 not in values
+
+
+async def test_one_register_device_rests_until_no_late_answer_can_come() -> None:
+    """Nothing tells its answers apart, so it must not be asked while one may be under way."""
+    silent = {3}
+    count = 0
+    times: list[float] = []
+
+    def answer(request: bytes) -> bytes:
+        nonlocal count
+        count += 1
+        times.append(asyncio.get_running_loop().time())
+        assert count_of(request) == 1
+        return b"" if count in silent else rtu_answer(request, [count])
+
+    slave = RtuSlave(answer)
+    results = Results()
+    spec = device(f"rtu://{slave.path}", profile=counter_profile(1), timeout_ms=20.0)
+    async with running([spec], results):
+        await results.until(lambda result: well(result) and result.sample.az_mps2 == 4.0)  # type: ignore[union-attr]
+    slave.close()
+    assert times[3] - times[2] >= 0.5
+    resting = [result for result in results.all if result.fault is Fault.TIMEOUT and isnan(result.sent_s)]
+    assert resting
+    assert all(result.sample.t_s == result.due_s for result in resting)
+
+
+async def test_device_that_answers_only_its_usual_length_comes_back() -> None:
+    count = 0
+
+    def answer(request: bytes) -> bytes:
+        nonlocal count
+        count += 1
+        return rtu_answer(request, [count] * 3)
+
+    slave = RtuSlave(answer)
+    results = Results()
+    async with running([device(f"rtu://{slave.path}", timeout_ms=20.0)], results):
+        await results.until(well)
+    slave.close()
+    assert results.all[0].fault is Fault.LENGTH
+
+
+async def test_device_that_refuses_other_lengths_is_read_after_a_rest() -> None:
+    slave = RtuSlave(
+        lambda asked: rtu_answer(asked, [7] * 3) if count_of(asked) == 3 else rtu(bytes((asked[0], 0x83, 2)))
+    )
+    results = Results()
+    async with running([device(f"rtu://{slave.path}", timeout_ms=100.0)], results):
+        await results.until(well)
+    slave.close()
+    # The refusal is of our own making: it is not reported as one of the profile's registers.
+    assert {result.fault for result in results.all} == {Fault.TIMEOUT, Fault.NONE}
+    assert [count_of(request) for request in slave.requests[:2]][1] == 3
+
+
+@pytest.mark.parametrize(("seed", "registers", "latest_s"), [(1, 3, 0.1), (2, 3, 0.4), (3, 1, 0.3)])
+async def test_no_late_answer_is_taken_from_an_erratic_slave(seed: int, registers: int, latest_s: float) -> None:
+    """Answers come in order, but up to twenty timeouts late, and some never."""
+    chance, loop = random.Random(seed), asyncio.get_running_loop()
+    asked, busy_until_s = 0, 0.0
+    wrong: list[tuple[float, int]] = []
+    underway: list[asyncio.TimerHandle] = []
+
+    def answer(request: bytes) -> bytes:
+        nonlocal asked, busy_until_s
+        data = rtu_answer(request, [0xEEEE] * count_of(request))
+        if count_of(request) == registers:
+            asked += 1
+            data = rtu_answer(request, [asked] * registers)
+        if chance.random() < 0.05:
+            return b""
+        thinking_s = chance.random() * latest_s if chance.random() < 0.2 else 0.0
+        busy_until_s = max(busy_until_s, loop.time()) + thinking_s
+        underway.append(loop.call_at(busy_until_s, slave.say, data))
+        return b""
+
+    slave = RtuSlave(answer)
+    results = Results()
+
+    def note(result: PollResult) -> None:
+        if well(result) and result.sample.az_mps2 != asked:  # type: ignore[union-attr]
+            wrong.append((result.sample.az_mps2, asked))  # type: ignore[union-attr]
+        results(result)
+
+    spec = device(f"rtu://{slave.path}", timeout_ms=20.0, rate_hz=100.0, profile=counter_profile(registers))
+    task = asyncio.create_task(Bus([spec], note).run())
+    await results.number(120)
+    task.cancel()
+    with contextlib.suppress(asyncio.CancelledError):
+        await task
+    for handle in underway:
+        handle.cancel()
+    slave.close()
+    assert wrong == []
+    assert sum(well(result) for result in results.all) >= 5
+
+
+async def test_late_tcp_answers_are_told_apart_by_their_number() -> None:
+    count = 0
+    kept = b""
+
+    def answer(request: bytes) -> bytes:
+        nonlocal count, kept
+        count += 1
+        frame = tcp_answer(request, [count] * 3)
+        if count % 3 == 0:
+            kept = frame
+            return b""
+        late, kept = kept, b""
+        return late + frame
+
+    slave = TcpSlave(answer)
+    await slave.start()
+    ages: list[int] = []
+    results = Results()
+
+    def note(result: object) -> None:
+        if well(result):
+            ages.append(count - round(result.sample.az_mps2))  # type: ignore[attr-defined]
+        results(result)  # type: ignore[arg-type]
+
+    task = asyncio.create_task(Bus([device(f"tcp://127.0.0.1:{slave.port}", timeout_ms=20.0)], note).run())
+    await results.number(15)
+    task.cancel()
+    with contextlib.suppress(asyncio.CancelledError):
+        await task
+    await slave.stop()
+    assert len(ages) >= 8
+    assert set(ages) == {0}
+
+
+# ---- bad answers -----------------------------------------------------------------------------------------------------
+
+
+def damaged(request: bytes) -> bytes:
+    frame = bytearray(rtu_answer(request, [1] * count_of(request)))
+    frame[4] ^= 0x10
+    return bytes(frame)
+
+
+RTU_FAULTS = [
+    ("mute", lambda request: b"", Fault.TIMEOUT, "no answer"),
+    ("damaged", damaged, Fault.CRC, "no valid frame"),
+    ("noise", lambda request: bytes(range(0x80, 0xA0)), Fault.CRC, "baudrate"),
+    ("diagnostics noise", lambda request: b"\x50\x08\x00", Fault.CRC, "no valid frame"),
+    ("other slave", lambda request: rtu_answer(b"\x07" + request[1:], [1] * 3), Fault.TIMEOUT, "device id 7"),
+    ("too short", lambda request: rtu_answer(request, [1] * 2), Fault.LENGTH, "2 registers instead of 3"),
+    ("busy", lambda request: rtu(bytes((request[0], request[1] | 0x80, 6))), Fault.EXCEPTION, "device busy"),
+    ("bad map", lambda request: rtu(bytes((request[0], 0x83, 2))), Fault.EXCEPTION, "illegal data address"),
+]
+
+
+@pytest.mark.parametrize(("name", "bad", "fault", "words"), RTU_FAULTS, ids=[row[0] for row in RTU_FAULTS])
+async def test_rtu_fault_is_named_and_passes(name, bad, fault, words) -> None:  # type: ignore[no-untyped-def]
+    broken = True
+    count = CountingSlave()
+    # While broken, short reads (that resynchronise) are answered well, so that the bad answer meets the data read.
+    slave = RtuSlave(lambda request: bad(request) if broken and count_of(request) == 3 else count(request))
+    results = Results()
+    async with running([device(f"rtu://{slave.path}?baudrate=115200", timeout_ms=30.0)], results):
+        faulty = await results.until(lambda result: result.fault is fault)
+        broken = False
+        await results.until(well)
+    slave.close()
+    assert faulty.fault is fault
+    assert faulty.sample.fault is fault
+    assert isnan(faulty.sample.az_mps2)  # type: ignore[union-attr]
+    assert words in faulty.detail
+    assert slave.path in faulty.detail
+    assert "id 80" in faulty.detail
+
+
+async def test_answer_is_found_between_noise() -> None:
+    count = CountingSlave()
+    slave = RtuSlave(lambda request: b"\x00\x50\x03" + count(request) + b"\xff")
+    results = Results()
+    async with running([device(f"rtu://{slave.path}?baudrate=115200")], results):
+        await results.number(5)
+    slave.close()
+    assert all(well(result) for result in results.all)
+
+
+def mbap(request: bytes, pdu: bytes) -> bytes:
+    return mbap_answer(int.from_bytes(request[:2]), request[6], pdu)
+
+
+TCP_FAULTS = [
+    ("mute", lambda request: b"", Fault.TIMEOUT, "no answer"),
+    ("too short", lambda request: tcp_answer(request, [1] * 2), Fault.LENGTH, "2 registers instead of 3"),
+    ("busy", lambda request: mbap(request, b"\x83\x06"), Fault.EXCEPTION, "device busy"),
+    ("not Modbus", lambda request: b"SSH-2.0-OpenSSH_9.6\r\n", Fault.CRC, "check the port"),
+    ("other function", lambda request: mbap(request, b"\x63\x06"), Fault.EXCEPTION, "function"),
+    ("half a frame", lambda request: tcp_answer(request, [1] * 3)[:10], Fault.CRC, "no whole Modbus TCP frame"),
+]
+
+
+@pytest.mark.parametrize(("name", "bad", "fault", "words"), TCP_FAULTS, ids=[row[0] for row in TCP_FAULTS])
+async def test_tcp_fault_is_named_and_passes(name, bad, fault, words) -> None:  # type: ignore[no-untyped-def]
+    broken = True
+    slave = TcpSlave(lambda request: bad(request) if broken else tcp_answer(request, [5] * 3))
+    await slave.start()
+    results = Results()
+    async with running([device(f"tcp://127.0.0.1:{slave.port}", timeout_ms=60.0)], results):
+        faulty = (await results.number(6))[0]
+        broken = False
+        await results.until(well)
+    await slave.stop()
+    assert faulty.fault is fault
+    assert words in faulty.detail
+    # A connection that is mute or out of step is made anew; one that answers, however badly, is kept.
+    assert (slave.connections > 1) == (name not in ("too short", "busy"))
+    # Even while the connection is made anew, the fault stays what it is: one transition, one line in the log.
+    assert {result.fault for result in results.all} == {fault, Fault.NONE}
+
+
+async def test_not_a_number_and_out_of_range_are_faults() -> None:
+    fields = (Field(quantity="laser_m", offset=0, type="float32", unit="m", min=0.1, max=30.0),)
+    profile = Profile(name="float", blocks=(Block(start=0, fields=fields),))
+    words = [0x7FC0, 0x0000]
+    slave = TcpSlave(lambda request: tcp_answer(request, words))
+    await slave.start()
+    results = Results()
+    spec = device(f"tcp://127.0.0.1:{slave.port}", role="laser", profile=profile)
+    async with running([spec], results):
+        nan_result = (await results.number(1))[0]
+        words[:] = [0x4248, 0x0000]  # 50.0
+        far = await results.until(lambda result: result.fault is Fault.OUT_OF_RANGE)
+        words[:] = [0x4148, 0x0000]  # 12.5
+        good = await results.until(well)
+    await slave.stop()
+    assert nan_result.fault is Fault.NOT_FINITE
+    assert "50" in far.detail
+    assert isinstance(far.sample, LaserSample)
+    assert isnan(far.sample.laser_m)
+    assert good.sample == LaserSample(t_s=good.sample.t_s, laser_m=12.5)
+
+
+async def test_frozen_registers_become_stuck() -> None:
+    slave = TcpSlave(lambda request: tcp_answer(request, [9] * 3))
+    await slave.start()
+    results = Results()
+    async with running([device(f"tcp://127.0.0.1:{slave.port}", stuck_after_s=0.05)], results):
+        stuck = await results.until(lambda result: result.fault is Fault.STUCK)
+    await slave.stop()
+    assert results.all[0].fault is Fault.NONE
+    assert isnan(stuck.sample.az_mps2)  # type: ignore[union-attr]
+
+
+# ---- lines that go away ----------------------------------------------------------------------------------------------
+
+
+async def test_tcp_server_goes_away_and_returns() -> None:
+    count = 0
+
+    def answer(request: bytes) -> bytes:
+        nonlocal count
+        count += 1
+        return tcp_answer(request, [count] * 3)
+
+    slave = TcpSlave(answer)
+    await slave.start()
+    port = slave.port
+    results = Results()
+    async with running([device(f"tcp://127.0.0.1:{port}", timeout_ms=30.0)], results):
+        first = await results.until(well)
+        for _ in range(2):
+            await slave.stop()
+            away = await results.until(
+                lambda result: result.fault is Fault.DISCONNECTED and "refused" in result.detail, since=len(results.all)
+            )
+            before = count
+            await slave.start(port)
+            back = await results.until(well, since=len(results.all))
+            assert back.reconnected
+            assert round(back.sample.az_mps2) > before  # type: ignore[union-attr]
+            assert f"127.0.0.1:{port}" in away.detail
+    await slave.stop()
+    assert not first.reconnected
+
+
+async def test_tcp_server_that_is_not_there_at_first() -> None:
+    reserved = TcpSlave(lambda request: tcp_answer(request, [1] * 3))
+    await reserved.start()
+    port = reserved.port
+    await reserved.stop()
+    results = Results()
+    async with running([device(f"tcp://127.0.0.1:{port}")], results):
+        first = (await results.number(1))[0]
+        await reserved.start(port)
+        back = await results.until(well)
+    await reserved.stop()
+    assert first.fault is Fault.DISCONNECTED
+    assert isnan(first.sent_s)
+    assert not back.reconnected
+
+
+async def test_serial_port_vanishes_and_returns(tmp_path: Path) -> None:
+    port = tmp_path / "ttyUSB0"
+    slave = RtuSlave(CountingSlave())
+    port.symlink_to(slave.path)
+    results = Results()
+    async with running([device(f"rtu://{port}?baudrate=115200", timeout_ms=30.0)], results):
+        await results.until(well)
+        port.unlink()
+        slave.close()
+        gone = await results.until(lambda result: result.fault is Fault.DISCONNECTED and "not there" in result.detail)
+        slave = RtuSlave(CountingSlave())
+        port.symlink_to(slave.path)
+        back = await results.until(well, since=len(results.all))
+    slave.close()
+    assert str(port) in gone.detail
+    assert back.reconnected
+
+
+async def test_no_permission_on_the_port_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*args: object, **kwargs: object) -> None:
+        raise serial.SerialException(errno.EACCES, "could not open port /dev/ttyUSB7: Permission denied")
+
+    monkeypatch.setattr(serial, "serial_for_url", refuse)
+    results = Results()
+    async with running([device("rtu:///dev/ttyUSB7")], results):
+        first = (await results.number(1))[0]
+    assert first.fault is Fault.DISCONNECTED
+    assert "no permission to open /dev/ttyUSB7" in first.detail
+    assert "dialout" in first.detail
+
+
+async def test_port_is_opened_for_us_alone() -> None:
+    slave = RtuSlave(CountingSlave())
+    results, second = Results(), Results()
+    async with running([device(f"rtu://{slave.path}")], results):
+        await results.until(well)
+        async with running([device(f"rtu://{slave.path}")], second):
+            refused = (await second.number(1))[0]
+    slave.close()
+    assert "in use by another program" in refused.detail
+
+
+async def test_nothing_floods_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    """Neither pymodbus, which logs every timeout, nor the loop, in which pymodbus raises for a frame that it does not
+    know: what is wrong stands in the results."""
+    caplog.set_level(logging.INFO)
+    serial_slave = RtuSlave(lambda request: b"\x50\x08\x00")
+    tcp_slave = TcpSlave(lambda request: mbap(request, b"\x63\x06"))
+    await tcp_slave.start()
+    results = Results()
+    async with running([device(f"rtu://{serial_slave.path}", timeout_ms=10.0)], results):
+        await results.number(8)
+    async with running([device(f"tcp://127.0.0.1:{tcp_slave.port}", timeout_ms=10.0)], results):
+        await results.number(16)
+    serial_slave.close()
+    await tcp_slave.stop()
+    assert [record.getMessage() for record in caplog.records] == []
+
+
+# ---- neighbours ------------------------------------------------------------------------------------------------------
+
+
+async def test_dead_slave_does_not_starve_its_neighbour() -> None:
+    count = CountingSlave()
+    asked_dead = 0
+
+    def answer(request: bytes) -> bytes:
+        nonlocal asked_dead
+        if request[0] == 1:
+            asked_dead += 1
+            return b""
+        return count(request)
+
+    slave = RtuSlave(answer)
+    link = f"rtu://{slave.path}?baudrate=115200"
+    dead = device(link, name="dead", device_id=1, rate_hz=100.0, timeout_ms=20.0)
+    alive = device(link, name="alive", device_id=2, rate_hz=100.0, timeout_ms=500.0)
+    results = Results()
+    async with running([dead, alive], results):
+        await results.until(lambda result: result.device == "dead" and isnan(result.sent_s))
+        start = len(results.all)
+        asked_before, count_before = asked_dead, count.requests
+        await results.number(start + 200)
+    slave.close()
+    after = results.all[start:]
+    span_s = after[-1].due_s - after[0].due_s
+    neighbour = [result for result in after if result.device == "alive"]
+    assert all(result.fault is Fault.NONE for result in neighbour)
+    assert all(result.fault is Fault.TIMEOUT for result in after if result.device == "dead")
+    # At most two probes a second; the neighbour has the line for itself but for those.
+    assert asked_dead - asked_before <= 2 * span_s + 1
+    assert count.requests - count_before >= len(neighbour)
+    assert len(neighbour) + sum(result.skipped for result in neighbour) >= 0.95 * 100 * span_s
+
+
+async def test_slave_back_from_the_dead_is_polled_at_full_rate_again() -> None:
+    count = CountingSlave()
+    dead = True
+    slave = RtuSlave(lambda request: b"" if dead and request[0] == 1 else count(request))
+    link = f"rtu://{slave.path}?baudrate=115200"
+    one = device(link, name="one", device_id=1, rate_hz=50.0, timeout_ms=60.0)
+    two = device(link, name="two", device_id=2, rate_hz=50.0, timeout_ms=500.0)
+    results = Results()
+    async with running([one, two], results):
+        await results.until(lambda result: result.device == "one" and isnan(result.sent_s))
+        dead = False
+        await results.until(lambda result: result.device == "one" and well(result))
+        start = len(results.all)
+        await results.number(start + 20)
+    slave.close()
+    assert all(well(result) for result in results.all[start:])
+
+
+# ---- the bus itself --------------------------------------------------------------------------------------------------
+
+
+def test_bus_wants_devices_on_one_line() -> None:
+    with pytest.raises(ValueError, match="one line, not on 2"):
+        Bus([device("tcp://a:1"), device("tcp://b:1")], print)
+    with pytest.raises(ValueError, match="not on 0"):
+        Bus([], print)
+
+
+async def test_a_failing_consumer_is_a_bug_and_ends_the_task() -> None:
+    slave = RtuSlave(CountingSlave())
+
+    def fail(result: object) -> None:
+        raise KeyError("consumer")
+
+    with pytest.raises(ExceptionGroup) as caught:
+        await Bus([device(f"rtu://{slave.path}")], fail).run()
+    slave.close()
+    assert isinstance(caught.value.exceptions[0], KeyError)
+
+
+async def test_cancelling_closes_the_line() -> None:
+    before = set(os.listdir("/proc/self/fd"))
+    slave = RtuSlave(CountingSlave())
+    results = Results()
+    async with running([device(f"rtu://{slave.path}")], results):
+        await results.until(well)
+    slave.close()
+    assert len(os.listdir("/proc/self/fd")) == len(before)
+
+
+async def test_a_cancellation_swallowed_within_pymodbus_still_ends_the_task(monkeypatch: pytest.MonkeyPatch) -> None:
+    """``asyncio.wait_for`` of Python 3.11 does so if the answer comes in the same round of the loop."""
+    waiting = asyncio.Event()
+
+    async def read(*args: object, **kwargs: object) -> ReadHoldingRegistersResponse:
+        waiting.set()
+        with contextlib.suppress(asyncio.CancelledError):
+            await asyncio.Event().wait()
+        return ReadHoldingRegistersResponse(registers=[1, 2, 3])
+
+    monkeypatch.setattr(AsyncModbusTcpClient, "read_holding_registers", read)
+    slave = TcpSlave(lambda request: b"")
+    await slave.start()
+    task = asyncio.create_task(Bus([device(f"tcp://127.0.0.1:{slave.port}")], Results()).run())
+    async with asyncio.timeout(10):
+        await waiting.wait()
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+    await slave.stop()

@@ -1,0 +1,96 @@
+"""Deadlines: their arithmetic on invented clocks, and that the timer fires, re-arms and survives a cancellation."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from heaved.devices.timer import DeadlineTimer, Pace, PeriodicTimer
+
+
+def test_deadlines_are_counted_from_the_start() -> None:
+    pace = Pace(0.01, 1000.0)
+    for number in range(1, 100_001):
+        assert pace.advance(1000.0 + (number - 0.5) * 0.01) == 0
+    assert pace.due_s == 1000.0 + 100_000 * 0.01
+
+
+@pytest.mark.parametrize(
+    ("now_s", "skipped", "due_s"),
+    [
+        (10.0, 0, 11.0),  # at once
+        (10.9, 0, 11.0),
+        (11.9, 0, 11.0),  # late, but the latest that has passed: it is served at once
+        (12.1, 1, 12.0),
+        (17.5, 6, 17.0),
+        (3.0, 0, 11.0),  # a clock before the start
+    ],
+)
+def test_a_stall_is_counted_and_never_bunched(now_s: float, skipped: int, due_s: float) -> None:
+    pace = Pace(1.0, 10.0)
+    assert pace.advance(now_s) == skipped
+    assert pace.due_s == due_s
+
+
+@given(st.floats(1e-3, 10.0), st.lists(st.floats(0.0, 5.0), max_size=50))
+def test_no_deadline_is_lost_or_repeated(period_s: float, polls_s: list[float]) -> None:
+    """Served and skipped deadlines together are all there were, whatever the polls take."""
+    pace, now_s, number = Pace(period_s, 0.0), 0.0, 0
+    for poll_s in polls_s:
+        now_s = max(now_s, pace.due_s) + poll_s
+        number += 1 + pace.advance(now_s)
+        assert pace.due_s == pytest.approx(number * period_s)
+        # Never more than one deadline behind.
+        assert pace.due_s > now_s - period_s * (1 + 1e-9)
+
+
+def test_a_period_must_be_positive() -> None:
+    with pytest.raises(ValueError, match="positive"):
+        Pace(0.0, 0.0)
+
+
+async def test_deadlines_are_not_early() -> None:
+    with DeadlineTimer() as timer:
+        for _ in range(5):
+            deadline_s = time.monotonic() + 0.003
+            lateness_s = await timer.wait_until(deadline_s)
+            assert lateness_s >= 0.0
+            assert time.monotonic() >= deadline_s
+
+
+async def test_a_past_deadline_returns_but_lets_the_loop_run() -> None:
+    ran = []
+    with DeadlineTimer() as timer:
+        asyncio.get_running_loop().call_soon(ran.append, True)
+        assert await timer.wait_until(time.monotonic() - 5.0) >= 5.0
+        assert await timer.wait_until(-1.0) > 0.0
+    assert ran
+
+
+async def test_a_cancelled_wait_leaves_the_timer_usable() -> None:
+    with DeadlineTimer() as timer:
+        waiting = asyncio.create_task(timer.wait_until(time.monotonic() + 3600.0))
+        await asyncio.sleep(0)
+        with pytest.raises(RuntimeError, match="already"):
+            await timer.wait_until(0.0)
+        waiting.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await waiting
+        deadline_s = time.monotonic() + 0.002
+        await timer.wait_until(deadline_s)
+        assert time.monotonic() >= deadline_s
+
+
+async def test_periodic_ticks_keep_their_grid() -> None:
+    start_s = time.monotonic()
+    with PeriodicTimer(0.004, start_s) as timer:
+        ticks = [await timer.tick() for _ in range(5)]
+        number = 0
+        for tick in ticks:
+            number += 1 + tick.skipped
+            assert tick.due_s == pytest.approx(start_s + number * 0.004, abs=1e-9)
+            assert tick.lateness_s >= 0.0
