@@ -1,0 +1,148 @@
+"""Live sensors: read one instant at a time, at whatever instants a bus asks. Pure, seeded.
+
+The errors are those of :mod:`heaved.simulate.sensors`, drawn reading by reading.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from typing import Protocol
+
+import numpy as np
+
+from heaved.devices.profile import DeviceSpec
+from heaved.samples import Fault, ImuSample, LaserSample, Sample
+from heaved.simulate.sensors import (
+    BUTTERWORTH_DAMPING,
+    LASER_DISTANCE_M,
+    LASER_NOISE_M,
+    REGISTER_STEPS,
+    ImuModel,
+    LaserPattern,
+    imu_model,
+    laser_pattern,
+    mounted,
+    reading_std,
+)
+from heaved.simulate.vessel import Array, Motion, Triad, body_rates, specific_force
+
+
+class MotionSource(Protocol):
+    """Anything that knows the true motion at any instant."""
+
+    def at(self, t_s: float) -> Motion[float]: ...
+
+
+class Imu:
+    """An IMU read at increasing instants, a poll at a time."""
+
+    def __init__(self, sea: MotionSource, model: ImuModel, *, rate_hz: float, seed: int, name: str = "imu") -> None:
+        """``rate_hz`` is the nominal polling rate, which turns noise densities into the noise of a reading.
+
+        The same ``seed`` and ``name`` give the same errors; they have nothing to do with the seed of the sea.
+        """
+        self._sea, self._model = sea, model
+        self._rng = np.random.default_rng([seed, 1, zlib.crc32(name.encode())])
+        self._bias = model.bias_mps2 * self._rng.choice([-1.0, 1.0], 3)
+        self._std = reading_std(model, rate_hz)
+        self._low_pass = LowPass(model.bandwidth_hz) if math.isfinite(model.bandwidth_hz) else None
+        self._t_s: float | None = None
+
+    def read(self, t_s: float) -> ImuSample:
+        """The reading at ``t_s``.
+
+        Raises:
+            ValueError: ``t_s`` lies before the reading before.
+        """
+        elapsed = 0.0 if self._t_s is None else t_s - self._t_s
+        if elapsed < 0.0:
+            raise ValueError(f"IMU read at {t_s} s after a reading at {self._t_s} s: time must not run backwards")
+        self._t_s = t_s
+        model, motion = self._model, self._sea.at(t_s)
+        noise = self._rng.standard_normal(12)
+        self._bias += model.bias_walk_mps2_rts * math.sqrt(elapsed) * noise[9:]
+        force = _vector(mounted(specific_force(motion), model.mounting_roll_rad)) * model.scale
+        if self._low_pass is not None:
+            force = self._low_pass.step(force, elapsed)
+        rates = _vector(mounted(body_rates(motion), model.mounting_roll_rad))
+        angles = np.array([motion.roll_rad, motion.pitch_rad, motion.yaw_rad])
+        values = np.concatenate([force + self._bias, angles, rates]) + self._std * noise[:9]
+        if model.sixteen_bit:
+            values = np.round(values / REGISTER_STEPS) * REGISTER_STEPS
+        ax, ay, az, roll, pitch, yaw, gx, gy, gz = values.tolist()
+        return ImuSample(
+            t_s=t_s, ax_mps2=ax, ay_mps2=ay, az_mps2=az, roll_rad=roll, pitch_rad=pitch, yaw_rad=yaw,
+            gx_radps=gx, gy_radps=gy, gz_radps=gz,
+        )  # fmt: skip
+
+
+class Laser:
+    """A laser gauge on the heave, read at any instants."""
+
+    def __init__(self, sea: MotionSource, pattern: LaserPattern, *, seed: int, name: str = "laser") -> None:
+        self._sea, self._pattern = sea, pattern
+        self._rng = np.random.default_rng([seed, 2, zlib.crc32(name.encode())])
+
+    def read(self, t_s: float) -> LaserSample:
+        """The reading at ``t_s``; without an echo it is nan, and the device refuses the request."""
+        noise = LASER_NOISE_M * float(self._rng.standard_normal())
+        if not self._pattern.on(t_s):
+            return LaserSample(t_s=t_s, fault=Fault.EXCEPTION)
+        return LaserSample(t_s=t_s, laser_m=LASER_DISTANCE_M + self._sea.at(t_s).heave_m + noise)
+
+
+class Instruments:
+    """All sensors of one vessel in one sea, told apart by the name of their device: a source for simulated slaves."""
+
+    def __init__(self, sea: MotionSource, *, sensor: str | ImuModel = "A", laser: str = "on", seed: int = 1) -> None:
+        """Raises:
+        ValueError: unknown ``sensor`` (:data:`SENSORS`) or ``laser`` pattern (:func:`laser_pattern`).
+        """
+        self._sea, self._model, self._pattern, self._seed = sea, imu_model(sensor), laser_pattern(laser), seed
+        self._imus: dict[str, Imu] = {}
+        self._lasers: dict[str, Laser] = {}
+
+    def read(self, device: DeviceSpec, t_s: float) -> Sample:
+        """What ``device`` measures at ``t_s``, seconds from the start of the simulation."""
+        if device.role == "laser":
+            if device.name not in self._lasers:
+                self._lasers[device.name] = Laser(self._sea, self._pattern, seed=self._seed, name=device.name)
+            return self._lasers[device.name].read(t_s)
+        if device.name not in self._imus:
+            self._imus[device.name] = Imu(
+                self._sea, self._model, rate_hz=device.rate_hz, seed=self._seed, name=device.name
+            )
+        return self._imus[device.name].read(t_s)
+
+
+class LowPass:
+    """Second-order Butterworth low-pass of three channels, exact for an input that runs straight between readings."""
+
+    def __init__(self, corner_hz: float) -> None:
+        self._w = 2.0 * math.pi * corner_hz
+        self._input: Array | None = None
+        # Distance of the output from the steady answer to the present ramp, and that distance's rate; each (3,).
+        self._output = np.zeros(3)
+        self._output_rate = np.zeros(3)
+
+    def step(self, value: Array, elapsed_s: float) -> Array:
+        """Output after the input went to ``value`` (3,) in ``elapsed_s``; starts in the steady state of the first."""
+        if self._input is None:
+            self._input, self._output = value, value
+        elif elapsed_s > 0.0:
+            slope = (value - self._input) / elapsed_s
+            lag = 2.0 * BUTTERWORTH_DAMPING / self._w * slope  # a ramp is followed at this distance
+            error, rate = self._output - (self._input - lag), self._output_rate - slope
+            damped = self._w * BUTTERWORTH_DAMPING  # decay and ringing coincide at this damping
+            c, s = math.cos(damped * elapsed_s), math.sin(damped * elapsed_s)
+            decay = math.exp(-damped * elapsed_s)
+            mixed = (rate + damped * error) / damped
+            self._output = value - lag + decay * (c * error + s * mixed)
+            self._output_rate = slope + decay * damped * (c * (mixed - error) - s * (error + mixed))
+            self._input = value
+        return self._output
+
+
+def _vector(triad: Triad[float]) -> Array:
+    return np.array([triad.x, triad.y, triad.z])

@@ -1,0 +1,294 @@
+"""Seaways: named, seeded seas whose motion is known exactly at any instant. Pure.
+
+A sea is a sum of harmonic waves with random phases; the motion of the vessel is the sum of its responses to them, so
+that displacement, velocity and acceleration are evaluated in closed form at any time, in any order.
+
+* ``T1 T2 T3``: wave trains after trials 1 to 3 of Zhang et al. 2022 (UKF multi-step + BP): 0.03 m at 5 s, 0.04 m at
+  6 s, 0.05 m at 8 s (amplitudes). Ours each have 15 % at 1.13 f and 10 % at 0.9 f besides.
+* ``S4 S5 S6``: irregular seas of sea state 4, 5, 6 (JONSWAP, gamma 2); ``S6S`` sea and swell together; ``SL`` long
+  swell; ``SX`` a sea of state 4's period that grows from 1.5 to 4 m in 60 s and later falls again; ``S0`` still.
+
+Significant heights are those of the *waves*; the vessel makes more or less of them (:mod:`heaved.simulate.vessel`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from heaved.simulate.vessel import HEAVE, PITCH, ROLL, SURGE, SWAY, YAW, Array, Motion, Real
+
+MEAN_HEADING_RAD = math.radians(40.0)
+COMPONENTS = 384
+"""Waves in an irregular sea. Their frequencies are drawn one per cell of equal ratio (0.7 %), so nothing repeats.
+
+Not more: from about 420 on the product with the weights is large enough for BLAS to wake its threads, and a single
+instant costs several times as much beside other work."""
+HIGHEST_HZ = 1.2
+_BLOCK = 1024  # instants evaluated at once: bounds the memory of the phases to a few MB
+
+Complex = NDArray[np.complex128]
+
+
+class WaveSystem(msgspec.Struct, frozen=True):
+    """One JONSWAP system: significant height, peak period, peak enhancement."""
+
+    hs_m: float
+    tp_s: float
+    gamma: float = 2.0
+
+    def spectrum(self, f_hz: Array) -> Array:
+        """One-sided spectrum of the wave elevation, m2/Hz, scaled to exactly ``(hs_m / 4)**2`` (Hasselmann 1973)."""
+        fp = 1.0 / self.tp_s
+        x = np.asarray(f_hz, dtype=np.float64) / fp
+        return (self.hs_m / 4.0) ** 2 / (fp * _jonswap_area(self.gamma)) * _jonswap_shape(x, self.gamma)
+
+
+class Ramp(msgspec.Struct, frozen=True):
+    """The factor on the sea's amplitude, 1 at first, changes by ``change``; twice differentiable throughout."""
+
+    start_s: float
+    duration_s: float
+    change: float
+
+
+class Train(msgspec.Struct, frozen=True):
+    """A wave train of the paper's trials: amplitude and period of the main line."""
+
+    amplitude_m: float
+    period_s: float
+
+
+SEAS: dict[str, tuple[WaveSystem, ...]] = {
+    "S4": (WaveSystem(2.01, 5.1),),
+    "S5": (WaveSystem(3.32, 6.6),),
+    "S6": (WaveSystem(5.15, 8.2),),
+    "S6S": (WaveSystem(3.0, 8.2), WaveSystem(1.5, 16.0, 6.0)),
+    "SX": (WaveSystem(1.5, 5.1),),
+    # Long swell of 18 to 20 s: two systems of equal energy, together Hs 1.2 m.
+    "SL": (WaveSystem(1.2 / math.sqrt(2.0), 18.0, 6.0), WaveSystem(1.2 / math.sqrt(2.0), 20.0, 6.0)),
+}
+TRAINS: dict[str, Train] = {"T1": Train(0.03, 5.0), "T2": Train(0.04, 6.0), "T3": Train(0.05, 8.0)}
+RAMPS: dict[str, tuple[Ramp, ...]] = {
+    # Significant height 1.5 -> 4.0 m during 600..660 s and back during 1260..1320 s.
+    "SX": (Ramp(600.0, 60.0, 2.5 / 1.5), Ramp(1260.0, 60.0, -2.5 / 1.5)),
+}
+STILL = "S0"
+NAMES: tuple[str, ...] = (*TRAINS, *SEAS, STILL)
+
+# A train's heave, and the roll and pitch that give tilt removal something to do: (frequency ratio, amplitude).
+_TRAIN_HEAVE = ((1.0, 1.0), (1.13, 0.15), (0.9, 0.10))  # ratio to the main amplitude
+_TRAIN_ROLL = ((0.83, math.radians(1.0)), (1.07, math.radians(0.4)))  # rad
+_TRAIN_PITCH = ((1.21, math.radians(0.7)), (0.94, math.radians(0.3)))  # rad
+
+
+def _jonswap_shape(x: Array, gamma: float) -> Array:
+    """Unscaled JONSWAP spectrum over x = f / fp; nothing at and below zero."""
+    safe = np.where(x > 0.05, x, 1.0)
+    width = np.where(safe <= 1.0, 0.07, 0.09)
+    peak = gamma ** np.exp(-((safe - 1.0) ** 2) / (2.0 * width**2))
+    shape: Array = np.where(x > 0.05, safe**-5.0 * np.exp(-1.25 * safe**-4.0) * peak, 0.0)
+    return shape
+
+
+@lru_cache
+def _jonswap_area(gamma: float) -> float:
+    """Integral of the shape over x: a fine grid, and the f^-5 tail in closed form."""
+    end = 20.0
+    x = np.linspace(0.2, end, 400_001)
+    body = float(np.trapezoid(_jonswap_shape(x, gamma), x))
+    return body + 0.25 / end**4
+
+
+def wave_spectrum(name: str, f_hz: Array) -> Array:
+    """One-sided spectrum of the wave elevation of an irregular sea, m2/Hz, same shape as ``f_hz``.
+
+    That of ``SX`` holds before the sea grows; the growth multiplies it by the square of :meth:`Seaway.envelope`.
+
+    Raises:
+        ValueError: ``name`` is no irregular sea (a train has lines, not a spectrum).
+    """
+    if name not in SEAS:
+        raise ValueError(f"{name!r} has no continuous spectrum; the irregular seas are {', '.join(SEAS)}")
+    f = np.asarray(f_hz, dtype=np.float64)
+    total: Array = np.sum([system.spectrum(f) for system in SEAS[name]], axis=0)
+    return total
+
+
+def heave_spectrum(name: str, f_hz: Array) -> Array:
+    """One-sided spectrum of true heave, m2/Hz. ``name`` and ``Raises`` as :func:`wave_spectrum`."""
+    return HEAVE.power(f_hz) * wave_spectrum(name, f_hz)
+
+
+def roll_spectrum(name: str, f_hz: Array) -> Array:
+    """One-sided spectrum of true roll, rad2/Hz. ``name`` and ``Raises`` as :func:`wave_spectrum`."""
+    return ROLL.power(f_hz) * wave_spectrum(name, f_hz)
+
+
+def pitch_spectrum(name: str, f_hz: Array) -> Array:
+    """One-sided spectrum of true pitch, rad2/Hz. ``name`` and ``Raises`` as :func:`wave_spectrum`."""
+    return PITCH.power(f_hz) * wave_spectrum(name, f_hz)
+
+
+class Seaway:
+    """The motion of a vessel in one realisation of a sea. Build it with :func:`seaway`."""
+
+    def __init__(self, omega: Array, amplitudes: Complex, *, ramps: Sequence[Ramp] = ()) -> None:
+        """Take N waves and what the vessel makes of each.
+
+        ``omega`` (N,): angular frequencies, rad/s. ``amplitudes`` (6, N): complex amplitudes of heave, surge, sway
+        (m), roll, pitch, yaw (rad), each ``Re sum z exp(i omega t)``.
+        """
+        self._omega = omega
+        self._ramps = tuple(ramps)
+        heave, surge, sway, roll, pitch, yaw = amplitudes
+        first = 1j * omega
+        second = -(omega**2)
+        rows = np.array(
+            [
+                *(heave, first * heave, second * heave, second * surge, second * sway),
+                *(roll, pitch, yaw, first * roll, first * pitch, first * yaw),
+            ]
+        )
+        self._rows = rows  # (11, N) complex: order of _motion
+        self._weights = _on_cos_and_sin(rows)
+        self._trigonometry = np.empty(2 * omega.size)
+        self.heave_std_m = float(np.sqrt(np.sum(np.abs(heave) ** 2) / 2.0))
+        """Standard deviation of true heave, before any growth."""
+
+    def at(self, t_s: float) -> Motion[float]:
+        """Motion at one instant. Not for two threads at once: it has one work space."""
+        n = self._omega.size
+        phase = self._omega * t_s
+        np.cos(phase, out=self._trigonometry[:n])
+        np.sin(phase, out=self._trigonometry[n:])
+        rows = self._weights @ self._trigonometry
+        if self._ramps:
+            rows = _grown(rows, self._growth(np.array(t_s)))
+        channels: list[float] = rows.tolist()
+        return _motion(t_s, channels)
+
+    def motion(self, t_s: Array) -> Motion[Array]:
+        """Motion at many instants ``t_s`` (n,), in any order."""
+        t = np.asarray(t_s, dtype=np.float64)
+        rows = np.empty((11, t.size))
+        starts = range(0, t.size, _BLOCK)
+        if _evenly_spaced(t):
+            # The waves from t[0] on serve every block, each turned to the block's own start: no new sines.
+            ahead = np.multiply.outer(self._omega, t[:_BLOCK] - t[0])
+            waves = np.vstack([np.cos(ahead), np.sin(ahead)])
+            for start in starts:
+                turned = _on_cos_and_sin(self._rows * np.exp(1j * self._omega * t[start]))
+                rows[:, start : start + _BLOCK] = turned @ waves[:, : t.size - start]
+        else:
+            for start in starts:
+                phase = np.multiply.outer(self._omega, t[start : start + _BLOCK])
+                rows[:, start : start + _BLOCK] = self._weights @ np.vstack([np.cos(phase), np.sin(phase)])
+        if self._ramps:
+            rows = _grown(rows, self._growth(t))
+        return _motion(t, list(rows))
+
+    def envelope(self, t_s: Array) -> Array:
+        """Factor on the sea's amplitude at ``t_s`` (n,): 1 but for a growing sea."""
+        return self._growth(np.asarray(t_s, dtype=np.float64))[0]
+
+    def _growth(self, t: Array) -> tuple[Array, Array, Array]:
+        """The amplitude factor and its first and second time derivative, shape of ``t``: a quintic step per ramp."""
+        e, e1, e2 = np.ones_like(t), np.zeros_like(t), np.zeros_like(t)
+        for ramp in self._ramps:
+            step, d = ramp.change, ramp.duration_s
+            u = np.clip((t - ramp.start_s) / d, 0.0, 1.0)
+            e = e + step * u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+            e1 = e1 + step / d * 30.0 * u**2 * (1.0 - u) ** 2
+            e2 = e2 + step / d**2 * 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u)
+        return e, e1, e2
+
+
+def _on_cos_and_sin(rows: Complex) -> Array:
+    """Real weights (11, 2N) that make ``Re sum z exp(i phase)`` of complex ones (11, N): on [cos phase, sin phase]."""
+    return np.ascontiguousarray(np.hstack([rows.real, -rows.imag]))
+
+
+def _evenly_spaced(t: Array) -> bool:
+    """Whether ``t`` (n,) is a grid, to a nanosecond."""
+    if t.size < 2:
+        return False
+    grid = t[0] + (t[-1] - t[0]) / (t.size - 1) * np.arange(t.size)
+    return bool(np.max(np.abs(t - grid)) < 1e-9)
+
+
+def _grown(rows: Array, growth: tuple[Array, Array, Array]) -> Array:
+    """Rows (11,) or (11, n) of a sea of varying amplitude: the product rule keeps each rate the exact derivative."""
+    e, e1, e2 = growth
+    grown = e * rows
+    grown[1] += e1 * rows[0]
+    grown[2] += 2.0 * e1 * rows[1] + e2 * rows[0]
+    grown[8:] += e1 * rows[5:8]
+    return grown
+
+
+def _motion(t_s: Real, channels: Sequence[Real]) -> Motion[Real]:
+    """Name the rows of the seaway's weights."""
+    return Motion(
+        t_s=t_s,
+        heave_m=channels[0],
+        heave_velocity_mps=channels[1],
+        heave_acceleration_mps2=channels[2],
+        surge_acceleration_mps2=channels[3],
+        sway_acceleration_mps2=channels[4],
+        roll_rad=channels[5],
+        pitch_rad=channels[6],
+        yaw_rad=channels[7] + MEAN_HEADING_RAD,
+        roll_rate_radps=channels[8],
+        pitch_rate_radps=channels[9],
+        yaw_rate_radps=channels[10],
+    )
+
+
+def seaway(name: str, seed: int = 1, *, attitude: bool = True) -> Seaway:
+    """A realisation of the sea ``name`` (one of :data:`NAMES`); the same ``seed`` gives the same waves.
+
+    Without ``attitude`` the vessel neither rolls nor pitches and keeps its heading: heave, surge and sway alone.
+
+    Raises:
+        ValueError: there is no sea of that name.
+    """
+    if name not in NAMES:
+        raise ValueError(f"unknown sea {name!r}: choose one of {', '.join(NAMES)}")
+    rng = np.random.default_rng([seed, NAMES.index(name)])
+    if name in SEAS:
+        omega, amplitudes = _irregular(SEAS[name], rng)
+    elif name in TRAINS:
+        omega, amplitudes = _train(TRAINS[name], rng)
+    else:
+        omega, amplitudes = np.ones(1), np.zeros((6, 1), dtype=np.complex128)
+    if not attitude:
+        amplitudes[3:] = 0.0
+    return Seaway(omega, amplitudes, ramps=RAMPS.get(name, ()))
+
+
+def _irregular(systems: tuple[WaveSystem, ...], rng: np.random.Generator) -> tuple[Array, Complex]:
+    """One wave per cell of the band: frequency anywhere in the cell, energy that of the cell, phase random."""
+    lowest = 0.4 / max(system.tp_s for system in systems)  # a JONSWAP spectrum is empty (e^-49) below
+    edges = np.geomspace(lowest, HIGHEST_HZ, COMPONENTS + 1)
+    f = edges[:-1] * (edges[1:] / edges[:-1]) ** rng.random(COMPONENTS)
+    inside = np.linspace(edges[:-1], edges[1:], 9)  # (9, COMPONENTS): fine enough for the sharpest peak
+    energy = np.trapezoid(np.sum([system.spectrum(inside) for system in systems], axis=0), inside, axis=0)
+    wave = np.sqrt(2.0 * energy) * np.exp(2j * np.pi * rng.random(COMPONENTS))
+    return 2.0 * np.pi * f, np.array([dof.transfer(f) * wave for dof in (HEAVE, SURGE, SWAY, ROLL, PITCH, YAW)])
+
+
+def _train(train: Train, rng: np.random.Generator) -> tuple[Array, Complex]:
+    """The trial's platform heaves on three lines; it rolls and pitches a little, and stays where it is."""
+    lines = [(0, ratio, part * train.amplitude_m) for ratio, part in _TRAIN_HEAVE]
+    lines += [(3, ratio, angle) for ratio, angle in _TRAIN_ROLL] + [(4, ratio, angle) for ratio, angle in _TRAIN_PITCH]
+    amplitudes = np.zeros((6, len(lines)), dtype=np.complex128)
+    for column, (dof, _, amplitude) in enumerate(lines):
+        amplitudes[dof, column] = amplitude
+    amplitudes *= np.exp(2j * np.pi * rng.random(len(lines)))
+    return 2.0 * np.pi / train.period_s * np.array([ratio for _, ratio, _ in lines]), amplitudes
