@@ -1,0 +1,88 @@
+"""The recent past of a stream in a fixed block of memory, readable as one contiguous array without copying."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Sequence
+from math import inf, nan
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Ring:
+    """The last ``capacity`` rows; column 0 is time (s), strictly increasing.
+
+    Each row is written twice, ``capacity`` rows apart, so that any run of recent rows lies in one piece somewhere in
+    the doubled buffer. Searches take log2(capacity) looks at the time column and copy nothing.
+    """
+
+    def __init__(self, capacity: int, columns: int) -> None:
+        """
+        Raises:
+            ValueError: capacity or columns below 1.
+        """
+        if capacity < 1 or columns < 1:
+            raise ValueError(f"ring: {capacity} rows of {columns} columns; both must be at least 1")
+        self._rows = np.zeros((2 * capacity, columns))
+        self._capacity = capacity
+        self._next = 0  # where the next row goes, 0 .. capacity - 1
+        self._count = 0
+        self._latest = -inf
+
+    def __len__(self) -> int:
+        return self._count
+
+    def push(self, row: Sequence[float] | Array) -> None:
+        """Append a row (columns,), dropping the oldest when full.
+
+        Raises:
+            ValueError: the time is not finite or does not increase, or the row has the wrong length. Nothing is stored.
+        """
+        rows, at = self._rows, self._next
+        time = float(row[0])
+        if len(row) != rows.shape[1]:
+            raise ValueError(f"ring: a row of {len(row)} values, but there are {rows.shape[1]} columns")
+        if not self._latest < time < inf:
+            raise ValueError(f"ring: time {time} s does not follow {self._latest} s")
+        rows[at] = row
+        rows[at + self._capacity] = rows[at]
+        self._latest = time
+        self._next = at + 1 if at + 1 < self._capacity else 0
+        if self._count < self._capacity:
+            self._count += 1
+
+    def last(self, n: int) -> Array:
+        """The newest n rows (fewer if there are fewer), oldest first: a read-only view, overwritten by later pushes."""
+        end = self._next + self._capacity
+        view = self._rows[end - max(0, min(n, self._count)) : end]
+        view.flags.writeable = False
+        return view
+
+    def since(self, t: float) -> Array:
+        """The rows with time >= t, oldest first: a view as of ``last``."""
+        view = self.last(self._count)
+        recent: Array = view[bisect_left(view[:, 0], t) :]
+        return recent
+
+    def interpolate(self, t: float) -> Array:
+        """The row (columns,) at time t, linear between its neighbours; all nan outside the stored span."""
+        view = self.last(self._count)
+        times = view[:, 0]
+        if not self._count or not times[0] <= t <= times[-1]:
+            return np.full(self._rows.shape[1], nan)
+        after = bisect_left(times, t)
+        row: Array = view[after].copy()
+        if row[0] == t:
+            return row
+        share = (t - times[after - 1]) / (times[after] - times[after - 1])
+        row = (1.0 - share) * view[after - 1] + share * view[after]
+        row[0] = t
+        return row
+
+    def clear(self) -> None:
+        """Forget every row; the memory stays."""
+        self._next = self._count = 0
+        self._latest = -inf
