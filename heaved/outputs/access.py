@@ -1,0 +1,76 @@
+"""Who may connect: loopback always, other machines only from networks that the configuration names."""
+
+from __future__ import annotations
+
+import errno
+import ipaddress
+from collections.abc import Iterable
+
+Network = ipaddress.IPv4Network | ipaddress.IPv6Network
+
+
+class ListenError(OSError):
+    """A server cannot listen where it was told to; the message says where and what to do."""
+
+
+def parse_networks(entries: Iterable[str]) -> tuple[Network, ...]:
+    """Networks of CIDR texts such as ``192.168.10.0/24`` (a bare address is a network of one).
+
+    Raises:
+        ValueError: names the entry and what is wrong with it.
+    """
+    networks = []
+    for entry in entries:
+        try:
+            networks.append(ipaddress.ip_network(entry))
+        except ValueError as error:
+            raise ValueError(f"allow: {entry!r} is not a network such as 192.168.10.0/24: {error}") from error
+    return tuple(networks)
+
+
+def is_allowed(address: str, networks: Iterable[Network]) -> bool:
+    """Whether a peer at ``address`` may connect. Anything that is not an IP address may not."""
+    try:
+        peer = ipaddress.ip_address(address)
+    except ValueError:
+        return False
+    if isinstance(peer, ipaddress.IPv6Address) and peer.ipv4_mapped is not None:
+        peer = peer.ipv4_mapped  # How an IPv4 peer looks to a socket that listens on both.
+    return peer.is_loopback or any(peer in network for network in networks)
+
+
+def is_loopback_host(host: str) -> bool:
+    """Whether listening on ``host`` (an address or a name) stays within this machine."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def checked_networks(section: str, host: str, allow: Iterable[str]) -> tuple[Network, ...]:
+    """The networks that may reach a server which listens on ``host``; ``section`` of the configuration.
+
+    Raises:
+        ValueError: an entry is not a network, or ``host`` reaches beyond this machine and no network is named.
+    """
+    try:
+        networks = parse_networks(allow)
+    except ValueError as error:
+        raise ValueError(f"[{section}] {error}") from error
+    if not networks and not is_loopback_host(host):
+        raise ValueError(
+            f"[{section}] host {host} can be reached from other machines: name the networks that may connect, "
+            f'for example allow = ["192.168.10.0/24"], or set host = "127.0.0.1"'
+        )
+    return networks
+
+
+def listen_error(section: str, host: str, port: int, error: OSError) -> ListenError:
+    """What a failed bind means for the person at the machine."""
+    if error.errno == errno.EADDRINUSE:
+        advice = f"the port is in use: stop the other program or change [{section}] port"
+    elif error.errno in (errno.EACCES, errno.EPERM):
+        advice = f"not permitted: choose a [{section}] port above 1023"
+    else:
+        advice = f"{error.strerror or error}: change [{section}] host"
+    return ListenError(f"[{section}] cannot listen on {host}:{port}: {advice}")

@@ -1,0 +1,151 @@
+"""Metrics and health over HTTP."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import AsyncIterator, Awaitable, Callable
+from typing import Any
+
+import aiohttp
+import pytest
+from stream_peers import make_frame
+
+from heaved.outputs import http as http_module
+from heaved.outputs.access import ListenError
+from heaved.outputs.http import HttpServer, Verdict, liveness, readiness
+from heaved.samples import HeaveState
+
+Get = Callable[..., Awaitable[tuple[int, str, str]]]
+
+
+class Health:
+    """What the server is told to answer."""
+
+    def __init__(self) -> None:
+        self.alive = Verdict(details={"uptime_s": 12.5})
+        self.ready = Verdict()
+        self.errors: Counter[str] = Counter()
+
+
+@pytest.fixture
+def health() -> Health:
+    return Health()
+
+
+@pytest.fixture
+async def server(health: Health) -> AsyncIterator[tuple[str, int]]:
+    server = make_server(health)
+    yield await server.start()
+    await server.close()
+
+
+def make_server(health: Health, **changes: Any) -> HttpServer:
+    options: dict[str, Any] = {
+        "host": "127.0.0.1",
+        "port": 0,
+        "allow": (),
+        "metrics": lambda: b"heaved_clients 3.0\n",
+        "alive": lambda: health.alive,
+        "ready": lambda: health.ready,
+        "count_client_error": lambda reason: health.errors.update([reason]),
+    }
+    return HttpServer(**{**options, **changes})
+
+
+async def fetch(address: tuple[str, int], path: str, method: str = "GET") -> tuple[int, str, str]:
+    """Status, content type, body."""
+    url = f"http://{address[0]}:{address[1]}{path}"
+    async with aiohttp.ClientSession() as session, session.request(method, url) as response:
+        return response.status, response.headers["Content-Type"], await response.text()
+
+
+async def test_metrics(server: tuple[str, int]) -> None:
+    assert await fetch(server, "/metrics") == (
+        200, "text/plain; version=0.0.4; charset=utf-8", "heaved_clients 3.0\n"
+    )  # fmt: skip
+
+
+async def test_health(server: tuple[str, int], health: Health) -> None:
+    status, content_type, body = await fetch(server, "/healthz")
+    assert (status, content_type.split(";")[0]) == (200, "application/json")
+    assert json.loads(body) == {"alive": True, "reasons": [], "uptime_s": 12.5}
+    health.alive = Verdict(reasons=("no frame for 7.0 s",))
+    status, _, body = await fetch(server, "/healthz")
+    assert (status, json.loads(body)) == (503, {"alive": False, "reasons": ["no frame for 7.0 s"]})
+
+
+async def test_ready(server: tuple[str, int], health: Health) -> None:
+    status, _, body = await fetch(server, "/readyz")
+    assert (status, json.loads(body)) == (200, {"ready": True, "reasons": []})
+    health.ready = Verdict(reasons=("heave is invalid",))
+    status, _, body = await fetch(server, "/readyz")
+    assert (status, json.loads(body)) == (503, {"ready": False, "reasons": ["heave is invalid"]})
+
+
+async def test_other_paths_and_methods(server: tuple[str, int]) -> None:
+    status, content_type, body = await fetch(server, "/admin?x=1")
+    assert (status, content_type.split(";")[0]) == (404, "application/json")
+    assert "/admin" in json.loads(body)["error"]
+    for method in ("POST", "PUT", "DELETE", "OPTIONS"):
+        status, _, body = await fetch(server, "/metrics", method)
+        assert status == 405
+        assert method in json.loads(body)["error"]
+
+
+async def test_a_peer_outside_the_list(
+    server: tuple[str, int], health: Health, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(http_module, "is_allowed", lambda address, networks: False)
+    status, _, body = await fetch(server, "/metrics")
+    assert status == 403
+    assert json.loads(body) == {"error": "127.0.0.1 is not in a network of [http] allow"}
+    assert health.errors == {"not_allowed": 1}
+
+
+async def test_port_in_use(server: tuple[str, int], health: Health) -> None:
+    with pytest.raises(ListenError, match=rf"127\.0\.0\.1:{server[1]}: the port is in use.*\[http\] port"):
+        await make_server(health, port=server[1]).start()
+
+
+async def test_beyond_this_machine_only_with_a_list(health: Health) -> None:
+    with pytest.raises(ValueError, match=r"\[http\] host 0\.0\.0\.0"):
+        make_server(health, host="0.0.0.0")
+
+
+async def test_close_again_and_without_start(health: Health) -> None:
+    server = make_server(health)
+    await server.close()
+    address = await server.start()
+    await fetch(address, "/healthz")
+    await server.close()
+    await server.close()
+    with pytest.raises(aiohttp.ClientConnectorError):
+        await fetch(address, "/healthz")
+
+
+@pytest.mark.parametrize(
+    ("last_s", "now_s", "alive"),
+    [(None, 104.0, True), (None, 106.0, False), (200.0, 204.0, True), (200.0, 206.0, False)]
+)  # fmt: skip
+def test_liveness(last_s: float | None, now_s: float, alive: bool) -> None:
+    frame = None if last_s is None else make_frame(last_s, HeaveState.INVALID)
+    verdict = liveness(frame, now_s=now_s, started_s=100.0)
+    assert (not verdict.reasons) is alive
+    assert verdict.details["uptime_s"] == now_s - 100.0
+
+
+@pytest.mark.parametrize(
+    ("heave", "age_s", "reasons"),
+    [
+        (HeaveState.VALID, 0.5, ()),
+        (HeaveState.SETTLING, 0.5, ()),
+        (HeaveState.DEGRADED, 0.5, ()),
+        (HeaveState.INVALID, 0.5, ("heave is invalid",)),
+        (HeaveState.VALID, 1.5, ("last frame is 1.5 s old",)),
+        (HeaveState.INVALID, 1.5, ("last frame is 1.5 s old", "heave is invalid")),
+    ],
+)
+def test_readiness(heave: HeaveState, age_s: float, reasons: tuple[str, ...]) -> None:
+    assert readiness(make_frame(10.0, heave), now_s=10.0 + age_s).reasons == reasons
+    assert readiness(None, now_s=10.0).reasons == ("no frame yet",)

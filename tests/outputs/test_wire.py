@@ -1,0 +1,261 @@
+"""Lines of the stream: strict JSON out, anything in."""
+
+from __future__ import annotations
+
+import json
+import math
+from datetime import UTC, datetime
+from typing import Any, NoReturn
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from heaved.outputs import wire
+from heaved.samples import (
+    CorrectionState,
+    HeaveForecast,
+    HeaveState,
+    LaserState,
+    MotionFrame,
+    Quality,
+    RockPrediction,
+)
+
+numbers = st.floats(allow_nan=True, allow_infinity=True)
+horizons = st.floats(min_value=0.01, max_value=60.0)
+qualities = st.builds(
+    Quality,
+    heave=st.sampled_from(HeaveState),
+    laser=st.sampled_from(LaserState),
+    correction=st.sampled_from(CorrectionState),
+    reasons=st.lists(st.text(max_size=20), max_size=3).map(tuple),
+)
+rocks = st.builds(
+    RockPrediction,
+    horizon_s=horizons,
+    roll_rad=numbers,
+    pitch_rad=numbers,
+    yaw_rad=numbers,
+    roll_std_rad=numbers,
+    pitch_std_rad=numbers,
+    yaw_std_rad=numbers,
+)
+forecasts = st.builds(HeaveForecast, horizon_s=horizons, heave_m=numbers, std_m=numbers)
+frames = st.builds(
+    MotionFrame,
+    t_s=st.floats(min_value=0.0, max_value=1e8),
+    quality=qualities,
+    heave_m=numbers,
+    heave_std_m=numbers,
+    heave_velocity_mps=numbers,
+    heave_acceleration_mps2=numbers,
+    observer_m=numbers,
+    correction_m=numbers,
+    lead_s=numbers,
+    reference_m=numbers,
+    roll_rad=numbers,
+    pitch_rad=numbers,
+    yaw_rad=numbers,
+    rock=st.lists(rocks, max_size=3).map(tuple),
+    forecast=st.lists(forecasts, max_size=3).map(tuple),
+)
+
+
+def strict(line: bytes) -> dict[str, Any]:
+    """One line of JSON as the standard has it: no NaN, no infinity, no key twice, nothing null."""
+
+    def refuse(constant: str) -> NoReturn:
+        raise AssertionError(f"{constant} is not JSON")
+
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        assert len({key for key, _ in pairs}) == len(pairs), f"a key twice in {pairs}"
+        assert all(value is not None for _, value in pairs), f"null in {pairs}"
+        return dict(pairs)
+
+    assert line.endswith(b"\n")
+    assert line.count(b"\n") == 1
+    record = json.loads(line.decode("utf-8"), parse_constant=refuse, object_pairs_hook=unique)
+    assert isinstance(record, dict)
+    return record
+
+
+def check_value(record: dict[str, Any], key: str, value: float, factor: float = 1.0) -> None:
+    """``record[key]`` is ``value`` to six decimals, or left out when ``value`` means nothing."""
+    if math.isfinite(value) and abs(value) < 1e6:
+        assert record[key] == pytest.approx(value * factor, abs=5.1e-7, rel=1e-15)
+    elif not math.isfinite(value):
+        assert key not in record
+
+
+@settings(deadline=None, derandomize=True)
+@given(frame=frames, seq=st.integers(1, 2**53), dropped=st.integers(0, 2**40))
+def test_any_frame_is_one_strict_line_with_class_first(frame: MotionFrame, seq: int, dropped: int) -> None:
+    line = wire.encode_motion(frame, seq=seq, utc_s=1.75e9, sent_mono_s=frame.t_s + 0.25, dropped=dropped)
+    record = strict(line)
+    assert line.startswith(b'{"class":"MOTION",')
+    assert (record["seq"], record["dropped"]) == (seq, dropped)
+    assert record["age_s"] == pytest.approx(0.25, abs=1e-6)
+    assert record["mono_s"] == pytest.approx(frame.t_s, abs=1e-6)
+    for key in ("heave_m", "heave_std_m", "heave_velocity_mps", "heave_acceleration_mps2", "observer_m",
+                "correction_m", "lead_s", "reference_m"):  # fmt: skip
+        check_value(record, key, getattr(frame, key))
+    for axis in ("roll", "pitch", "yaw"):
+        check_value(record, f"{axis}_deg", getattr(frame, f"{axis}_rad"), math.degrees(1.0))
+    for sent, rock in zip(record.get("rock", []), frame.rock, strict=True):
+        assert sent["horizon_s"] == rock.horizon_s
+        for name in ("roll", "pitch", "yaw", "roll_std", "pitch_std", "yaw_std"):
+            check_value(sent, f"{name}_deg", getattr(rock, f"{name}_rad"), math.degrees(1.0))
+    for sent, forecast in zip(record.get("forecast", []), frame.forecast, strict=True):
+        assert sent["horizon_s"] == forecast.horizon_s
+        check_value(sent, "heave_m", forecast.heave_m)
+        check_value(sent, "std_m", forecast.std_m)
+    assert record["quality"] == {
+        "heave": frame.quality.heave.value,
+        "laser": frame.quality.laser.value,
+        "correction": frame.quality.correction.value,
+        "reasons": list(frame.quality.reasons),
+    }
+
+
+def test_golden_motion_line() -> None:
+    frame = MotionFrame(
+        t_s=12.5,
+        quality=Quality(
+            heave=HeaveState.DEGRADED, laser=LaserState.STALE, correction=CorrectionState.HOLDING, reasons=("swell",)
+        ),
+        heave_m=-1.5,
+        roll_rad=math.pi / 180.0,
+        rock=(RockPrediction(horizon_s=0.05, roll_rad=math.pi / 90.0, roll_std_rad=math.pi / 1800.0),),
+        forecast=(HeaveForecast(horizon_s=2.0, heave_m=0.25),),
+    )
+    assert wire.encode_motion(frame, seq=7, utc_s=1767225600.123456, sent_mono_s=12.502, dropped=3) == (
+        b'{"class":"MOTION","seq":7,"time":"2026-01-01T00:00:00.123456Z","mono_s":12.5,"heave_m":-1.5,'
+        b'"roll_deg":1.0,"rock":[{"horizon_s":0.05,"roll_deg":2.0,"roll_std_deg":0.1}],'
+        b'"forecast":[{"horizon_s":2.0,"heave_m":0.25}],'
+        b'"quality":{"heave":"degraded","laser":"stale","correction":"holding","reasons":["swell"]},'
+        b'"age_s":0.002000,"dropped":3}\n'
+    )
+
+
+@settings(deadline=None, derandomize=True)
+@given(st.integers(0, 4102444800 * 10**6))
+@example(1767225600 * 10**6)  # A whole second keeps its six zeros.
+@example(1767225600 * 10**6 - 1)
+def test_time_is_utc_to_the_microsecond(microseconds: int) -> None:
+    text = wire.iso_time(microseconds / 1e6)
+    assert len(text) == len("2026-01-01T00:00:00.123456Z")
+    assert text.endswith("Z")
+    back = datetime.fromisoformat(text) - datetime(1970, 1, 1, tzinfo=UTC)
+    assert abs(back.total_seconds() - microseconds / 1e6) <= 1.1e-6
+
+
+def test_records_that_are_not_known_are_left_out() -> None:
+    device = wire.DeviceStatus(name="imu", role="imu", up=False)
+    status = wire.StatusRecord(
+        release="1", uptime_s=1.0, frames=0, heave=wire.HeaveStatus(), devices=(device,), clients=0, dropped=0,
+        quality=wire.QualityRecord(
+            heave=HeaveState.INVALID, laser=LaserState.OFF, correction=CorrectionState.OFF, reasons=()
+        ),
+    )  # fmt: skip
+    assert strict(wire.encode_record(status)) == {
+        "class": "STATUS", "release": "1", "uptime_s": 1.0, "frames": 0, "heave": {}, "clients": 0, "dropped": 0,
+        "devices": [{"name": "imu", "role": "imu", "up": False}],
+        "quality": {"heave": "invalid", "laser": "off", "correction": "off", "reasons": []},
+    }  # fmt: skip
+    assert wire.encode_record(wire.VersionRecord(release="1.2.3")) == (
+        b'{"class":"VERSION","release":"1.2.3","proto_major":1,"proto_minor":0}\n'
+    )
+    assert wire.encode_record(wire.ErrorRecord(message="no")) == b'{"class":"ERROR","message":"no"}\n'
+
+
+@pytest.mark.parametrize(
+    ("line", "request_"),
+    [
+        (b'?WATCH={"classes":["MOTION","SEA"],"rate_hz":10}', wire.Watch(classes=("MOTION", "SEA"), rate_hz=10.0)),
+        (b'?WATCH={"rate_hz":0.5}\r', wire.Watch(rate_hz=0.5)),
+        (b'?WATCH={"classes":[]}', wire.Watch(classes=())),
+        (b"?WATCH={}", wire.Watch(classes=("MOTION",), rate_hz=None)),
+        (b"?STATUS", wire.StatusQuery()),
+        (b"?VERSION\r\n", wire.VersionQuery()),
+    ],
+)
+def test_requests(line: bytes, request_: wire.Request) -> None:
+    assert wire.parse_request(line) == request_
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        (b"", "not understood"),
+        (b"GET / HTTP/1.1\r", "GET / HTTP/1.1"),
+        (b"?status", "?status"),
+        (b'?WATCH={"classes":["MOTIONS"]}', "MOTIONS"),
+        (b'?WATCH={"rate":5}', "`rate`"),
+        (b'?WATCH={"rate_hz":0}', "above 0"),
+        (b'?WATCH={"rate_hz":-1}', "above 0"),
+        (b'?WATCH={"rate_hz":1e400}', "rate_hz"),
+        (b'?WATCH={"rate_hz":NaN}', "malformed"),
+        (b'?WATCH={"rate_hz":10} now', "trailing"),
+        (b'?WATCH={"classes":["\xff"]}', "?WATCH"),
+        (b"?WATCH=" + b"[" * 500, "?WATCH"),
+        (b"?STATUS" + b" " * 506, "513 bytes"),
+    ],
+)
+def test_anything_else_is_told_what_was_wrong_and_what_is_accepted(line: bytes, said: str) -> None:
+    answer = wire.parse_request(line)
+    assert isinstance(answer, wire.BadRequest)
+    assert said in answer.message
+    assert wire.ACCEPTED in answer.message
+
+
+@settings(deadline=None, derandomize=True)
+@given(
+    st.one_of(
+        st.binary(max_size=600),
+        st.binary(max_size=500).map(lambda tail: b"?WATCH=" + tail),
+        st.recursive(
+            st.none() | st.booleans() | st.floats() | st.text(max_size=8) | st.sampled_from(wire.STREAM_CLASSES),
+            lambda inner: st.lists(inner, max_size=3)
+            | st.dictionaries(st.sampled_from(["classes", "rate_hz", "x"]), inner, max_size=3),
+        ).map(lambda value: b"?WATCH=" + json.dumps(value).encode()),
+    )
+)
+def test_no_line_raises(line: bytes) -> None:
+    request = wire.parse_request(line)
+    assert isinstance(request, wire.Watch | wire.StatusQuery | wire.VersionQuery | wire.BadRequest)
+    if isinstance(request, wire.BadRequest):
+        strict(wire.encode_record(wire.ErrorRecord(message=request.message)))
+    if isinstance(request, wire.Watch):
+        assert set(request.classes) <= set(wire.STREAM_CLASSES)
+        assert request.rate_hz is None or 0.0 < request.rate_hz < math.inf
+
+
+@settings(deadline=None, derandomize=True)
+@given(data=st.lists(st.sampled_from([b"?STATUS\n", b"\n", b"x" * 300, b"\r\n", b"ab"]), max_size=12).map(b"".join),
+       cuts=st.lists(st.integers(0, 4000), max_size=8))  # fmt: skip
+def test_pieces_do_not_matter_to_the_splitter(data: bytes, cuts: list[int]) -> None:
+    pieces, start = [], 0
+    for cut in [*sorted(cut for cut in cuts if cut <= len(data)), len(data)]:
+        pieces.append(data[start:cut])
+        start = cut
+    whole, parts, bytewise = wire.LineSplitter(), wire.LineSplitter(), wire.LineSplitter()
+    lines = whole.feed(data)
+    assert [line for piece in pieces for line in parts.feed(piece)] == lines
+    assert [line for byte in data for line in bytewise.feed(bytes([byte]))] == lines
+    assert parts.overflow == bytewise.overflow == whole.overflow
+    too_long = [len(line) + 1 > wire.MAX_REQUEST_BYTES for line in data.split(b"\n")]
+    assert whole.overflow == any(too_long)
+    expected = data.split(b"\n")[:-1]
+    assert lines == (expected[: too_long.index(True)] if whole.overflow else expected)
+
+
+@pytest.mark.parametrize("line", [b"", b"\xff\xfe", b"[]", b"1", b"{}", b'{"class":1}', b"HTTP/1.1 400 Bad Request",
+                                  b"[" * 100_000])  # fmt: skip
+def test_decode_says_what_is_not_a_line(line: bytes) -> None:
+    with pytest.raises(ValueError, match="not a line of the stream"):
+        wire.decode(line)
+
+
+def test_decode_reads_what_is_sent() -> None:
+    assert wire.decode(b'{"class":"SEA","hs_m":2.5}\n') == {"class": "SEA", "hs_m": 2.5}

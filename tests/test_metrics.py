@@ -1,0 +1,140 @@
+"""Metrics: the names are a contract, the text is what Prometheus reads."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import pytest
+from prometheus_client import Metric
+from prometheus_client.parser import text_string_to_metric_families
+
+from heaved.metrics import Metrics
+from heaved.samples import CorrectionState, Fault, HeaveState, LaserState, MotionFrame, Quality
+
+# As published: name, type, labels. Change one only with a line in the change log.
+CONTRACT = {
+    ("heaved_build_info", "gauge", ("version",)),
+    ("heaved_device_up", "gauge", ("device",)),
+    ("heaved_polls", "counter", ("device", "result")),
+    ("heaved_poll_duration_seconds", "histogram", ("device",)),
+    ("heaved_sample_age_seconds", "histogram", ()),
+    ("heaved_reconnects", "counter", ("device",)),
+    ("heaved_step_duration_seconds", "histogram", ()),
+    ("heaved_heave_meters", "gauge", ()),
+    ("heaved_heave_std_meters", "gauge", ()),
+    ("heaved_reference_error_meters", "gauge", ()),
+    ("heaved_lead_seconds", "gauge", ()),
+    ("heaved_quality", "gauge", ("state",)),
+    ("heaved_training_runs", "counter", ("result",)),
+    ("heaved_training_age_seconds", "gauge", ()),
+    ("heaved_clients", "gauge", ()),
+    ("heaved_frames_sent", "counter", ()),
+    ("heaved_frames_dropped", "counter", ("reason",)),
+    ("heaved_filter_resets", "counter", ("filter", "reason")),
+    ("heaved_tick_lateness_seconds", "histogram", ()),
+    ("heaved_clock_steps", "counter", ()),
+    ("heaved_state_saves", "counter", ("result",)),
+    ("heaved_client_errors", "counter", ("reason",)),
+    ("heaved_config_reloads", "counter", ("result",)),
+}
+
+
+def frame(heave: HeaveState, heave_m: float = math.nan, reference_m: float = math.nan) -> MotionFrame:
+    quality = Quality(heave=heave, laser=LaserState.VALID, correction=CorrectionState.OFF)
+    return MotionFrame(t_s=1.0, quality=quality, heave_m=heave_m, heave_std_m=0.02, lead_s=0.1, reference_m=reference_m)
+
+
+def families(metrics: Metrics) -> dict[str, Metric]:
+    return {family.name: family for family in text_string_to_metric_families(metrics.render().decode())}
+
+
+def value(metrics: Metrics, name: str, **labels: str) -> float:
+    found = [
+        sample.value
+        for family in families(metrics).values()
+        for sample in family.samples
+        if sample.name == name and sample.labels == labels
+    ]
+    assert len(found) == 1, f"{name} {labels} is there {len(found)} times"
+    return found[0]
+
+
+def exercise(metrics: Metrics) -> None:
+    """Everything once, so that every label is there."""
+    device = metrics.device("imu")
+    device.record_poll(Fault.NONE, 0.002)
+    device.record_poll(Fault.CRC, 0.05)
+    device.set_up(True)
+    device.count_reconnect()
+    metrics.record_frame(frame(HeaveState.VALID, 1.5, 1.25), age_s=0.003, step_s=0.0002)
+    metrics.tick_lateness.observe(0.0001)
+    metrics.training_runs.labels("accepted").inc()
+    metrics.training_age.set(30.0)
+    metrics.filter_resets.labels("heave", "not_finite").inc()
+    metrics.set_clients(2)
+    metrics.count_sent(2)
+    metrics.count_dropped("slow_client")
+    metrics.count_client_error("bad_request")
+    metrics.clock_steps.inc()
+    metrics.state_saves.labels("saved").inc()
+    metrics.config_reloads.labels("applied").inc()
+
+
+def own_labels(samples: Iterable[tuple[str, dict[str, str], float]]) -> tuple[str, ...]:
+    return tuple(sorted({label for sample in samples for label in sample[1]} - {"le"}))
+
+
+def test_names_types_and_labels_are_the_contract() -> None:
+    metrics = Metrics("1.2.3")
+    exercise(metrics)
+    found = {(family.name, family.type, own_labels(family.samples)) for family in families(metrics).values()}
+    assert found == CONTRACT
+    assert all(family.documentation for family in families(metrics).values())
+
+
+def test_values() -> None:
+    metrics = Metrics("1.2.3")
+    exercise(metrics)
+    assert value(metrics, "heaved_build_info", version="1.2.3") == 1.0
+    assert value(metrics, "heaved_device_up", device="imu") == 1.0
+    assert value(metrics, "heaved_polls_total", device="imu", result="none") == 1.0
+    assert value(metrics, "heaved_polls_total", device="imu", result="crc") == 1.0
+    assert value(metrics, "heaved_polls_total", device="imu", result="timeout") == 0.0
+    assert value(metrics, "heaved_poll_duration_seconds_count", device="imu") == 2.0
+    assert value(metrics, "heaved_poll_duration_seconds_sum", device="imu") == pytest.approx(0.052)
+    assert value(metrics, "heaved_poll_duration_seconds_bucket", device="imu", le="0.01") == 1.0
+    assert value(metrics, "heaved_sample_age_seconds_sum") == pytest.approx(0.003)
+    assert value(metrics, "heaved_step_duration_seconds_sum") == pytest.approx(0.0002)
+    assert value(metrics, "heaved_heave_meters") == 1.5
+    assert value(metrics, "heaved_heave_std_meters") == 0.02
+    assert value(metrics, "heaved_reference_error_meters") == 0.25
+    assert value(metrics, "heaved_lead_seconds") == 0.1
+    assert value(metrics, "heaved_clients") == 2.0
+    assert value(metrics, "heaved_frames_sent_total") == 2.0
+    assert value(metrics, "heaved_frames_dropped_total", reason="slow_client") == 1.0
+
+
+def test_what_is_not_known_is_nan() -> None:
+    metrics = Metrics("1.2.3")
+    names = ("heaved_heave_meters", "heaved_reference_error_meters", "heaved_training_age_seconds")
+    assert all(math.isnan(value(metrics, name)) for name in names)
+    metrics.record_frame(frame(HeaveState.VALID, 1.5, 1.25), age_s=0.003, step_s=0.0002)
+    metrics.record_frame(frame(HeaveState.VALID, 1.5), age_s=0.003, step_s=0.0002)
+    assert value(metrics, "heaved_heave_meters") == 1.5
+    assert math.isnan(value(metrics, "heaved_reference_error_meters"))
+
+
+def test_quality_is_one_hot() -> None:
+    metrics = Metrics("1.2.3")
+    for heave in (*HeaveState, *HeaveState):
+        metrics.record_frame(frame(heave), age_s=0.0, step_s=0.0)
+        states = {state.value: value(metrics, "heaved_quality", state=state.value) for state in HeaveState}
+        assert states == {state.value: float(state is heave) for state in HeaveState}
+
+
+def test_two_daemons_in_one_process_do_not_share() -> None:
+    first, second = Metrics("1"), Metrics("2")
+    first.count_sent(5)
+    assert value(first, "heaved_frames_sent_total") == 5.0
+    assert value(second, "heaved_frames_sent_total") == 0.0
