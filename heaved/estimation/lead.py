@@ -1,0 +1,114 @@
+"""Lead and gain between the heave estimate and the laser.
+
+Zhang et al. 2022, section 3.2: the lead phase of the inertial displacement comes from comparing it with the laser. The
+cross-spectrum phase at the dominant frequency is taken in the time domain, as the regression of the laser on the
+observer's position and velocity (its in-phase and quadrature parts): that needs no even sampling, so a laser that is
+there only sometimes gives as sound an answer as one that never fails.
+
+The sign of m in eq. (14) is explicit here: a positive lead means that the estimate is early and must be moved back.
+"""
+
+from __future__ import annotations
+
+from math import atan2, exp, hypot, pi, sqrt
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[heave.lead]``: the comparison of the observer with the laser."""
+
+    enabled: bool = True
+    window_s: Annotated[float, msgspec.Meta(ge=20, le=600)] = 60.0
+    """Length of the comparison."""
+    refresh_s: Annotated[float, msgspec.Meta(ge=1, le=600)] = 10.0
+    min_laser_s: Annotated[float, msgspec.Meta(ge=5, le=600)] = 25.0
+    """Seconds of laser that a comparison needs."""
+    min_coherence: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.7
+    """Share of the laser's variance that the observer explains; below it nothing is learned."""
+    max_std_s: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.1
+    """Standard error above which a comparison is not believed."""
+    time_constant_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] = 60.0
+    """Of the first-order update; the first comparisons are averaged."""
+    limit_s: Annotated[float, msgspec.Meta(gt=0, le=5)] = 1.0
+    """Bound on what is learned, either sign."""
+
+
+class Comparison(msgspec.Struct, frozen=True):
+    """How the estimate stands to the laser over one window."""
+
+    lead_s: float
+    """Positive: the estimate is early."""
+    lead_std_s: float
+    gain: float
+    """Laser over estimate."""
+    coherence: float
+    """0..1: share of the laser's variance that the shifted, scaled estimate explains."""
+
+
+def compare(t_s: Array, heave_m: Array, velocity_mps: Array, laser_m: Array, omega_radps: float) -> Comparison | None:
+    """Regress the laser (n,) on heave (n,) and velocity (n,), besides a constant and a slope.
+
+    With laser = A heave + B velocity the gain is |A - j B omega| and the lead its phase over omega. The standard error
+    counts one independent sample per half period, not one per reading: the residual is as narrow-banded as the sea.
+    None: fewer than 8 readings, or a window that carries no motion.
+    """
+    n = len(t_s)
+    if n < 8:
+        return None
+    span = t_s[-1] - t_s[0]
+    ramp = (t_s - np.mean(t_s)) / max(span, 1e-9)
+    columns = np.column_stack((heave_m, velocity_mps / omega_radps, np.ones(n), ramp))
+    normal = columns.T @ columns
+    if np.linalg.cond(normal) > 1e12:
+        return None
+    coefficients = np.linalg.solve(normal, columns.T @ laser_m)
+    residual = laser_m - columns @ coefficients
+    background = columns[:, 2:]
+    still = laser_m - background @ np.linalg.lstsq(background, laser_m, rcond=None)[0]
+    total = float(still @ still)
+    if total <= 0.0:
+        return None
+    A, B = float(coefficients[0]), float(coefficients[1])
+    independent = max(2.0, span * omega_radps / pi)
+    variance = float(residual @ residual) / n / max(float(np.var(columns[:, 1])), 1e-30) / independent
+    gain = hypot(A, B)
+    return Comparison(
+        lead_s=atan2(-B, A) / omega_radps,
+        lead_std_s=sqrt(variance) / max(gain, 1e-9) / omega_radps,
+        gain=gain,
+        coherence=max(0.0, 1.0 - float(residual @ residual) / total),
+    )
+
+
+class LeadTracker:
+    """The slow, bounded estimate of the lead that the chain's own design does not explain (sensor, bus, latency)."""
+
+    def __init__(self, params: Params) -> None:
+        self._params = params
+        self.learned_s = 0.0
+        self.updates = 0
+        self.last: Comparison | None = None
+        self._weight = 1.0 - exp(-params.refresh_s / params.time_constant_s) if params.time_constant_s > 0.0 else 1.0
+
+    def update(self, comparison: Comparison | None, design_lead_s: float) -> bool:
+        """Take a comparison of the unshifted observer; False when it is not good enough to learn from."""
+        p = self._params
+        self.last = comparison
+        if comparison is None or comparison.coherence < p.min_coherence or comparison.lead_std_s > p.max_std_s:
+            return False
+        measured = min(max(comparison.lead_s - design_lead_s, -p.limit_s), p.limit_s)
+        weight = max(self._weight, 1.0 / (1.0 + self.updates))
+        self.learned_s += weight * (measured - self.learned_s)
+        self.updates += 1
+        return True
+
+    def restore(self, learned_s: float) -> None:
+        """Start from what an earlier run has learned; the next comparison outweighs half of it."""
+        self.learned_s = min(max(learned_s, -self._params.limit_s), self._params.limit_s)
+        self.updates = 1

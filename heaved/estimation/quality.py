@@ -1,0 +1,73 @@
+"""What a consumer may believe: the state of the heave and the reasons, from facts that the pipeline collects."""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import Final
+
+import msgspec
+
+from heaved.samples import Fault, HeaveState
+
+COAST_S: Final = 1.0
+"""Without samples for this long the heave is no longer worth publishing: half a second is nearly free, two are not."""
+MISSING_S: Final = 0.1
+"""Without samples for this long (and for at least two periods) the frame says so."""
+BROAD_SEA: Final = 0.2
+"""Share of the heave's own standard deviation above which the model does not fit the sea."""
+SMALL_M: Final = 0.01
+"""Errors below this are well whatever the sea: a still ship has no heave to compare with."""
+DISAGREEMENT: Final = 3.0
+"""The laser shows this many times the modelled error."""
+
+
+class Facts(msgspec.Struct, frozen=True, kw_only=True):
+    """What is known about one moment."""
+
+    imu_fault: Fault
+    since_sample_s: float
+    """Since the last good IMU sample; nan: there never was one."""
+    period_s: float
+    """Usual interval of the IMU samples; nan: not known yet."""
+    settled_s: float
+    """Length of the observer's record; nan: none."""
+    needed_s: float
+    """Length from which it counts as settled."""
+    error_std_m: float
+    heave_std_m: float
+    tilt_known: bool
+    std_scale: float
+    laser_fault: Fault
+    laser_configured: bool
+    laser_fresh: bool
+
+
+def judge(facts: Facts) -> tuple[HeaveState, tuple[str, ...]]:
+    """State and reasons; the reasons are for people and name what to look at."""
+    reasons: list[str] = []
+    f = facts
+    state = HeaveState.VALID
+    if f.laser_configured and not f.laser_fresh:
+        what = f.laser_fault.value if f.laser_fault is not Fault.NONE else "no fresh reference"
+        reasons.append(f"laser: {what}")
+    if not isfinite(f.since_sample_s) or f.since_sample_s > COAST_S:
+        what = f.imu_fault.value if f.imu_fault is not Fault.NONE else "no samples"
+        return HeaveState.INVALID, (f"imu: {what}", *reasons)
+    if not isfinite(f.error_std_m):
+        return HeaveState.SETTLING, (f"settling: {max(f.settled_s, 0.0):.0f} s of {f.needed_s:.0f} s", *reasons)
+    if f.settled_s < f.needed_s:
+        state = HeaveState.SETTLING
+        reasons.insert(0, f"settling: {f.settled_s:.0f} s of {f.needed_s:.0f} s")
+    degraded = []
+    if f.since_sample_s > max(MISSING_S, 2.0 * f.period_s if isfinite(f.period_s) else MISSING_S):
+        what = f.imu_fault.value if f.imu_fault is not Fault.NONE else "samples missing"
+        degraded.append(f"imu: {what}, extrapolated")
+    if not f.tilt_known:
+        degraded.append("no attitude: tilt not removed")
+    if f.error_std_m > max(BROAD_SEA * f.heave_std_m, SMALL_M):
+        degraded.append("sea broader than the harmonic model")
+    if f.std_scale > DISAGREEMENT:
+        degraded.append("laser and observer disagree")
+    if degraded and state is HeaveState.VALID:
+        state = HeaveState.DEGRADED
+    return state, (*degraded, *reasons)

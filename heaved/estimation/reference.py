@@ -1,0 +1,127 @@
+"""The laser as heave reference: sign, constant, gate, and what it says about the error of the published heave.
+
+A gauge reads ``constant + sign * heave``. The constant (mounting height, tide, target) is unknown and slow; heave has
+no mean, so the constant is the mean of (signed reading - heave estimate) over the recent past.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from math import exp, isfinite, nan, sqrt
+from typing import Annotated, Final, Literal
+
+import msgspec
+
+CONSTANT_MIN_S: Final = 15.0
+"""Seconds of laser before the constant counts as known: two wave periods."""
+GATE: Final = 8.0
+"""Readings further off than this many RMS residuals are not of this target (spray, a passing boat)."""
+STEP_S: Final = 3.0
+"""Outliers that go on for this long are a new constant, not outliers."""
+ERROR_TIME_S: Final = 60.0
+"""Memory of the error statistics: several wave periods."""
+SCALE_LIMITS: Final = (0.2, 10.0)
+"""Bounds of what the laser may do to the modelled standard deviation."""
+
+
+class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[laser]``: how the gauge's reading becomes a heave reference: ``sign * reading`` less a slow constant."""
+
+    sign: Literal[1, -1] = 1
+    """+1: the reading grows as the ship heaves up."""
+    max_age_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 0.5
+    """Older than this, the reference is stale: not published, not learned from."""
+    noise_std_m: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.002
+    """Standard deviation of one reading, from the maker's data sheet."""
+    constant_time_s: Annotated[float, msgspec.Meta(gt=0, le=36000)] = 60.0
+    """Time constant with which the unknown constant is followed, in seconds of laser."""
+
+
+class Verdict(Enum):
+    """What became of a reading."""
+
+    ACCEPTED = "accepted"
+    OUTLIER = "outlier"
+    RESTARTED = "restarted"
+    """The constant was given up: the readings agree among themselves on another one."""
+
+
+class Reference:
+    """Follows the constant and the size of the residuals; readings come in order of time."""
+
+    def __init__(self, params: Params) -> None:
+        self._params = params
+        self.restarts = 0
+        self._scale2 = 1.0
+        self.forget()
+
+    def forget(self) -> None:
+        """Start the constant again (the observer was restarted, or the target has changed)."""
+        self._constant_m = 0.0
+        self._seconds = 0.0
+        self._mean_square = 0.0
+        self._t_s = nan
+        self._outlier_since_s = nan
+        self.value_m = nan
+        self.value_t_s = nan
+
+    @property
+    def known(self) -> bool:
+        """Whether the constant has been averaged long enough for the reference to mean something."""
+        return self._seconds >= CONSTANT_MIN_S
+
+    @property
+    def constant_m(self) -> float:
+        return self._constant_m if self.known else nan
+
+    @property
+    def std_scale(self) -> float:
+        """Factor between the error that the laser has shown and the one that was modelled; 1 before any laser."""
+        return sqrt(self._scale2)
+
+    def signed(self, laser_m: float) -> float:
+        """The reading with the sign of heave, constant included (m)."""
+        return self._params.sign * laser_m
+
+    def take(self, t_s: float, laser_m: float, estimate_m: float, modelled_std_m: float) -> Verdict:
+        """Compare a reading with the published heave at its own time.
+
+        modelled_std_m: standard deviation that the observer's model gives for that heave (nan: not known yet).
+        """
+        residual = self.signed(laser_m) - estimate_m
+        if self._seconds == 0.0:
+            self._constant_m = residual
+        deviation = residual - self._constant_m
+        dt = min(t_s - self._t_s, 1.0) if isfinite(self._t_s) else 0.05
+        self._t_s = t_s
+        floor = (4.0 * self._params.noise_std_m) ** 2
+        if self.known and deviation**2 > GATE**2 * max(self._mean_square, floor):
+            if not isfinite(self._outlier_since_s):
+                self._outlier_since_s = t_s
+            if t_s - self._outlier_since_s < STEP_S:
+                return Verdict.OUTLIER
+            self.forget()
+            self.restarts += 1
+            return Verdict.RESTARTED
+        self._outlier_since_s = nan
+        self._seconds += dt
+        # Twice the weight of a plain mean while there is little: the start is forgotten with the square of time.
+        weight = min(1.0, dt / min(0.5 * self._seconds, self._params.constant_time_s))
+        self._constant_m += weight * deviation
+        memory = min(1.0, dt / min(0.5 * self._seconds, ERROR_TIME_S))
+        self._mean_square += memory * (deviation**2 - self._mean_square)
+        self.value_m, self.value_t_s = self.signed(laser_m) - self._constant_m, t_s
+        if self._seconds >= 2.0 * CONSTANT_MIN_S and isfinite(modelled_std_m) and modelled_std_m > 0.0:
+            shown = max(self._mean_square - self._params.noise_std_m**2, (0.25 * self._params.noise_std_m) ** 2)
+            low, high = SCALE_LIMITS
+            scale2 = min(max(shown / modelled_std_m**2, low**2), high**2)
+            self._scale2 += (1.0 - exp(-dt / ERROR_TIME_S)) * (scale2 - self._scale2)
+        return Verdict.ACCEPTED
+
+    def error_rms_m(self) -> float:
+        """RMS of (reference - published heave) over the last minute of laser; nan before the constant is known."""
+        return sqrt(self._mean_square) if self.known else nan
+
+    def fresh(self, t_s: float) -> bool:
+        """Whether the last accepted reading is young enough, and its constant known."""
+        return self.known and t_s - self.value_t_s <= self._params.max_age_s

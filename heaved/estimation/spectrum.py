@@ -1,0 +1,83 @@
+"""Spectra of the recent past: the dominant frequencies of the motion and the spectrum of the heave."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+GRID_HZ: Final = 10.0
+"""Rate to which records are brought for an FFT; waves end an order of magnitude below its Nyquist frequency."""
+PADDING: Final = 4
+"""Zero padding: four points within each bin of the window, which the parabola through a peak then refines."""
+
+
+def resample(t_s: Array, values: Array) -> Array:
+    """Values (n,) at irregular, increasing times (n,), brought to GRID_HZ by linear interpolation."""
+    grid = np.arange(t_s[0], t_s[-1], 1.0 / GRID_HZ)
+    return np.interp(grid, t_s, values)
+
+
+def dominant_frequencies(t_s: Array, a_mps2: Array, count: int, band_hz: tuple[float, float]) -> Array:
+    """Frequencies (Hz) of the ``count`` largest peaks of the heave, ascending; fewer where the record shows fewer.
+
+    t_s, a_mps2 (n,): vertical acceleration over the window (Zhang et al. 2022, section 3.2: 30 s). The peaks are those
+    of acceleration over omega^2, not of the integrated displacement, which would show the start of the integrator for
+    half a minute. The division tilts each line of the windowed spectrum, so that its top lies low by half a bin or so; a
+    peak is therefore placed at the top of the acceleration's own line, by the parabola through its logarithm, at most
+    half a bin away: within 2 % of a bin for a pure tone under the Hann window. Peaks closer to each other than the
+    resolution of the window (1 / its length) are one.
+    """
+    x = _detrended(resample(t_s, a_mps2))
+    n = len(x)
+    if n < 8:
+        return np.empty(0)
+    f = np.fft.rfftfreq(PADDING * n, 1.0 / GRID_HZ)
+    line = np.abs(np.fft.rfft(x * np.hanning(n), PADDING * n))
+    amplitude = line / np.maximum(f, 0.5 * band_hz[0]) ** 2
+    inner = amplitude[1:-1]
+    peaks = 1 + np.flatnonzero((inner > amplitude[:-2]) & (inner >= amplitude[2:]) & (f[1:-1] > band_hz[0]))
+    peaks = peaks[f[peaks] < band_hz[1]]
+    found: list[float] = []
+    for k in peaks[np.argsort(-amplitude[peaks], kind="stable")]:
+        left, top, right = np.log(line[k - 1 : k + 2] + 1e-300)
+        curvature = left - 2.0 * top + right
+        away = 0.5 * (left - right) / curvature if curvature < 0.0 else 0.0
+        at = f[k] + f[1] * min(max(away, -0.5 * PADDING), 0.5 * PADDING)
+        if all(abs(at - other) > GRID_HZ / n for other in found):
+            found.append(float(at))
+        if len(found) == count:
+            break
+    return np.sort(np.array(found))
+
+
+def heave_spectrum(t_s: Array, a_mps2: Array, band_hz: tuple[float, float], segment_s: float) -> tuple[Array, Array]:
+    """One-sided heave spectrum (m2/Hz) over the wave band from vertical acceleration (m/s2): S_a / omega^4.
+
+    Welch's average of Hann segments with half overlap. Returns frequencies (k,) in Hz and the spectrum (k,); the noise
+    of the accelerometer is part of it, so it is an upper estimate where the sea is silent.
+    """
+    x = _detrended(resample(t_s, a_mps2))
+    n = min(len(x), int(segment_s * GRID_HZ))
+    if n < 8:
+        return np.empty(0), np.empty(0)
+    window = np.hanning(n)
+    starts = range(0, len(x) - n + 1, max(1, n // 2))
+    segments = np.stack([_detrended(x[s : s + n]) for s in starts]) * window
+    power = np.mean(np.abs(np.fft.rfft(segments)) ** 2, axis=0) * 2.0 / (GRID_HZ * np.sum(window**2))
+    f = np.fft.rfftfreq(n, 1.0 / GRID_HZ)
+    inside = (f >= band_hz[0]) & (f <= band_hz[1])
+    f = f[inside]
+    return f, power[inside] / (2.0 * np.pi * f) ** 4
+
+
+def _detrended(x: Array) -> Array:
+    """x (n,) less its straight line."""
+    n = len(x)
+    if n < 3:
+        return x - np.mean(x) if n else x
+    ramp = np.arange(n) - (n - 1) / 2.0
+    return np.asarray(x - np.mean(x) - ramp * (ramp.dot(x) / ramp.dot(ramp)))
