@@ -1,0 +1,90 @@
+"""The least RMS error that any causal linear estimator can reach, for a known spectrum and sensor noise.
+
+An accuracy figure says little alone: a smooth sea flatters every method. These bounds (Wiener's theory of the
+stationary process) are what each table divides by. Spectra are one-sided: variance = integral of S(f) over f > 0.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_toeplitz
+
+Array = NDArray[np.float64]
+
+
+def autocovariance(f_hz: Array, spectrum: Array, lags_s: Array) -> Array:
+    """Autocovariance r(lag) = integral of S(f) cos(2 pi f lag) df at each lag.
+
+    ``f_hz`` (n,) is uniform and so fine that 1/df exceeds the longest lag by far; ``spectrum`` (n,) in unit^2/Hz.
+    """
+    weights = np.asarray(spectrum) * (f_hz[1] - f_hz[0])
+    weights[[0, -1]] /= 2  # trapezoid
+    chunks = np.array_split(np.asarray(lags_s, dtype=np.float64), max(1, len(lags_s) // 256))
+    return np.concatenate([np.cos(2 * np.pi * np.outer(c, f_hz)) @ weights for c in chunks])
+
+
+def prediction_limit(
+    f_hz: Array, spectrum: Array, noise_std: float, rate_hz: float, horizons_s: Array, memory_s: float = 30.0
+) -> Array:
+    """RMS error of the best linear prediction of the *true* signal from its noisy samples, one per horizon.
+
+    The samples are x(t_k) + white noise of standard deviation ``noise_std``, k = 0, -1, ... over ``memory_s``
+    (finite-past Wiener predictor: the Toeplitz normal equations, solved exactly). Against noisy measurements instead
+    of the truth the error is sqrt(limit^2 + noise_std^2).
+
+    Raises:
+        ValueError: noise_std is not positive (a noiseless band-limited signal is predictable without error).
+    """
+    if noise_std <= 0.0:
+        raise ValueError(f"noise_std must be positive, got {noise_std}")
+    count = round(memory_s * rate_hz)
+    horizons = np.asarray(horizons_s, dtype=np.float64)
+    lags = np.arange(count) / rate_hz
+    column = autocovariance(f_hz, spectrum, lags)
+    variance = column[0]
+    column[0] += noise_std**2
+    cross = np.stack([autocovariance(f_hz, spectrum, lags + h) for h in horizons], axis=1)
+    taps = solve_toeplitz(column, cross)
+    explained = np.sum(cross * taps, axis=0)
+    return np.asarray(np.sqrt(np.maximum(variance - explained, 0.0)), dtype=np.float64)
+
+
+def causal_heave_limit(f_hz: Array, s_heave: Array, noise_psd: Array | float, delay_s: float = 0.0) -> float:
+    """RMS error in metres of the best causal estimate of heave from its noisy vertical acceleration.
+
+    S_y = w^4 S_h + N is factored into its minimum-phase part by the cepstrum; what the causal part of
+    -w^2 S_h / conj(S_y^-) explains of the heave is taken from the variance (Wiener-Hopf).
+
+    ``f_hz`` (n,) uniform from 0 to the Nyquist frequency of the grid; ``s_heave`` (n,) m^2/Hz; ``noise_psd`` (n,) or a
+    constant, (m/s^2)^2/Hz, both one-sided. ``delay_s``: how long the estimate may wait (0: real time).
+
+    Raises:
+        ValueError: the grid does not start at 0, is not uniform, or the noise is not positive everywhere.
+    """
+    f = np.asarray(f_hz, dtype=np.float64)
+    df = f[1] - f[0]
+    noise = np.broadcast_to(np.asarray(noise_psd, dtype=np.float64), f.shape)
+    if f[0] != 0.0 or not np.allclose(np.diff(f), df, rtol=1e-6):
+        raise ValueError("f_hz must be uniform and start at 0")
+    if not np.all(noise > 0.0):
+        raise ValueError("noise_psd must be positive at every frequency")
+    omega = 2 * np.pi * f
+    heave = np.asarray(s_heave) / 2  # two-sided from here on
+    measured = omega**4 * heave + noise / 2
+
+    cepstrum = np.fft.irfft(np.log(measured))
+    n = cepstrum.size
+    cepstrum[1 : n // 2] *= 2.0
+    cepstrum[n // 2 + 1 :] = 0.0
+    factor = np.exp(np.fft.rfft(cepstrum) / 2)  # minimum phase, |factor|^2 = measured
+
+    # The estimate may look ahead by delay_s: the wanted response is shifted before its anticausal half is cut off.
+    explained = np.fft.irfft(-(omega**2) * heave / np.conj(factor) * np.exp(-1j * omega * delay_s))
+    causal = np.fft.rfft(np.where(np.arange(n) < n // 2, explained, 0.0))
+    residual = 2 * df * (_trapezoid(heave) - _trapezoid(np.abs(causal) ** 2))
+    return float(np.sqrt(max(residual, 0.0)))
+
+
+def _trapezoid(values: Array) -> float:
+    return float(np.sum(values) - 0.5 * (values[0] + values[-1]))
