@@ -1,0 +1,393 @@
+"""The daemon: which parts there are, in which order they start and stop, what a signal does.
+
+Start: listen, restore the state, poll, train, then READY once frames flow (with or without sensors).
+Stop (SIGTERM, SIGINT): no more polls, clients get what is queued, the state is saved; within two seconds.
+SIGHUP: the configuration file is read again; ``[[device]]`` and the estimators' tables take effect at once, the others
+(``[stream]``, ``[http]``, ``[state]``, ``[runtime]``) with the next start. A file with faults changes nothing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import threading
+import time
+from collections import Counter
+from collections.abc import Awaitable, Callable
+from functools import partial
+from math import nan
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import structlog
+
+from heaved import __version__
+from heaved.acquisition import Acquisition
+from heaved.clock import UtcClock
+from heaved.config import Config, ConfigError, load, rate_faults
+from heaved.devices.line import buses
+from heaved.devices.modbus import Bus
+from heaved.devices.profile import DeviceSpec
+from heaved.devices.timer import PeriodicTimer
+from heaved.logs import configure_logging
+from heaved.metrics import Metrics
+from heaved.outputs.access import ListenError
+from heaved.outputs.http import HttpServer, liveness, readiness
+from heaved.outputs.publisher import Publisher
+from heaved.outputs.wire import StatusRecord
+from heaved.pipeline import Pipeline, PipelineState
+from heaved.realtime import freeze_memory, set_real_time
+from heaved.samples import MotionFrame, TrainedNetwork, TrainingWindow
+from heaved.sdnotify import Notifier
+from heaved.state import Memory, StateFile, state_directory
+from heaved.status import status_line, status_record
+from heaved.tasks import cancelled, in_time, supervise
+from heaved.training.process import Trainer
+
+__all__ = ["Daemon", "configure_logging", "run"]
+
+_AT_ONCE: Final = ("heave", "laser", "correction", "rock")
+_AT_RESTART: Final = ("stream", "http", "state", "runtime")
+_CANCEL_S: Final = 0.4
+"""What a task may take to be cancelled."""
+_STOP_S: Final = 0.8
+"""What each part may take to stop; they stop side by side."""
+_EXIT_S: Final = 1.8
+"""After a signal to stop the process is gone by then, whatever hangs."""
+
+_log = structlog.get_logger(__name__)
+
+
+class Daemon:
+    """All parts of one daemon on the running event loop.
+
+    Attributes:
+        addresses: where it listens, by ``stream`` and ``http``, once started.
+        config: in force.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        config_path: Path | None = None,
+        *,
+        notifier: Notifier | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        realtime: Callable[[], float] = time.time,
+    ) -> None:
+        """``config_path``: what :meth:`reload` reads. ``clock`` and ``realtime``: UTC is derived from the two.
+
+        Raises:
+            ValueError: a server would listen beyond this machine without networks that may connect.
+        """
+        self.config = config
+        self.addresses: dict[str, tuple[str, int]] = {}
+        self.metrics = Metrics(__version__)
+        self.utc = UtcClock(clock, realtime)
+        self.acquisition = Acquisition(
+            make_pipeline(config), metrics=self.metrics, publish=self._publish, train=self._train, clock=clock
+        )
+        self.memory = Memory(
+            StateFile(state_directory(config.state.directory), PipelineState),
+            lambda: self.acquisition.pipeline.state(),
+            count=lambda result: self.metrics.state_saves.labels(result).inc(),
+        )
+        self._config_path = config_path
+        self._notifier = notifier or Notifier({})
+        self._clock = clock
+        self._started_s = clock()
+        self._is_ready = False
+        self._tasks: dict[str, asyncio.Task[None]] = {}
+        self._buses: dict[str, tuple[DeviceSpec, ...]] = {}
+        self._resets_seen: Counter[tuple[str, str]] = Counter()
+        self._fed_s = -1.0
+        self._fed_frames = 0
+        self._publisher = self._make_publisher()
+        self._http = self._make_http() if config.http.enabled else None
+        self._trainer: Trainer | None = None
+        self._trainer_trouble = ""
+
+    # ---- start and stop ----------------------------------------------------------------------------------------------
+
+    async def start(self) -> None:
+        """Returns when everything runs; READY is told with the first frame, which needs no sensor.
+
+        Raises:
+            ListenError: a port is in use or may not be had; then nothing runs, and there is nothing to stop.
+        """
+        try:
+            self.addresses["stream"] = await self._publisher.start()
+            if self._http is not None:
+                self.addresses["http"] = await self._http.start()
+        except ListenError:
+            await self._publisher.close(0.0)
+            self.memory.close()
+            raise
+        self.memory.restore(self.acquisition.pipeline.restore)
+        await self._poll_devices()
+        await self._have_trainer()
+        self._supervise("heartbeat", self._beat)
+        self._supervise("housekeeping", self._keep_house)
+        self._supervise("state", partial(self.memory.keep_saving, self.config.state.save_period_s))
+        devices = [device.name for device in self.config.device]
+        where = {name: f"{host}:{port}" for name, (host, port) in self.addresses.items()}
+        _log.info("started", release=__version__, devices=",".join(devices) or "none", **where)
+
+    async def stop(self) -> bool:
+        """Stop everything and save the state, within a second or so; returns whether all parts stopped in time."""
+        self._notifier.notify("STOPPING=1", "STATUS=stopping")
+        tasks = list(self._tasks.values())
+        self._tasks.clear()
+        is_clean = await cancelled(tasks, _CANCEL_S)
+        parts: dict[str, Awaitable[object]] = {
+            "stream": self._publisher.close(0.5 * _STOP_S),
+            "state": self.memory.save(),
+        }
+        if self._trainer is not None:
+            parts["trainer"] = self._trainer.stop()
+        if self._http is not None:
+            parts["http"] = self._http.close()
+        is_clean &= all(await asyncio.gather(*(in_time(name, part, _STOP_S) for name, part in parts.items())))
+        self.memory.close()
+        _log.info("stopped", frames=self.acquisition.frames)
+        self._notifier.close()
+        return is_clean
+
+    async def _poll_devices(self) -> None:
+        """Have the configured devices polled, and none else; a bus whose devices are as before is left alone."""
+        wanted = buses(self.config.device)
+        changed = [key for key in self._buses if self._buses[key] != wanted.get(key)]
+        await cancelled([self._tasks.pop(f"bus {key}") for key in changed], _CANCEL_S)
+        self.acquisition.set_devices(self.config.device)
+        for fault in rate_faults(self.config):
+            _log.warning("the line cannot carry the poll rates", detail=fault)
+        for key in wanted.keys() - (self._buses.keys() - set(changed)):
+            self._supervise(f"bus {key}", partial(self._poll, wanted[key]))
+        self._buses = wanted
+
+    async def _poll(self, devices: tuple[DeviceSpec, ...]) -> None:
+        await Bus(devices, self.acquisition.on_poll, self._clock).run()
+
+    async def _have_trainer(self) -> None:
+        """A trainer process runs when there is something to learn, and only then: it takes memory."""
+        wanted = self.config.correction.enabled and has_laser(self.config)
+        if wanted and self._trainer is None:
+            self._trainer = Trainer(self._trained, self._trainer_failed)
+            await self._trainer.start()
+        elif not wanted and self._trainer is not None:
+            await self._trainer.stop()
+            self._trainer = None
+
+    def _supervise(self, name: str, run: Callable[[], Awaitable[None]]) -> None:
+        self._tasks[name] = asyncio.create_task(supervise(name, run), name=name)
+
+    # ---- configuration -----------------------------------------------------------------------------------------------
+
+    async def reload(self) -> None:
+        """Read the configuration file again and apply what has changed; a file with faults changes nothing."""
+        if self._config_path is None:
+            _log.warning("no configuration file was given: there is nothing to read again")
+            return
+        self._notifier.notify("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
+        try:
+            await self._apply(await asyncio.to_thread(load, self._config_path))
+            self.metrics.config_reloads.labels("applied").inc()
+        except ConfigError as error:
+            self.metrics.config_reloads.labels("refused").inc()
+            for fault in error.faults:
+                _log.error("new configuration refused, the old one stays", file=error.file, fault=fault)
+        finally:
+            self._notifier.notify("READY=1")
+
+    async def _apply(self, new: Config) -> None:
+        old = self.config
+        later = {table: getattr(old, table) for table in _AT_RESTART if getattr(new, table) != getattr(old, table)}
+        self.config = msgspec.structs.replace(new, **later)
+        for table in later:
+            _log.warning(f"[{table}] has changed: restart the daemon to bring it into force")
+        if any(getattr(new, table) != getattr(old, table) for table in _AT_ONCE) or has_laser(new) != has_laser(old):
+            self._replace_pipeline()
+            await self._have_trainer()
+        if new.device != old.device:
+            await self._poll_devices()
+            await cancelled([self._tasks.pop("heartbeat")], _CANCEL_S)
+            self._supervise("heartbeat", self._beat)
+        _log.info("configuration read again", devices=",".join(device.name for device in new.device) or "none")
+
+    def _replace_pipeline(self) -> None:
+        pipeline = make_pipeline(self.config)
+        try:
+            pipeline.restore(self.acquisition.pipeline.state())
+        except ValueError as error:
+            _log.warning("what was learned does not fit the new parameters: estimators start cold", reason=str(error))
+            self.acquisition.accepted_s = nan
+        self.acquisition.pipeline = pipeline
+        self._resets_seen.clear()
+
+    # ---- periodic work -----------------------------------------------------------------------------------------------
+
+    async def _beat(self) -> None:
+        with PeriodicTimer(self.acquisition.period_s) as timer:
+            while True:
+                await timer.tick()
+                self.acquisition.heartbeat()
+                self._feed_watchdog()
+
+    def _feed_watchdog(self) -> None:
+        """Fed by the loop that acquires and estimates: only if it has made frames since the last time."""
+        watchdog_s, now_s = self._notifier.watchdog_s, self._clock()
+        if watchdog_s is None or now_s - self._fed_s < 0.25 * watchdog_s or self.acquisition.frames == self._fed_frames:
+            return
+        self._fed_s, self._fed_frames = now_s, self.acquisition.frames
+        self._notifier.notify("WATCHDOG=1")
+
+    async def _keep_house(self) -> None:
+        while True:
+            await asyncio.sleep(1.0)
+            self.keep_house()
+
+    def keep_house(self) -> None:
+        """What is looked after once a second."""
+        step_s = self.utc.update()
+        if step_s:
+            self.metrics.clock_steps.inc()
+            _log.warning("the system's UTC was stepped: published times follow, estimates do not care", step_s=step_s)
+        resets = self.acquisition.pipeline.resets
+        for (name, reason), count in (resets - self._resets_seen).items():
+            self.metrics.filter_resets.labels(name, reason).inc(count)
+            _log.warning("estimator reset", filter=name, reason=reason, count=count)
+        self._resets_seen = Counter(resets)
+        self.metrics.training_age.set(self._clock() - self.acquisition.accepted_s)
+        self._notifier.notify(f"STATUS={status_line(self.status())}")
+
+    # ---- for the parts -----------------------------------------------------------------------------------------------
+
+    def status(self) -> StatusRecord:
+        """The answer to ``?STATUS``."""
+        return status_record(
+            self.acquisition,
+            self.config,
+            now_s=self._clock(),
+            started_s=self._started_s,
+            utc=self.utc,
+            clients=self._publisher.clients,
+            dropped=self._publisher.dropped,
+            config_file=str(self._config_path) if self._config_path else None,
+            state_file=str(self.memory.file.path),
+        )
+
+    def _publish(self, frame: MotionFrame) -> None:
+        self._publisher.publish(frame, utc_s=self.utc.utc_s(frame.t_s))
+        if not self._is_ready:
+            self._is_ready = True
+            self._notifier.notify("READY=1", "STATUS=running")
+
+    def _train(self, window: TrainingWindow) -> None:
+        if self._trainer is not None:
+            self._trainer.submit(window)
+
+    def _trained(self, network: TrainedNetwork) -> None:
+        if self._trainer_trouble:
+            self._trainer_trouble = ""
+            _log.info("the trainer works again")
+        self.acquisition.accept(network)
+
+    def _trainer_failed(self, reason: str) -> None:
+        self.metrics.training_runs.labels("failed").inc()
+        trouble = reason.split(";")[0]  # Without the growing pause before the next start.
+        if trouble != self._trainer_trouble:
+            self._trainer_trouble = trouble
+            _log.warning("the trainer has failed: the stream goes on with what was learned", reason=reason)
+
+    def _make_publisher(self) -> Publisher:
+        stream = self.config.stream
+        return Publisher(
+            host=stream.host,
+            port=stream.port,
+            max_clients=stream.max_clients,
+            queue_frames=stream.queue_frames,
+            stuck_s=stream.stuck_s,
+            allow=stream.allow,
+            version=__version__,
+            status=self.status,
+            metrics=self.metrics,
+            clock=self._clock,
+        )
+
+    def _make_http(self) -> HttpServer:
+        http = self.config.http
+        return HttpServer(
+            host=http.host,
+            port=http.port,
+            allow=http.allow,
+            metrics=self.metrics.render,
+            alive=lambda: liveness(self.acquisition.last_frame, now_s=self._clock(), started_s=self._started_s),
+            ready=lambda: readiness(self.acquisition.last_frame, now_s=self._clock()),
+            count_client_error=self.metrics.count_client_error,
+        )
+
+
+def has_laser(config: Config) -> bool:
+    return any(device.role == "laser" for device in config.device)
+
+
+def make_pipeline(config: Config) -> Pipeline:
+    return Pipeline(
+        heave=config.heave,
+        laser=config.laser,
+        correction=config.correction,
+        rock=config.rock,
+        has_laser=has_laser(config),
+    )
+
+
+# ---- the process -----------------------------------------------------------------------------------------------------
+
+
+def run(config: Config, config_path: Path | None, *, log_format: str) -> int:
+    """Run the daemon until SIGTERM or SIGINT; returns the exit code. Standard output says where it listens.
+
+    Raises:
+        ValueError: ``log_format`` is unknown.
+    """
+    configure_logging(log_format)
+    # Whatever hangs (a disk, a driver), the process ends in time; it is started when a signal asks to stop.
+    deadline = threading.Timer(_EXIT_S, os._exit, (0,))
+    deadline.daemon = True
+    try:
+        is_clean = asyncio.run(_serve(config, config_path, deadline))
+    except ListenError as error:
+        _log.error(str(error))
+        return 1
+    if is_clean:
+        deadline.cancel()
+    return 0
+
+
+async def _serve(config: Config, config_path: Path | None, deadline: threading.Timer) -> bool:
+    """Returns whether everything stopped as it should."""
+    loop = asyncio.get_running_loop()
+    stop, again = asyncio.Event(), asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, stop.set)
+    loop.add_signal_handler(signal.SIGHUP, again.set)
+    set_real_time(config.runtime.fifo_priority)
+    daemon = Daemon(config, config_path, notifier=Notifier())
+    await daemon.start()
+    for name, (host, port) in daemon.addresses.items():
+        print(f"{name} {host}:{port}", flush=True)
+    freeze_memory()
+
+    async def reload_when_asked() -> None:
+        while True:
+            await again.wait()
+            again.clear()
+            await daemon.reload()
+
+    reloading = asyncio.create_task(supervise("reload", reload_when_asked), name="reload")
+    await stop.wait()
+    deadline.start()
+    await cancelled([reloading], _CANCEL_S)
+    return await daemon.stop()

@@ -1,0 +1,123 @@
+"""The daemon's state as the STATUS record of the stream and as the one line that ``systemctl status`` shows."""
+
+from __future__ import annotations
+
+from math import isfinite
+
+from heaved import __version__
+from heaved.acquisition import Acquisition
+from heaved.clock import UtcClock
+from heaved.config import Config
+from heaved.outputs import wire
+from heaved.pipeline import PipelineSummary
+from heaved.samples import CorrectionState, Fault, HeaveState, LaserState, MotionFrame
+
+_NO_QUALITY = wire.QualityRecord(
+    heave=HeaveState.INVALID, laser=LaserState.OFF, correction=CorrectionState.OFF, reasons=("no frame yet",)
+)
+
+
+def status_record(
+    acquisition: Acquisition,
+    config: Config,
+    *,
+    now_s: float,
+    started_s: float,
+    utc: UtcClock,
+    clients: int,
+    dropped: int,
+    config_file: str | None,
+    state_file: str | None,
+) -> wire.StatusRecord:
+    """All that is known of the daemon at ``now_s`` (monotonic, as ``started_s``)."""
+    frame = acquisition.last_frame
+    summary = acquisition.pipeline.summary()
+    return wire.StatusRecord(
+        release=__version__,
+        uptime_s=round(now_s - started_s, 3),
+        frames=acquisition.frames,
+        rate_hz=wire.finite(acquisition.rate_hz(now_s)),
+        heave=_heave(frame, now_s),
+        quality=_quality(frame),
+        devices=_devices(acquisition, config, now_s),
+        clients=clients,
+        dropped=dropped,
+        lead_s=wire.finite(summary.lead_s),
+        observer=wire.ObserverStatus(
+            name=config.heave.observer,
+            frequencies_hz=tuple(round(frequency_hz, 5) for frequency_hz in summary.frequencies_hz),
+            resets=acquisition.pipeline.resets.total(),
+        ),
+        correction=_correction(acquisition, summary, frame, now_s),
+        clock=wire.ClockStatus(utc_offset_s=round(utc.offset_s, 6), steps=utc.steps),
+        config_file=config_file,
+        state_file=state_file,
+    )
+
+
+def status_line(record: wire.StatusRecord) -> str:
+    """``heave valid +0.12 m ± 0.03 m, 100.0 Hz, 2 clients, imu up, laser down (timeout)``"""
+    parts = [f"heave {record.quality.heave.value}"]
+    if record.heave.heave_m is not None:
+        parts[0] += f" {record.heave.heave_m:+.2f} m"
+    if record.heave.heave_std_m is not None:
+        parts[0] += f" ± {record.heave.heave_std_m:.2f} m"
+    parts.append(f"{record.rate_hz or 0.0:.1f} Hz")
+    parts.append(f"{record.clients} client{'' if record.clients == 1 else 's'}")
+    parts += [
+        f"{device.name} up" if device.up else f"{device.name} down ({device.last_fault or 'not polled yet'})"
+        for device in record.devices
+    ]
+    return ", ".join(parts if record.devices else [*parts, "no devices configured"])
+
+
+def _heave(frame: MotionFrame | None, now_s: float) -> wire.HeaveStatus:
+    if frame is None:
+        return wire.HeaveStatus()
+    return wire.HeaveStatus(
+        heave_m=wire.finite(frame.heave_m),
+        heave_std_m=wire.finite(frame.heave_std_m),
+        age_s=wire.finite(now_s - frame.t_s),
+    )
+
+
+def _quality(frame: MotionFrame | None) -> wire.QualityRecord:
+    if frame is None:
+        return _NO_QUALITY
+    quality = frame.quality
+    return wire.QualityRecord(
+        heave=quality.heave, laser=quality.laser, correction=quality.correction, reasons=quality.reasons
+    )
+
+
+def _devices(acquisition: Acquisition, config: Config, now_s: float) -> tuple[wire.DeviceStatus, ...]:
+    devices = []
+    for spec in config.device:
+        health = acquisition.health[spec.name]
+        devices.append(
+            wire.DeviceStatus(
+                name=spec.name,
+                role=spec.role,
+                up=health.up,
+                link=spec.link,
+                rate_hz=wire.finite(health.rate_hz(now_s)),
+                wanted_rate_hz=spec.rate_hz,
+                results={fault.value: health.results[fault] for fault in Fault if health.results[fault]},
+                last_fault=health.last_fault.value if health.last_fault else None,
+                last_fault_age_s=wire.finite(now_s - health.last_fault_s),
+                detail="" if health.up else health.detail,
+            )
+        )
+    return tuple(devices)
+
+
+def _correction(
+    acquisition: Acquisition, summary: PipelineSummary, frame: MotionFrame | None, now_s: float
+) -> wire.CorrectionStatus:
+    age_s = now_s - acquisition.accepted_s
+    return wire.CorrectionStatus(
+        state=frame.quality.correction if frame else CorrectionState.OFF,
+        runs=summary.trained_accepted + summary.trained_rejected + summary.trained_failed,
+        last_result=acquisition.last_training or None,
+        age_s=round(age_s, 3) if isfinite(age_s) else None,
+    )

@@ -1,0 +1,288 @@
+"""Configuration: every fault of a file is found in one go and named; a sound file gives exactly what it says."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from heaved.config import Config, ConfigError, data_directory, load, parse, rate_faults
+from heaved.devices.profile import Block, DeviceSpec, Field, Profile
+
+IMU_PROFILE = """
+[device.profile]
+name = "inline"
+[[device.profile.blocks]]
+start = 0
+fields = [{ quantity = "az_mps2", offset = 0, type = "float32", unit = "m/s2" }]
+"""
+IMU = """
+[[device]]
+name = "imu"
+role = "imu"
+link = "tcp://127.0.0.1:15020"
+rate_hz = 100
+"""
+LASER = """
+[[device]]
+name = "laser"
+role = "laser"
+link = "tcp://127.0.0.1:15021"
+rate_hz = 20
+[device.profile]
+name = "inline"
+[[device.profile.blocks]]
+start = 0
+fields = [{ quantity = "laser_m", offset = 0, type = "float32", unit = "m" }]
+"""
+
+
+def read(text: str, directory: Path = Path("/nonexistent")) -> Config:
+    return parse(tomllib.loads(text), file="test.toml", directory=directory)
+
+
+def faults_of(text: str, directory: Path = Path("/nonexistent")) -> list[str]:
+    with pytest.raises(ConfigError) as caught:
+        read(text, directory)
+    assert caught.value.file == "test.toml"
+    assert all(line.startswith("test.toml: ") for line in str(caught.value).splitlines())
+    return caught.value.faults
+
+
+def test_an_empty_file_is_all_defaults() -> None:
+    assert read("") == Config()
+
+
+def test_a_device_with_an_inline_profile() -> None:
+    config = read(IMU + IMU_PROFILE + LASER)
+    assert [device.name for device in config.device] == ["imu", "laser"]
+    assert config.device[0].rate_hz == 100.0
+    assert config.device[0].profile.blocks[0].fields[0].quantity == "az_mps2"
+
+
+def test_values_reach_their_tables() -> None:
+    config = read('[heave]\ncomponents = 3\n[heave.lead]\nenabled = false\n[stream]\nport = 0\nallow = ["10.0.0.0/8"]')
+    assert (config.heave.components, config.heave.lead.enabled, config.stream.port) == (3, False, 0)
+    assert config.stream.allow == ("10.0.0.0/8",)
+
+
+FAULTS: dict[str, tuple[str, str]] = {
+    "unknown table": ("[haeve]", "haeve: unknown key; known here: device, heave"),
+    "unknown key": ("[stream]\nprot = 1", "stream.prot: unknown key; known here: host, port"),
+    "unknown nested key": ("[heave.lead]\nwindow = 1", "heave.lead.window: unknown key"),
+    "unknown key of a device": (IMU + "baud = 9600" + IMU_PROFILE, "device[0].baud: unknown key"),
+    "missing key of a device": (IMU.replace("rate_hz = 100", "") + IMU_PROFILE, "device[0].rate_hz: missing"),
+    "wrong type": ('[stream]\nport = "5570"', "stream.port: Expected `int`, got `str` (got '5570')"),
+    "out of range": ("[stream]\nport = 70000", "stream.port: Expected `int` <= 65535 (got 70000)"),
+    "no such choice": ('[heave]\nobserver = "kalman"', "heave.observer: Invalid enum value 'kalman'"),
+    "nan": ("[heave]\nmax_gap_s = nan", "heave.max_gap_s: "),
+    "nan in a list": ("[heave]\nband_hz = [nan, 0.6]", "heave.band_hz: must be finite"),
+    "infinity": ("[correction]\nstep_s = inf", "correction.step_s: "),
+    "a number beyond floats": (f"[heave]\nmax_gap_s = {10**400}", "heave.max_gap_s: "),
+    "band upside down": ("[heave]\nband_hz = [0.6, 0.04]", "heave.band_hz: must be a lower and a higher frequency"),
+    "horizon twice": ("[heave]\nforecast_horizons_s = [1, 1.0]", "heave.forecast_horizons_s: names a horizon twice"),
+    "table where a value is": ("[stream.port]\na = 1", "stream.port: Expected `int`, got `object`"),
+    "value where a table is": ("stream = 5", "stream: Expected `object`, got `int`"),
+    "device as one table": ('[device]\nname = "imu"', "device: is one table; write [[device]]"),
+    "broken link": (IMU.replace("tcp:", "udp:") + IMU_PROFILE, "device[0].link: link 'udp://127.0.0.1:15020': unknown"),
+    "no such profile": (IMU + 'profile = "acme"', "device[0].profile: no profile 'acme'; give a file or one of: "),
+    "profile name too long": (IMU + f'profile = "{"x" * 5000}"', "device[0].profile: no profile 'xxx"),
+    "a role that is not served": (LASER.replace('role = "laser"', 'role = "imu"'), "'inline' has no az_mps2"),
+    "two of one name": (
+        IMU + IMU_PROFILE + LASER.replace('name = "laser"', 'name = "imu"', 1),
+        "device[1].name: 'imu' is already the name of device[0]",
+    ),
+    "two of one role": (
+        IMU + IMU_PROFILE + IMU.replace('"imu"', '"imu2"', 1) + IMU_PROFILE,
+        "device[1].role: 'imu' is already the role of device[0]",
+    ),
+    "fields overlap": (
+        LASER.replace("fields = [", 'fields = [{ quantity = "signal", offset = 1 }, '),
+        "device[0].profile: profile inline: block 0 (holding, start 0): laser_m overlaps signal",
+    ),
+    "one serial port, two settings": (
+        (IMU + IMU_PROFILE).replace("tcp://127.0.0.1:15020", "rtu:///dev/ttyUSB0?baudrate=9600")
+        + LASER.replace("tcp://127.0.0.1:15021", "rtu:///dev/ttyUSB0?baudrate=19200"),
+        "give both the same settings",
+    ),
+    "off-host without allow": ('[stream]\nhost = "0.0.0.0"', "stream.host: 0.0.0.0 listens beyond this machine"),
+    "http off-host": ('[http]\nhost = "::"', "http.host: :: listens beyond this machine"),
+    "host is a name": ('[stream]\nhost = "ship.example"', "stream.host: 'ship.example' is no IP address"),
+    "allow is no network": ('[stream]\nallow = ["10.0.0.1/8"]', "stream.allow[0]: 10.0.0.1/8 has host bits set"),
+    "one port twice": ("[http]\nport = 5570", "http.port: 5570 is also stream.port"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_each_fault_is_named_with_its_path(name: str) -> None:
+    text, expected = FAULTS[name]
+    found = faults_of(text)
+    assert len(found) == 1, found
+    assert expected in found[0]
+
+
+def test_every_fault_is_reported_in_one_go() -> None:
+    text = f"""
+    [heave]
+    components = 0
+    window = 30
+    [stream]
+    port = "x"
+    host = "0.0.0.0"
+    [http]
+    allow = ["nonsense"]
+    {IMU}profile = "acme"
+    {LASER.replace("tcp://", "serial://").replace("rate_hz = 20", "rate_hz = 0")}
+    """
+    found = faults_of(text)
+    for path in ("heave.components", "heave.window", "stream.port", "http.allow[0]", "device[0].profile",
+                 "device[1].rate_hz"):  # fmt: skip
+        assert sum(fault.startswith(path + ":") for fault in found) == 1, (path, found)
+
+
+def test_faults_of_a_profile_file_name_the_file(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text("name = ")
+    (fault,) = faults_of(IMU + 'profile = "mine.toml"', tmp_path)
+    assert fault.startswith(f"device[0].profile: {tmp_path / 'mine.toml'}: is not valid TOML")
+
+
+def test_a_profile_beside_the_file_comes_before_the_packaged_ones(tmp_path: Path) -> None:
+    (tmp_path / "devices").mkdir()
+    packaged = sorted((data_directory() / "devices").glob("*.toml"))[0].stem
+    content = 'name = "mine"\n[[blocks]]\nstart = 0\nfields = [{ quantity = "az_mps2", offset = 0, unit = "g" }]'
+    (tmp_path / "devices" / f"{packaged}.toml").write_text(content)
+    assert read(IMU + f'profile = "{packaged}"', tmp_path).device[0].profile.name == "mine"
+
+
+UNREADABLE: dict[str, tuple[Callable[[Path], object], str]] = {
+    "missing": (lambda path: None, "cannot be read: No such file"),
+    "directory": (lambda path: path.mkdir(), "cannot be read: Is a directory"),
+    "not UTF-8": (lambda path: path.write_bytes(b"\xff\xfe"), "is not UTF-8 text"),
+    "not TOML": (lambda path: path.write_text("[stream"), "is not valid TOML"),
+    "a number without end": (lambda path: path.write_text("a = " + "9" * 5000), "is not valid TOML"),
+    "brackets without end": (lambda path: path.write_text("a = " + "[" * 100_000), "is not valid TOML"),
+}
+
+
+@pytest.mark.parametrize("name", UNREADABLE)
+def test_unreadable_files(tmp_path: Path, name: str) -> None:
+    make, expected = UNREADABLE[name]
+    path = tmp_path / "heaved.toml"
+    make(path)
+    with pytest.raises(ConfigError, match=re.escape(expected)) as caught:
+        load(path)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+def test_a_rate_that_the_line_cannot_carry_is_a_fault_of_the_plan() -> None:
+    """8 + 9 bytes of 10 bits at 9600 baud take 17.7 ms, and two silences of 3.5 characters 7.3 ms: 40 Hz at most."""
+    rtu = (IMU + IMU_PROFILE).replace("tcp://127.0.0.1:15020", "rtu:///dev/ttyUSB0?baudrate=9600")
+    (fault,) = rate_faults(read(rtu))
+    assert "imu at 100 Hz needs 25.0 ms a poll" in fault
+    assert rate_faults(read(rtu.replace("rate_hz = 100", "rate_hz = 39"))) == []
+    assert rate_faults(read(IMU + IMU_PROFILE)) == []
+
+
+# ---- hostile input ---------------------------------------------------------------------------------------------------
+
+_KEYS = sorted(
+    {field.name for kind in (Config, DeviceSpec, Profile, Block, Field) for field in msgspec.structs.fields(kind)}
+    | {field.name for table in Config() .__struct_fields__ if table != "device"
+       for field in msgspec.structs.fields(getattr(Config(), table))}
+)  # fmt: skip
+_WORDS = st.sampled_from(
+    ("imu", "laser", "tcp://h:1", "rtu:///dev/x", "az_mps2", "holding", "0.0.0.0", "", "a/b", "\0")
+)
+_LEAVES = st.booleans() | st.integers() | st.floats() | st.text(max_size=10) | _WORDS | st.dates() | st.times()
+_TREES = st.recursive(
+    _LEAVES,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(_KEYS) | st.text(max_size=5), inner),
+    max_leaves=20,
+)
+
+
+@given(st.dictionaries(st.sampled_from(_KEYS), _TREES, max_size=4))
+def test_no_document_raises_anything_but_config_error(document: dict[str, Any]) -> None:
+    try:
+        config = parse(document, file="x.toml", directory=Path("/nonexistent"))
+    except ConfigError as error:
+        assert error.faults  # noqa: PT017 - either outcome is right, an empty refusal is not
+    else:
+        assert isinstance(config, Config)
+
+
+# ---- the files that come with the program ----------------------------------------------------------------------------
+
+
+def uncommented(path: Path) -> str:
+    """The file with its switched-off keys switched on."""
+    return re.sub(r"(?m)^#(?=[a-z_0-9]+ = )", "", path.read_text(encoding="utf-8"))
+
+
+def tables(kind: type[msgspec.Struct], path: str = "") -> Iterator[tuple[str, msgspec.structs.FieldInfo, Any]]:
+    """(path, field, type) of every key below ``kind`` that is not a table itself."""
+    hints = get_type_hints(kind, include_extras=True)
+    for field in msgspec.structs.fields(kind):
+        if isinstance(field.type, type) and issubclass(field.type, msgspec.Struct):
+            yield from tables(field.type, f"{path}{field.name}.")
+        elif field.name != "device":
+            yield f"{path}{field.name}", field, hints[field.name]
+
+
+KEYS = {path: (field, hint) for path, field, hint in tables(Config)}
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_the_default_file_documents_every_key_with_its_default(key: str) -> None:
+    node: Any = tomllib.loads(uncommented(data_directory() / "heaved.toml"))
+    for part in key.split("."):
+        assert part in node, f"{key} is not in heaved.toml"
+        node = node[part]
+    default = KEYS[key][0].default
+    if default is not None:
+        assert node == (list(default) if isinstance(default, tuple) else default)
+
+
+def bounds(hint: Any) -> str:
+    """``0..1`` or ``>0..1`` as the default file writes it; empty when the type has no two bounds."""
+    if get_origin(hint) is Annotated:
+        meta = get_args(hint)[1]
+        low = meta.ge if meta.ge is not None else meta.gt
+        if low is not None and meta.le is not None:
+            return f"{'' if meta.ge is not None else '>'}{low:.10g}..{meta.le:.10g}"
+    return next((found for part in get_args(hint) if (found := bounds(part))), "")
+
+
+@pytest.mark.parametrize("key", [key for key, (_, hint) in KEYS.items() if bounds(hint)])
+def test_the_default_file_states_the_true_range(key: str) -> None:
+    text = (data_directory() / "heaved.toml").read_text(encoding="utf-8")
+    table, _, name = key.rpartition(".")
+    section = re.split(r"(?m)^\[", text.split(f"\n[{table}]\n")[1])[0]
+    line = next(line for line in section.splitlines() if line.startswith(f"#{name} = "))
+    assert bounds(KEYS[key][1]) in line
+
+
+def test_the_default_file_documents_devices_and_profiles() -> None:
+    text = uncommented(data_directory() / "heaved.toml")
+    device = tomllib.loads(text)["device"][0]
+    for field in msgspec.structs.fields(DeviceSpec):
+        assert field.name in device
+        if not field.required and field.name != "device_id":
+            assert device[field.name] == field.default
+    for kind in (Profile, Block, Field):
+        for field in msgspec.structs.fields(kind):
+            assert re.search(rf"(?m)^#.*\b{field.name}\b", text), f"{field.name} of {kind.__name__} is not documented"
+
+
+@pytest.mark.parametrize("name", ["heaved.toml", "demo.toml"])
+def test_packaged_files_are_sound(name: str) -> None:
+    config = load(data_directory() / name)
+    assert [device.role for device in config.device] == ["imu", "laser"]
+    assert rate_faults(config) == []

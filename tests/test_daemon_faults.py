@@ -1,0 +1,439 @@
+"""What goes wrong on a ship: each fault has a message and a metric, and the daemon stays up."""
+
+import asyncio
+import errno
+import itertools
+import logging
+import os
+import signal
+import socket
+import sys
+from contextlib import asynccontextmanager, closing
+
+import msgspec
+import pytest
+import structlog
+from running import PATIENCE_S, demo_config, metric, plant_of, running, stream_of, until
+from structlog.testing import capture_logs
+
+from heaved.config import HttpParams, StreamParams
+from heaved.daemon import Daemon, run
+from heaved.outputs.access import ListenError
+from heaved.realtime import set_real_time
+from heaved.simulate.faults import FaultKind, PlannedFault
+from heaved.training.process import Trainer
+
+FOR_EVER_S = 1e6
+
+
+def fault(kind, plant, device="imu"):
+    """From now on, until the plant's plan is cleared."""
+    return PlannedFault(device=device, kind=kind, start_s=plant.time_s(), duration_s=FOR_EVER_S)
+
+
+def events(logs, level="warning"):
+    return [line["event"] for line in logs if line["log_level"] == level]
+
+
+# ---- ports -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("table", ["stream", "http"])
+async def test_a_port_in_use(tmp_path, table):
+    with closing(socket.create_server(("127.0.0.1", 0))) as taken:
+        port = taken.getsockname()[1]
+        params = {"stream": StreamParams(port=port), "http": HttpParams(port=port)}[table]
+        daemon = Daemon(demo_config(tmp_path, **{table: params}))
+        with pytest.raises(ListenError) as failure:
+            await daemon.start()
+    assert f"[{table}]" in str(failure.value)
+    assert f"127.0.0.1:{port}" in str(failure.value)
+    assert "in use" in str(failure.value)
+    assert not (tmp_path / "state").exists()  # The other daemon's state is not touched.
+
+
+@pytest.fixture
+def logging_as_before():
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    yield
+    root.handlers[:], root.level = handlers, level
+    structlog.reset_defaults()
+
+
+def test_a_port_in_use_ends_the_process_with_1(tmp_path, capsys, logging_as_before):
+    with closing(socket.create_server(("127.0.0.1", 0))) as taken:
+        port = taken.getsockname()[1]
+        assert run(demo_config(tmp_path, stream=StreamParams(port=port)), None, log_format="human") == 1
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert f"127.0.0.1:{port}" in printed.err
+
+
+# ---- devices ---------------------------------------------------------------------------------------------------------
+
+
+async def test_absent_at_the_start_then_plugged_in(tmp_path):
+    async with plant_of(demo_config(tmp_path)) as (plant, config):
+        await plant.stop()
+        with capture_logs() as logs:
+            async with running(config) as daemon:
+                first = await until(daemon, lambda record: not daemon.status().devices[0].up)
+                await until(daemon, lambda record: "device down" in events(logs))
+                assert first["quality"]["heave"] == "invalid"
+                assert metric(daemon, 'heaved_device_up{device="imu"}') == 0
+                await plant.start()
+                await until(daemon, lambda record: record["quality"]["heave"] == "settling")
+                await until(daemon, lambda record: events(logs, "info").count("device back") == 2)
+                assert metric(daemon, 'heaved_device_up{device="imu"}') == 1
+    down = next(line for line in logs if line["event"] == "device down")
+    assert down["fault"] == "disconnected"
+    assert "refused" in down["detail"]
+    assert events(logs).count("device down") == 2
+
+
+async def test_unplugged_and_back(tmp_path):
+    async with plant_of(demo_config(tmp_path)) as (plant, config):
+        with capture_logs() as logs:
+            async with running(config) as daemon:
+                await until(daemon, lambda record: record["quality"]["heave"] == "settling")
+                plant.inject(fault(FaultKind.DISCONNECT, plant))
+                away = await until(daemon, lambda record: record["quality"]["heave"] == "invalid")
+                # The laser is on another bus and knows nothing of it.
+                good = metric(daemon, 'heaved_polls_total{device="laser",result="none"}')
+                await until(daemon, lambda record: record["mono_s"] > away["mono_s"] + 0.5)
+                assert metric(daemon, 'heaved_polls_total{device="laser",result="none"}') >= good + 5
+                assert metric(daemon, 'heaved_device_up{device="imu"}') == 0
+                plant.clear()
+                await until(daemon, lambda record: record["quality"]["heave"] == "settling")
+                await until(daemon, lambda record: "device back" in events(logs, "info"))
+                assert metric(daemon, 'heaved_reconnects_total{device="imu"}') == 1
+    assert events(logs).count("device down") == 1
+
+
+@pytest.mark.parametrize(
+    ("kind", "result"),
+    [
+        (FaultKind.NAN, "not_finite"),
+        (FaultKind.EXCEPTION, "exception"),
+        (FaultKind.DROPOUT, "timeout"),
+    ],
+)
+async def test_bad_answers_end_to_end(tmp_path, kind, result):
+    """No nan, no stale value, no gap in the stream: an invalid heave that says why, and then a good one again."""
+    async with plant_of(demo_config(tmp_path)) as (plant, config), running(config) as daemon:
+        await until(daemon, lambda record: record["quality"]["heave"] == "settling")
+        frames = []
+        plant.inject(fault(kind, plant))
+        async with asyncio.timeout(PATIENCE_S), stream_of(daemon) as records:
+            assert (await anext(records))["class"] == "VERSION"
+            while not frames or frames[-1]["quality"]["heave"] != "invalid":
+                frames.append(await anext(records))
+            assert "heave_m" not in frames[-1]
+            assert result in " ".join(frames[-1]["quality"]["reasons"])
+            assert metric(daemon, f'heaved_polls_total{{device="imu",result="{result}"}}') > 0
+            plant.clear()
+            while frames[-1]["quality"]["heave"] == "invalid":
+                frames.append(await anext(records))
+        steps = [after["seq"] - before["seq"] for before, after in itertools.pairwise(frames)]
+        assert set(steps) == {1}
+        assert all(after["mono_s"] > before["mono_s"] for before, after in itertools.pairwise(frames))
+
+
+async def test_garbage_on_a_serial_line(tmp_path):
+    config = demo_config(tmp_path)
+    imu = msgspec.structs.replace(config.device[0], link=f"rtu://{tmp_path}/imu?baudrate=921600", rate_hz=50.0)
+    async with plant_of(msgspec.structs.replace(config, device=(imu,))) as (plant, config), running(config) as daemon:
+        await until(daemon, lambda record: record["quality"]["heave"] == "settling")
+        plant.inject(fault(FaultKind.GARBAGE, plant))
+        bad = await until(daemon, lambda record: record["quality"]["heave"] == "invalid")
+        assert metric(daemon, 'heaved_polls_total{device="imu",result="crc"}') > 0
+        assert "heave_m" not in bad
+        plant.clear()
+        await until(daemon, lambda record: record["quality"]["heave"] == "settling")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may open every port")
+async def test_no_permission_on_the_serial_port(tmp_path):
+    port = tmp_path / "ttyUSB0"
+    port.touch(mode=0o000)
+    await check_forbidden_port(tmp_path, port)
+
+
+async def test_permission_refused_by_the_system(tmp_path, monkeypatch):
+    """The same for root, to whom the system would not refuse it."""
+    port = tmp_path / "ttyUSB0"
+    port.touch()
+    really_open = os.open
+
+    def refuse(path, *args, **kwargs):
+        if str(path) == str(port):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+        return really_open(path, *args, **kwargs)
+
+    monkeypatch.setattr(os, "open", refuse)
+    await check_forbidden_port(tmp_path, port)
+
+
+async def check_forbidden_port(tmp_path, port):
+    config = demo_config(tmp_path)
+    imu = msgspec.structs.replace(config.device[0], link=f"rtu://{port}?baudrate=115200")
+    with capture_logs() as logs:
+        async with running(msgspec.structs.replace(config, device=(imu,))) as daemon:
+            await until(daemon, lambda record: "device down" in events(logs))
+            assert "dialout" in daemon.status().devices[0].detail
+    line = next(line for line in logs if line["event"] == "device down")
+    assert str(port) in line["detail"]
+    assert "dialout" in line["detail"]
+
+
+# ---- clock -----------------------------------------------------------------------------------------------------------
+
+
+async def test_a_clock_step_of_an_hour_changes_no_estimate(tmp_path):
+    """The published UTC follows, monotonic time goes on, and the filters see nothing of it."""
+    now = asyncio.get_running_loop().time
+    offset_s = [1_767_225_600.0]
+    async with (
+        plant_of(demo_config(tmp_path)) as (_, config),
+        running(config, realtime=lambda: now() + offset_s[0]) as daemon,
+    ):
+        before = await until(daemon, lambda record: record["quality"]["heave"] == "settling")
+        offset_s[0] += 3600.0
+        with capture_logs() as logs:
+            daemon.keep_house()
+        after = await until(daemon, lambda record: record["seq"] > before["seq"] + 20)
+        assert metric(daemon, "heaved_clock_steps_total") == 1
+        assert [line["step_s"] for line in logs] == [pytest.approx(3600.0, abs=0.01)]
+        mono_s = after["mono_s"] - before["mono_s"]
+        assert mono_s == pytest.approx(0.01 * (after["seq"] - before["seq"]), abs=0.2)
+        assert utc_s(after) - utc_s(before) == pytest.approx(mono_s + 3600.0, abs=0.01)
+        assert metric(daemon, "heaved_filter_resets_total") == 0
+        assert daemon.status().clock.steps == 1
+        assert daemon.acquisition.pipeline.summary().out_of_order == 0
+
+
+def utc_s(record):
+    hours, minutes, seconds = record["time"].rstrip("Z").split("T")[1].split(":")
+    return 3600 * int(hours) + 60 * int(minutes) + float(seconds)
+
+
+# ---- state -----------------------------------------------------------------------------------------------------------
+
+
+async def test_a_full_disk(tmp_path, monkeypatch):
+    def full(fd):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with capture_logs() as logs:
+        async with running(demo_config(tmp_path, device=())) as daemon:
+            await daemon.memory.save()
+            content = daemon.memory.file.path.read_bytes()
+            monkeypatch.setattr("heaved.state.os.fsync", full)
+            await daemon.memory.save()
+            await daemon.memory.save()
+            await until(daemon, lambda record: True)
+            assert metric(daemon, 'heaved_state_saves_total{result="failed"}') == 2
+            assert daemon.memory.file.path.read_bytes() == content
+    assert events(logs) == ["the state cannot be saved"]
+
+
+async def test_a_corrupt_state(tmp_path):
+    config = demo_config(tmp_path, device=())
+    (tmp_path / "state").mkdir()
+    (tmp_path / "state" / "state.json").write_text('{"version":1,"sha')
+    with capture_logs() as logs:
+        async with running(config) as daemon:
+            await until(daemon, lambda record: True)
+    line = next(line for line in logs if line["log_level"] == "warning")
+    assert line["kept"] == str(tmp_path / "state" / "state.corrupt")
+    assert (tmp_path / "state" / "state.corrupt").read_text() == '{"version":1,"sha'
+
+
+async def test_a_state_of_other_parameters(tmp_path):
+    config = demo_config(tmp_path, device=())
+    async with running(config):
+        pass
+    heave = msgspec.structs.replace(config.heave, components=3)
+    with capture_logs() as logs:
+        async with running(msgspec.structs.replace(config, heave=heave)) as daemon:
+            await until(daemon, lambda record: True)
+    assert "does not fit this configuration" in next(line for line in logs if "reason" in line)["reason"]
+
+
+# ---- trainer ---------------------------------------------------------------------------------------------------------
+
+
+async def test_the_trainer_dies_again_and_again(tmp_path, monkeypatch):
+    command = (sys.executable, "-c", "import sys; sys.exit('no module named torch')")
+    monkeypatch.setattr(
+        "heaved.daemon.Trainer",
+        lambda *callbacks: Trainer(*callbacks, command=command, first_backoff_s=0.01),
+    )
+    config = demo_config(tmp_path)
+    correction = msgspec.structs.replace(config.correction, enabled=True)
+    async with plant_of(msgspec.structs.replace(config, correction=correction)) as (_, config):
+        with capture_logs() as logs:
+            async with running(config) as daemon:
+                await until(daemon, lambda record: metric(daemon, 'heaved_training_runs_total{result="failed"}') >= 3)
+                await until(daemon, lambda record: record["quality"]["heave"] == "settling")
+    (line,) = [line for line in logs if "trainer" in line["event"]]
+    assert line["log_level"] == "warning"
+    assert "no module named torch" in line["reason"]
+
+
+# ---- configuration ---------------------------------------------------------------------------------------------------
+
+
+async def test_a_bad_file_at_reload_changes_nothing(tmp_path):
+    path = tmp_path / "heaved.toml"
+    path.write_text("[heave]\ncomponents = 99\n[stream]\nprot = 1\n")
+    async with plant_of(demo_config(tmp_path)) as (_, config), running(config, path) as daemon:
+        with capture_logs() as logs:
+            await daemon.reload()
+        frame = await until(daemon, lambda record: record["quality"]["heave"] == "settling")
+        assert daemon.config == config
+        assert metric(daemon, 'heaved_config_reloads_total{result="refused"}') == 1
+        await until(daemon, lambda record: record["seq"] > frame["seq"] + 10)
+    refused = [line for line in logs if "refused" in line["event"]]
+    assert sorted(line["fault"].split(":")[0] for line in refused) == ["heave.components", "stream.prot"]
+    assert {line["file"] for line in refused} == {str(path)}
+
+
+# ---- process ---------------------------------------------------------------------------------------------------------
+
+PROGRAM = """
+import sys
+from pathlib import Path
+from heaved.config import load
+from heaved.daemon import run
+path = Path(sys.argv[1])
+sys.exit(run(load(path), path, log_format="json"))
+"""
+
+
+@asynccontextmanager
+async def process(path):
+    """The daemon as a process; killed at the end, if it is still there."""
+    daemon = await asyncio.create_subprocess_exec(
+        sys.executable, "-c", PROGRAM, str(path), stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
+    )
+    try:
+        yield daemon
+    finally:
+        if daemon.returncode is None:
+            daemon.kill()
+            await daemon.wait()
+
+
+async def listening(daemon):
+    """Addresses by name, as the daemon prints them."""
+    addresses = {}
+    for _ in range(2):
+        line = (await asyncio.wait_for(daemon.stdout.readline(), 60)).decode()
+        name, address = line.split()
+        host, _, port = address.rpartition(":")
+        addresses[name] = host, int(port)
+    return addresses
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+async def test_signals_end_it_in_time_whatever_hangs(tmp_path, number):
+    """A client that never reads, an HTTP client that never asks, a device that accepts and never answers."""
+    path = tmp_path / "heaved.toml"
+    with closing(socket.create_server(("127.0.0.1", 0))) as silent:
+        path.write_text(
+            f"""
+            [[device]]
+            name = "imu"
+            role = "imu"
+            link = "tcp://127.0.0.1:{silent.getsockname()[1]}"
+            profile = "heaved-sim-imu"
+            rate_hz = 100.0
+            [stream]
+            port = 0
+            queue_frames = 1
+            [http]
+            port = 0
+            [state]
+            directory = "{tmp_path}/state"
+            """
+        )
+        async with process(path) as daemon:
+            addresses = await listening(daemon)
+            with closing(socket.socket()) as client:
+                client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1024)
+                client.connect(addresses["stream"])
+                await frames_dropped(addresses["stream"])
+                with closing(socket.create_connection(addresses["http"])):
+                    begun_s = asyncio.get_running_loop().time()
+                    daemon.send_signal(number)
+                    output, errors = await asyncio.wait_for(daemon.communicate(), 30)
+                    took_s = asyncio.get_running_loop().time() - begun_s
+        assert daemon.returncode == 0, errors.decode()
+        assert took_s < 2.5  # Of which the process itself takes 1.8 at most.
+        assert output == b""
+        assert (tmp_path / "state" / "state.json").is_file()
+
+
+async def frames_dropped(address):
+    """Returns when the daemon has dropped frames: another client is stuck."""
+    reader, writer = await asyncio.open_connection(*address)
+    async with asyncio.timeout(PATIENCE_S):
+        while line := await reader.readline():
+            record = msgspec.json.decode(line)
+            if record["class"] == "STATUS" and record["dropped"] > 0:
+                break
+            if record["class"] == "MOTION" and record["seq"] % 20 == 0:
+                writer.write(b"?STATUS\n")
+    writer.close()
+
+
+async def test_a_hang_up_reads_the_file_again(tmp_path):
+    path = tmp_path / "heaved.toml"
+    good = f'[stream]\nport = 0\n[http]\nport = 0\n[state]\ndirectory = "{tmp_path}/state"\n'
+    path.write_text(good)
+    async with process(path) as daemon:
+        await listening(daemon)
+        path.write_text(good + "[heave]\ncomponents = 99\n")
+        daemon.send_signal(signal.SIGHUP)
+        await log_line(daemon, b"refused")
+        path.write_text(good + "[heave]\ncomponents = 2\n")
+        daemon.send_signal(signal.SIGHUP)
+        await log_line(daemon, b"configuration read again")
+        daemon.send_signal(signal.SIGTERM)
+        await asyncio.wait_for(daemon.communicate(), 30)
+    assert daemon.returncode == 0
+
+
+async def log_line(daemon, wanted):
+    async with asyncio.timeout(PATIENCE_S):
+        while line := await daemon.stderr.readline():
+            record = msgspec.json.decode(line)  # Every line is a record.
+            assert record["timestamp"].endswith("Z")
+            if wanted in line:
+                return
+    raise AssertionError("the log has ended")
+
+
+def test_no_real_time_permission_is_a_warning_with_advice(monkeypatch):
+    def refuse(*_):
+        raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    with capture_logs() as logs:
+        set_real_time(20)
+        set_real_time(0)
+    (line,) = logs
+    assert line["log_level"] == "warning"
+    assert "LimitRTPRIO=20" in line["hint"]
+    assert "CAP_SYS_NICE" in line["hint"]
+
+
+def test_real_time_scheduling_is_not_inherited(monkeypatch):
+    asked = []
+    monkeypatch.setattr(os, "sched_setscheduler", lambda *arguments: asked.append(arguments))
+    set_real_time(20)
+    ((who, policy, param),) = asked
+    assert (who, param.sched_priority) == (0, 20)
+    assert policy == os.SCHED_FIFO | os.SCHED_RESET_ON_FORK

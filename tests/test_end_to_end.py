@@ -1,0 +1,92 @@
+"""A simulated ship, its sensors on Modbus TCP, the daemon, a client on TCP: what arrives is the ship's motion."""
+
+import asyncio
+import math
+import time
+
+import msgspec
+import numpy as np
+from running import PATIENCE_S, demo_config, metric, running, stream_of
+
+from heaved.simulate.instruments import Instruments
+from heaved.simulate.plant import SimulatedPlant
+from heaved.simulate.vessel import Motion
+
+GROWTH_S = 6.0
+SETTLED_S = 16.0
+END_S = 20.0
+
+
+class Swell:
+    """Regular motions: heave of 1 m at 5 s, which grows from rest, roll of 3 degrees at 9 s, pitch of 1 at 6.5 s."""
+
+    def at(self, t_s):
+        u = min(max(t_s / GROWTH_S, 0.0), 1.0)
+        # Smooth to the second derivative, so that the accelerometer sees no jump.
+        growth = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+        slope = 30.0 * u**2 * (1.0 - u) ** 2 / GROWTH_S
+        bend = 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / GROWTH_S**2
+        w = 2.0 * math.pi / 5.0
+        sine, cosine = math.sin(w * t_s), math.cos(w * t_s)
+        roll, roll_w = math.radians(3.0), 2.0 * math.pi / 9.0
+        pitch, pitch_w = math.radians(1.0), 2.0 * math.pi / 6.5
+        return Motion(
+            t_s=t_s,
+            heave_m=growth * sine,
+            heave_velocity_mps=slope * sine + growth * w * cosine,
+            heave_acceleration_mps2=bend * sine + 2.0 * slope * w * cosine - growth * w**2 * sine,
+            surge_acceleration_mps2=0.0,
+            sway_acceleration_mps2=0.0,
+            roll_rad=roll * math.sin(roll_w * t_s),
+            pitch_rad=pitch * math.sin(pitch_w * t_s),
+            yaw_rad=0.7,
+            roll_rate_radps=roll * roll_w * math.cos(roll_w * t_s),
+            pitch_rate_radps=pitch * pitch_w * math.cos(pitch_w * t_s),
+            yaw_rate_radps=0.0,
+        )
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+async def test_the_clients_see_the_motion_of_the_ship(tmp_path):
+    sea = Swell()
+    config = demo_config(tmp_path)
+    quick = msgspec.structs.replace(
+        config.heave, window_s=15.0, refresh_s=1.0, highpass_period_s=12.0, initial_period_s=5.0
+    )
+    plant = SimulatedPlant(config.device, Instruments(sea, seed=1), any_port=True, seed=1)
+    await plant.start()
+    epoch_s = time.monotonic() - plant.time_s()
+    frames = []
+    async with (
+        running(msgspec.structs.replace(config, device=plant.devices, heave=quick)) as daemon,
+        asyncio.timeout(END_S + PATIENCE_S),
+        stream_of(daemon) as records,
+    ):
+        async for record in records:
+            if record["class"] == "MOTION":
+                frames.append((record["mono_s"] - epoch_s, record))
+                if frames[-1][0] > END_S:
+                    break
+        # Nothing is lost on the way, and nothing is made twice.
+        assert [record["seq"] for _, record in frames] == list(range(frames[0][1]["seq"], frames[-1][1]["seq"] + 1))
+        assert len(frames) <= 1.02 * 100.0 * END_S + 10
+        assert metric(daemon, "heaved_frames_dropped_total") == 0
+        assert metric(daemon, "heaved_filter_resets_total") == 0
+    await plant.stop()
+
+    settled = [(t_s, record, sea.at(t_s)) for t_s, record in frames if t_s > SETTLED_S]
+    sigma_m = rms([truth.heave_m for _, _, truth in settled])
+    # Three periods after the start the observer still settles; a wrong sign, unit or time would be beyond 1.
+    assert rms([record["heave_m"] - truth.heave_m for _, record, truth in settled]) < 0.5 * sigma_m
+    # 20 ms of error in time would show as this much: the sensor's noise is 0.02 degrees.
+    assert rms([record["roll_deg"] - math.degrees(truth.roll_rad) for _, record, truth in settled]) < 0.05
+    assert rms([record["pitch_deg"] - math.degrees(truth.pitch_rad) for _, record, truth in settled]) < 0.05
+
+    for number, horizon_s in enumerate((0.05, 0.10, 0.15)):
+        predicted = [record["rock"][number] for _, record, _ in settled]
+        assert all(math.isclose(rock["horizon_s"], horizon_s) for rock in predicted)
+        then = [math.degrees(sea.at(t_s + horizon_s).roll_rad) for t_s, _, _ in settled]
+        assert rms([rock["roll_deg"] - truth for rock, truth in zip(predicted, then, strict=True)]) < 0.15

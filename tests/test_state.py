@@ -1,0 +1,227 @@
+"""The state file: whole or not at all, and never a reason not to start."""
+
+import asyncio
+import contextlib
+import errno
+import json
+import os
+import threading
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from structlog.testing import capture_logs
+
+from heaved.state import Memory, StateError, StateFile, state_directory
+
+
+class Learned(msgspec.Struct, frozen=True):
+    lead_s: float
+    weights: bytes
+    periods_s: tuple[float, ...] = ()
+
+
+LEARNED = Learned(lead_s=0.11, weights=bytes(range(256)) * 4, periods_s=(8.2, 5.5))
+NEWER = Learned(lead_s=-0.2, weights=b"\0\xff", periods_s=(6.0,))
+
+
+@pytest.fixture
+def file(tmp_path):
+    return StateFile(tmp_path / "state" / "heaved", Learned)
+
+
+@pytest.fixture
+def full_disk(monkeypatch):
+    """fsync is where a full disk shows at the latest. Returns a switch."""
+    is_full = [True]
+    fsync = os.fsync
+
+    def full(fd):
+        if is_full[0]:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        fsync(fd)
+
+    monkeypatch.setattr("heaved.state.os.fsync", full)
+    return is_full
+
+
+# ---- file ------------------------------------------------------------------------------------------------------------
+
+
+def test_round_trip(file):
+    assert file.read() is None
+    file.write(file.encode(LEARNED))
+    assert file.read() == LEARNED
+    file.write(file.encode(NEWER))
+    assert file.read() == NEWER
+    assert os.listdir(file.path.parent) == ["state.json"]
+
+
+def test_it_is_json_for_people(file):
+    file.write(file.encode(LEARNED))
+    content = json.loads(file.path.read_text())
+    assert content["version"] == 1
+    assert content["state"]["lead_s"] == 0.11
+
+
+def test_a_full_disk_leaves_the_old_file_and_nothing_else(file, full_disk):
+    full_disk[0] = False
+    file.write(file.encode(LEARNED))
+    full_disk[0] = True
+    with pytest.raises(OSError, match="No space left"):
+        file.write(file.encode(NEWER))
+    assert file.read() == LEARNED
+    assert os.listdir(file.path.parent) == ["state.json"]
+
+
+def flipped(content, place, value):
+    damaged = bytearray(content)
+    damaged[place % len(damaged)] ^= value
+    return bytes(damaged)
+
+
+@pytest.mark.parametrize(
+    ("damage", "reason"),
+    [
+        (lambda content: b"", "damaged"),
+        (lambda content: content[:-20], "damaged"),
+        (lambda content: content[: len(content) // 2], "damaged"),
+        (lambda content: bytes(4096), "damaged"),
+        (lambda content: content.replace(b'"version":1', b'"version":2'), "version 2"),
+        (lambda content: content.replace(b"0.11", b"0.12"), "checksum"),
+        (lambda content: b"[]", "damaged"),
+        (lambda content: b"\xff\xfe" + content, "damaged"),
+        (lambda content: b"[" * 100_000, "damaged"),
+    ],
+)
+def test_damage_is_seen(file, damage, reason):
+    file.write(file.encode(LEARNED))
+    file.path.write_bytes(damage(file.path.read_bytes()))
+    with pytest.raises(StateError, match=reason):
+        file.read()
+
+
+@given(place=st.integers(0, 10_000), value=st.integers(1, 255))
+def test_one_wrong_byte_never_gives_another_state(tmp_path_factory, place, value):
+    file = StateFile(tmp_path_factory.getbasetemp(), Learned)
+    file.path.write_bytes(flipped(file.encode(NEWER), place, value))
+    with contextlib.suppress(StateError):
+        assert file.read() == NEWER  # White space at the end.
+
+
+def test_a_state_of_another_release_is_damage_not_an_exception(file):
+    class Older(msgspec.Struct):
+        something: int
+
+    file.write(file.encode(Older(3)))
+    with pytest.raises(StateError, match="lead_s"):
+        file.read()
+
+
+@pytest.mark.parametrize(
+    ("configured", "environment", "expected"),
+    [
+        ("/srv/heaved", {"STATE_DIRECTORY": "/var/lib/heaved"}, "/srv/heaved"),
+        ("", {"STATE_DIRECTORY": "/var/lib/heaved"}, "/var/lib/heaved"),
+        ("", {"STATE_DIRECTORY": "/var/lib/heaved:/var/lib/other"}, "/var/lib/heaved"),
+        ("", {}, "/home/mate/.local/state/heaved"),
+        ("~/state", {}, "/home/mate/state"),
+    ],
+)
+def test_directory(monkeypatch, configured, environment, expected):
+    monkeypatch.setenv("HOME", "/home/mate")
+    assert str(state_directory(configured, environment)) == expected
+
+
+# ---- memory ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def counted():
+    return []
+
+
+@pytest.fixture
+def memory(file, counted):
+    memory = Memory(file, lambda: LEARNED, count=counted.append)
+    yield memory
+    memory.close()
+
+
+async def test_saved_and_restored(memory, counted):
+    taken = []
+    memory.restore(taken.append)
+    assert taken == []
+    await memory.save()
+    memory.restore(taken.append)
+    assert taken == [LEARNED]
+    assert counted == ["saved"]
+
+
+@pytest.mark.parametrize("content", [b"{", b'{"version":7}', b"\0" * 50])
+def test_a_useless_file_is_set_aside_and_named(memory, content):
+    memory.file.prepare()
+    memory.file.path.write_bytes(content)
+    taken = []
+    with capture_logs() as logs:
+        memory.restore(taken.append)
+    assert taken == []
+    (line,) = logs
+    assert line["log_level"] == "warning"
+    assert line["file"] == str(memory.file.path)
+    kept = memory.file.path.with_suffix(".corrupt")
+    assert line["kept"] == str(kept)
+    assert kept.read_bytes() == content
+    assert memory.file.read() is None
+
+
+def test_a_state_that_does_not_fit_is_set_aside(memory):
+    memory.file.write(memory.file.encode(NEWER))
+
+    def refuse(state):
+        raise ValueError("20 weights, this network has 511")
+
+    with capture_logs() as logs:
+        memory.restore(refuse)
+    assert "this network has 511" in logs[0]["reason"]
+    assert memory.file.path.with_suffix(".corrupt").is_file()
+
+
+async def test_a_full_disk_is_said_once_and_again_when_it_is_well(memory, counted, full_disk):
+    with capture_logs() as logs:
+        for _ in range(100):
+            await memory.save()
+        full_disk[0] = False
+        await memory.save()
+        await memory.save()
+    assert counted == ["failed"] * 100 + ["saved"] * 2
+    assert [(line["log_level"], line["event"]) for line in logs] == [
+        ("warning", "the state cannot be saved"),
+        ("info", "the state is saved again"),
+    ]
+    assert logs[0]["reason"] == "No space left on device"
+    assert logs[0]["file"] == str(memory.file.path)
+
+
+async def test_a_directory_that_cannot_be_is_said_at_the_start(tmp_path, counted):
+    (tmp_path / "a_file").write_text("")
+    memory = Memory(StateFile(tmp_path / "a_file" / "heaved", Learned), lambda: LEARNED, count=counted.append)
+    with capture_logs() as logs:
+        memory.restore(lambda state: None)
+        await memory.save()
+        await memory.save()
+    memory.close()
+    assert [line["event"] for line in logs if line["log_level"] == "warning"].count("the state cannot be saved") == 1
+    assert counted == ["failed", "failed"]
+
+
+async def test_a_slow_disk_does_not_hold_the_loop(memory, monkeypatch):
+    disk = threading.Event()
+    monkeypatch.setattr(memory.file, "write", lambda content: disk.wait())
+    saving = asyncio.create_task(memory.save())
+    for _ in range(10):
+        await asyncio.sleep(0)  # The loop turns while the disk does not.
+    assert not saving.done()
+    disk.set()
+    await saving

@@ -1,0 +1,290 @@
+"""The running daemon, measured from outside: how old a frame is when a client has it, and what the daemon costs.
+
+    python tools/latency.py [--duration 60] [--clients 10] [--sea S4] [--fifo 0]
+    python tools/latency.py --compare-training [--duration 60]
+
+Three processes besides this one: simulated slaves (IMU at 100 Hz and laser at 20 Hz, Modbus TCP on loopback), the
+daemon (``python -m heaved run``), the clients. Ages compare a frame's time of validity with the client's own monotonic
+clock. With ``--compare-training`` the daemon is measured twice: without a trainer, and with one that trains every 5 s.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import multiprocessing
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from heaved.config import data_directory, load
+from heaved.simulate.instruments import Instruments
+from heaved.simulate.plant import SimulatedPlant
+from heaved.simulate.seaway import seaway
+
+WARM_UP_S = 5.0
+TRAINING_PATIENCE_S = 180.0
+"""Until the first training, which needs a minute of laser."""
+
+
+class Stamp(msgspec.Struct):
+    """What is needed of a MOTION line, and quickly."""
+
+    seq: int
+    mono_s: float
+
+
+class Heard(msgspec.Struct):
+    """What one client got within the measured time."""
+
+    ages_s: NDArray[np.float64]
+    lost: int
+
+
+class Row(msgspec.Struct):
+    """One measured daemon."""
+
+    name: str
+    heard: list[Heard]
+    first_frame_s: float
+    cpu_percent: float
+    rss_mb: float
+    trainer_rss_mb: float
+    lateness: dict[float, float]
+    """Poll deadlines met within so many seconds of lateness, as a share of all."""
+    trainings: float
+
+
+# ---- the processes ---------------------------------------------------------------------------------------------------
+
+
+def serve_plant(sea: str, pipe: Connection) -> None:
+    async def run() -> None:
+        devices = load(data_directory() / "demo.toml").device
+        plant = SimulatedPlant(devices, Instruments(seaway(sea, 1), seed=1), any_port=True)
+        await plant.start()
+        pipe.send([device.link for device in plant.devices])
+        await asyncio.to_thread(pipe.poll, None)
+        await plant.stop()
+
+    asyncio.run(run())
+
+
+def listen(host: str, port: int, clients: int, duration_s: float, pipe: Connection) -> None:
+    """Clients that keep the ages of the frames that reach them, once all are connected and settled."""
+    decoder = msgspec.json.Decoder(Stamp)
+
+    async def connect() -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        reader, writer = await asyncio.open_connection(host, port)
+        await reader.readline()
+        return reader, writer  # Without its writer a reader is at its end.
+
+    async def follow(reader: asyncio.StreamReader, from_s: float) -> tuple[list[float], list[int]]:
+        ages_s, numbers = [], []
+        while (now_s := time.monotonic()) < from_s + duration_s:
+            line = await reader.readline()
+            now_s = time.monotonic()
+            if now_s >= from_s:
+                stamp = decoder.decode(line)
+                ages_s.append(now_s - stamp.mono_s)
+                numbers.append(stamp.seq)
+        return ages_s, numbers
+
+    async def run() -> None:
+        connections = [await connect() for _ in range(clients)]
+        from_s = time.monotonic() + WARM_UP_S
+        pipe.send(from_s)
+        heard = await asyncio.gather(*(follow(reader, from_s) for reader, _ in connections))
+        pipe.send([(ages_s, numbers[-1] - numbers[0] + 1 - len(numbers)) for ages_s, numbers in heard])
+
+    asyncio.run(run())
+
+
+@contextmanager
+def child(target: object, *arguments: object) -> Iterator[Connection]:
+    ours, theirs = multiprocessing.Pipe()
+    process = multiprocessing.get_context("spawn").Process(target=target, args=(*arguments, theirs), daemon=True)
+    process.start()
+    theirs.close()  # So that a child that dies is an end of file, not an endless wait.
+    try:
+        yield ours
+    finally:
+        ours.close()
+        process.join(2.0)
+        process.kill()
+
+
+@contextmanager
+def daemon_process(config: Path) -> Iterator[subprocess.Popen[str]]:
+    command = [sys.executable, "-m", "heaved", "run", "--config", str(config)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        yield process
+    finally:
+        process.terminate()
+        process.wait(5.0)
+
+
+def write_config(directory: Path, links: list[str], *, training: bool, fifo: int) -> Path:
+    demo = load(data_directory() / "demo.toml")
+    lines = []
+    for device, link in zip(demo.device, links, strict=True):
+        lines += ["[[device]]", f'name = "{device.name}"', f'role = "{device.role}"', f'link = "{link}"']
+        lines += [f'profile = "{device.profile.name}"', f"device_id = {device.device_id}"]
+        lines += [f"rate_hz = {device.rate_hz}"]
+    lines += ["[correction]", f"enabled = {str(training).lower()}", "min_laser_s = 20", "period_s = 5"]
+    lines += ["[stream]", "port = 0", "[http]", "port = 0", "[state]", f'directory = "{directory}/state"']
+    lines += ["[runtime]", f"fifo_priority = {fifo}"]
+    path = directory / "heaved.toml"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+# ---- what the system and the daemon say ------------------------------------------------------------------------------
+
+
+def cpu_s(pid: int) -> float:
+    """Processor time that a process has used (its children not counted)."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def rss_mb(pid: int) -> float:
+    found = re.search(r"VmRSS:\s+(\d+) kB", Path(f"/proc/{pid}/status").read_text())
+    return int(found[1]) / 1024.0 if found else 0.0
+
+
+def children(pid: int) -> list[int]:
+    listed = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(number) for path in listed for number in path.read_text().split()]
+
+
+def metrics(address: tuple[str, int]) -> dict[str, float]:
+    with urllib.request.urlopen(f"http://{address[0]}:{address[1]}/metrics", timeout=5.0) as answer:
+        text = answer.read().decode()
+    pairs = (line.rpartition(" ") for line in text.splitlines() if not line.startswith("#"))
+    return {name: float(value) for name, _, value in pairs}
+
+
+def lateness_shares(before: dict[str, float], after: dict[str, float]) -> dict[float, float]:
+    """Shares of the poll deadlines between two readings of the metrics that were met within each bucket's bound."""
+    bucket = re.compile(r'heaved_tick_lateness_seconds_bucket\{le="([^"]+)"\}')
+    met = {float(found[1]): after[name] - before[name] for name in after if (found := bucket.fullmatch(name))}
+    return {bound_s: count / max(met.values()) for bound_s, count in sorted(met.items())}
+
+
+def trainings(read: dict[str, float]) -> float:
+    return sum(value for name, value in read.items() if name.startswith("heaved_training_runs_total"))
+
+
+# ---- measuring -------------------------------------------------------------------------------------------------------
+
+
+def first_frame_s(process: subprocess.Popen[str], started_s: float) -> tuple[dict[str, tuple[str, int]], float]:
+    """The daemon's addresses, and the time from its start to the first frame that a client can have."""
+    assert process.stdout is not None
+    addresses = {}
+    for _ in range(2):
+        name, _, where = process.stdout.readline().strip().partition(" ")
+        host, _, port = where.rpartition(":")
+        addresses[name] = (host, int(port))
+
+    async def wait() -> None:
+        reader, writer = await asyncio.open_connection(*addresses["stream"])
+        while b'"MOTION"' not in await reader.readline():
+            pass
+        writer.close()
+
+    asyncio.run(wait())
+    return addresses, time.monotonic() - started_s
+
+
+def wait_for_training(address: tuple[str, int]) -> None:
+    deadline_s = time.monotonic() + TRAINING_PATIENCE_S
+    while trainings(metrics(address)) == 0.0:
+        if time.monotonic() > deadline_s:
+            raise SystemExit(f"no training within {TRAINING_PATIENCE_S:g} s: is torch installed?")
+        time.sleep(1.0)
+
+
+def measure(name: str, arguments: argparse.Namespace, *, training: bool, wait_training: bool) -> Row:
+    with child(serve_plant, arguments.sea) as plant, tempfile.TemporaryDirectory() as directory:
+        path = write_config(Path(directory), plant.recv(), training=training, fifo=arguments.fifo)
+        started_s = time.monotonic()
+        with daemon_process(path) as process:
+            addresses, first_s = first_frame_s(process, started_s)
+            if wait_training:
+                wait_for_training(addresses["http"])
+            with child(listen, *addresses["stream"], arguments.clients, arguments.duration) as clients:
+                time.sleep(max(0.0, clients.recv() - time.monotonic()))
+                before, cpu_before_s, at_s = metrics(addresses["http"]), cpu_s(process.pid), time.monotonic()
+                heard = [Heard(np.array(ages_s), lost) for ages_s, lost in clients.recv()]
+                cpu_percent = 100.0 * (cpu_s(process.pid) - cpu_before_s) / (time.monotonic() - at_s)
+            after = metrics(addresses["http"])
+            return Row(
+                name=name,
+                heard=heard,
+                first_frame_s=first_s,
+                cpu_percent=cpu_percent,
+                rss_mb=rss_mb(process.pid),
+                trainer_rss_mb=sum(rss_mb(pid) for pid in children(process.pid)),
+                lateness=lateness_shares(before, after),
+                trainings=trainings(after) - trainings(before),
+            )
+
+
+def table(rows: list[Row]) -> str:
+    def line(title: str, values: list[str]) -> str:
+        return f"| {title:<42} |" + "".join(f" {value:>18} |" for value in values)
+
+    ages = [np.concatenate([heard.ages_s for heard in row.heard]) * 1e3 for row in rows]
+    lines = [line("", [row.name for row in rows]), "|" + "-" * 44 + "|" + ("-" * 20 + "|") * len(rows)]
+    for share in (50, 99, 99.9, 100):
+        title = "age at the client, max" if share == 100 else f"age at the client, p{share:g}"
+        lines.append(line(f"{title} (ms)", [f"{np.percentile(age, share):.2f}" for age in ages]))
+    lines.append(line("frames, all clients", [str(age.size) for age in ages]))
+    lines.append(line("frames lost", [str(sum(heard.lost for heard in row.heard)) for row in rows]))
+    for bound_s in (0.001, 0.0025, 0.005, 0.01):
+        shares = [f"{100.0 * row.lateness[bound_s]:.3f}" for row in rows]
+        lines.append(line(f"poll deadlines met within {bound_s * 1e3:g} ms (%)", shares))
+    lines.append(line("daemon: processor, % of a core", [f"{row.cpu_percent:.1f}" for row in rows]))
+    lines.append(line("daemon: resident memory (MB)", [f"{row.rss_mb:.0f}" for row in rows]))
+    lines.append(line("trainer: resident memory (MB)", [f"{row.trainer_rss_mb:.0f}" for row in rows]))
+    lines.append(line("trainings meanwhile", [f"{row.trainings:.0f}" for row in rows]))
+    lines.append(line("start to first frame (s)", [f"{row.first_frame_s:.2f}" for row in rows]))
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--duration", type=float, default=60.0, help="measured seconds, after the warm-up")
+    parser.add_argument("--clients", type=int, default=10)
+    parser.add_argument("--sea", default="S4")
+    parser.add_argument("--fifo", type=int, default=0, help="real-time priority of the daemon")
+    parser.add_argument("--compare-training", action="store_true")
+    arguments = parser.parse_args()
+    if arguments.compare_training:
+        rows = [
+            measure("no training", arguments, training=False, wait_training=False),
+            measure("training", arguments, training=True, wait_training=True),
+        ]
+    else:
+        rows = [measure(f"{arguments.clients} clients", arguments, training=True, wait_training=False)]
+    print(f"{arguments.duration:g} s, sea {arguments.sea}, IMU 100 Hz, laser 20 Hz, {arguments.clients} clients")
+    print(table(rows))
+
+
+if __name__ == "__main__":
+    main()
