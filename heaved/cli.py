@@ -1,0 +1,377 @@
+"""The command line. What a command needs is imported inside it: ``heaved status`` must be quick."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+from heaved import __version__
+
+if TYPE_CHECKING:
+    from heaved.config import Config
+    from heaved.devices.profile import DeviceSpec
+    from heaved.replay import Progress
+
+EX_UNAVAILABLE = 69
+"""The daemon cannot be reached (sysexits.h)."""
+EX_CONFIG = 78
+"""The configuration has faults (sysexits.h)."""
+
+SYSTEM_CONFIG = Path("/etc/heaved/heaved.toml")
+
+app = typer.Typer(
+    name="heaved",
+    help="Real-time heave and roll/pitch prediction for crane vessels.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+class LogFormat(StrEnum):
+    human = "human"
+    json = "json"
+
+
+class LinkKind(StrEnum):
+    tcp = "tcp"
+    rtu = "rtu"
+
+
+Host = Annotated[str, typer.Option(help="Where the daemon's stream is.")]
+Port = Annotated[int, typer.Option(min=1, max=65535)]
+Logs = Annotated[LogFormat, typer.Option(help="Logs go to standard error, one line per event.")]
+SeaName = Annotated[
+    str, typer.Option(help="T1 T2 T3 (regular), S4 S5 S6 (sea states), S6S, SL (swell), SX, S0 (still).")
+]
+HOST, PORT = "127.0.0.1", 5570
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run a command; returns the exit code."""
+    try:
+        result = app(arguments, prog_name="heaved", standalone_mode=False)
+    except _UsageError as error:
+        error.show()  # type: ignore[attr-defined]
+        return 1  # Not click's 2, which would be CRITICAL for whoever runs status --check.
+    except (typer.Abort, KeyboardInterrupt):
+        return 130
+    return result if isinstance(result, int) else 0
+
+
+_UsageError: type[Exception] = typer.BadParameter.__mro__[1]
+"""What a command line that is not understood raises. Typer brings its own click and exports only some of it."""
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"heaved {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    pass
+
+
+# ---- the daemon ------------------------------------------------------------------------------------------------------
+
+
+@app.command()
+def run(
+    config: Annotated[
+        Path | None, typer.Option(help=f"Configuration file; else {SYSTEM_CONFIG} if it is there.")
+    ] = None,
+    log_format: Logs = LogFormat.human,
+) -> None:
+    """Run the daemon until SIGTERM or SIGINT. SIGHUP reads the configuration again."""
+    if config is None and not SYSTEM_CONFIG.exists():
+        from heaved.config import data_directory
+
+        _fail(
+            f"no configuration: give one with --config FILE, or put one at {SYSTEM_CONFIG}; "
+            f"the default to start from, with every key explained, is {data_directory() / 'heaved.toml'}",
+            EX_CONFIG,
+        )
+    path = config or SYSTEM_CONFIG
+    loaded = _load(path)
+    from heaved import daemon
+
+    raise typer.Exit(daemon.run(loaded, path, log_format=log_format.value))
+
+
+@app.command("check-config")
+def check_config(file: Path) -> None:
+    """Check a configuration file: names every fault, and rates that a serial line cannot carry (exit code 78)."""
+    config = _load(file)
+    from heaved.config import rate_faults
+
+    if faults := rate_faults(config):
+        _fail("\n".join(f"{file}: {fault}" for fault in faults), EX_CONFIG)
+    typer.echo(f"{file}: well")
+    for device in config.device:
+        typer.echo(f"  {_device_line(device)}, {device.profile.name} at {device.rate_hz:g} Hz")
+    if not any(device.role == "imu" for device in config.device):
+        typer.echo('  no device of role "imu": enough for a replay, but the daemon would have no heave')
+
+
+def _load(path: Path) -> Config:
+    from heaved.config import ConfigError, load
+
+    try:
+        return load(path)
+    except ConfigError as error:
+        _fail(str(error), EX_CONFIG)
+
+
+def _device_line(device: DeviceSpec) -> str:
+    return f"{device.name} ({device.role}): {device.link} id {device.device_id}"
+
+
+# ---- asking a daemon -------------------------------------------------------------------------------------------------
+
+
+@app.command()
+def status(
+    json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+    check: Annotated[
+        bool, typer.Option("--check", help="One line and exit code 0/1/2/3 = OK/WARNING/CRITICAL/UNKNOWN.")
+    ] = False,
+    host: Host = HOST,
+    port: Port = PORT,
+) -> None:
+    """Say how a daemon is. Answers within a second; exit code 69 if there is none."""
+    from heaved.outputs import report
+    from heaved.outputs.client import Snapshot, Unreachable, fetch_status
+
+    if json and check:
+        raise typer.BadParameter("--json and --check exclude each other")
+    result: Snapshot | Unreachable
+    try:
+        result = fetch_status(host, port)
+    except Unreachable as error:
+        result = error
+    if check:
+        state, line = report.check_line(result)
+        typer.echo(line)
+        raise typer.Exit(int(state))
+    if json:
+        typer.echo(report.json_text(result))
+    elif isinstance(result, Snapshot):
+        typer.echo(report.table(result))
+    else:
+        typer.echo(str(result), err=True)
+    if isinstance(result, Unreachable):
+        raise typer.Exit(EX_UNAVAILABLE)
+
+
+@app.command()
+def wait(
+    timeout: Annotated[float, typer.Option(min=0.0, help="Seconds to wait at most.")] = 60.0,
+    host: Host = HOST,
+    port: Port = PORT,
+) -> None:
+    """Wait until a daemon gives a heave that can be used."""
+    from heaved.outputs.client import Unreachable, fetch_status, wait_until_ready
+
+    if wait_until_ready(host, port, timeout):
+        return
+    try:
+        quality = fetch_status(host, port).status.quality
+    except Unreachable as error:
+        _fail(str(error), EX_UNAVAILABLE)
+    reasons = f" ({', '.join(quality.reasons)})" if quality.reasons else ""
+    _fail(f"{host}:{port}: not ready after {timeout:g} s: heave {quality.heave.value}{reasons}", 1)
+
+
+@app.command()
+def watch(host: Host = HOST, port: Port = PORT) -> None:
+    """Show the motion live in the terminal, until Ctrl-C."""
+    from heaved.outputs.watch import watch
+
+    if not sys.stdout.isatty():
+        _fail(f"watch draws on a terminal, and this is none; for the data itself read the stream: nc {host} {port}", 1)
+    try:
+        watch(host, port, sys.stdout)
+    except KeyboardInterrupt:
+        return
+
+
+# ---- looking for devices ---------------------------------------------------------------------------------------------
+
+
+@app.command()
+def probe(
+    link: Annotated[str, typer.Argument(metavar="LINK", help="tcp://host:port or rtu:///dev/ttyUSB0?baudrate=9600")],
+    ids: Annotated[str, typer.Option(help="Device ids to ask, such as 1-16,80.")] = "1-247",
+    timeout: Annotated[float, typer.Option(min=0.01, max=10.0, help="Seconds to wait for an answer.")] = 0.1,
+) -> None:
+    """Find Modbus devices on a line and the profiles that fit them. Only reads; the daemon must not use the line."""
+    import asyncio
+
+    from heaved.config import packaged_profiles
+    from heaved.devices import probe as probing
+    from heaved.devices.line import parse_link
+
+    try:
+        wanted, parsed = probing.parse_ids(ids), parse_link(link)
+    except ValueError as error:
+        _fail(str(error), 1)
+
+    def asking(device_id: int) -> None:
+        if sys.stderr.isatty():
+            typer.echo(f"\rasking id {device_id} ", err=True, nl=False)
+
+    try:
+        report = asyncio.run(probing.probe(parsed, wanted, packaged_profiles(), timeout, asking))
+    except ConnectionError as error:
+        _fail(f"{link}: {error}", EX_UNAVAILABLE)
+    if sys.stderr.isatty():
+        typer.echo("\r\x1b[K", err=True, nl=False)
+    if not report:
+        _fail(f"{link}: nobody answers; check id, baud rate, parity and wiring (A and B swapped?)", EX_UNAVAILABLE)
+    for line in report:
+        typer.echo(line)
+
+
+# ---- recordings ------------------------------------------------------------------------------------------------------
+
+
+@app.command()
+def replay(
+    recording: Annotated[Path, typer.Argument(metavar="IN.csv", help="t_s, az_mps2 and what else was measured.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Result; IN.heaved.csv beside it by default, - for standard output."),
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="Parameters of the estimators; no device is needed.")] = None,
+    until: Annotated[float | None, typer.Option(min=0.0, help="Stop after so many seconds of the recording.")] = None,
+) -> None:
+    """Run a recording through the daemon's pipeline: causal, and the same to the byte every time."""
+    from heaved.config import Config
+
+    parameters = Config() if config is None else _load(config)
+    from heaved.devices.recording import RecordingError
+    from heaved.replay import OutputError
+    from heaved.replay import replay as run_replay
+
+    target = recording.with_name(f"{recording.stem}.heaved.csv") if out is None else out
+    to_stdout = target == Path("-")
+    try:
+        with _progress() as progress:
+            summary = run_replay(
+                recording,
+                None if to_stdout else target,
+                parameters,
+                until_s=inf if until is None else until,
+                progress=progress,
+            )
+    except (RecordingError, OutputError, OSError) as error:
+        _fail(str(error), 1)
+    typer.echo(summary, err=True)
+    if out is None:
+        typer.echo(f"written to {target}", err=True)
+
+
+@contextmanager
+def _progress() -> Iterator[Progress | None]:
+    """A bar on standard error if that is a terminal."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import Progress as Bar
+
+    with Bar(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("replay", total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+# ---- simulation ------------------------------------------------------------------------------------------------------
+
+
+@app.command()
+def demo(
+    sea: SeaName = "S5",
+    link: Annotated[LinkKind, typer.Option(help="Modbus TCP, or RTU on a pseudo-terminal.")] = LinkKind.tcp,
+    duration: Annotated[float | None, typer.Option(min=0.0, help="End after so many seconds.")] = None,
+    log_format: Logs = LogFormat.human,
+) -> None:
+    """Run the daemon on simulated sensors: the whole chain on this machine, nothing else needed."""
+    from heaved import demo as demonstration
+
+    def announce(config: Config) -> None:
+        for device in config.device:
+            typer.echo(f"sea {sea}, simulated {_device_line(device)}")
+        port = "" if config.stream.port == PORT else f" --port {config.stream.port}"
+        typer.echo(f"look at it: heaved watch{port}, heaved status{port}, nc {config.stream.host} {config.stream.port}")
+
+    try:
+        code = demonstration.run(
+            sea, serial=link is LinkKind.rtu, duration_s=duration, log_format=log_format.value, announce=announce
+        )
+    except demonstration.DemoError as error:
+        _fail(str(error), 1)
+    raise typer.Exit(code)
+
+
+@app.command()
+def sim(
+    config: Annotated[
+        Path | None, typer.Option(help="Whose devices to simulate; those of the demo by default.")
+    ] = None,
+    sea: SeaName = "S5",
+    link: Annotated[LinkKind | None, typer.Option(help="rtu: all devices on one pseudo-terminal.")] = None,
+    play: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="A recording in place of a sea.")] = None,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(metavar="DEVICE:KIND@START+DURATION[=AMOUNT]", help="Misbehave; may be repeated."),
+    ] = None,
+    sensor: Annotated[str, typer.Option(help="A (tactical MEMS), B (industrial MEMS) or ideal.")] = "A",
+    laser: Annotated[str, typer.Option(help="on, off, a share such as 50%, or outages such as 300+120.")] = "on",
+    seed: Annotated[int, typer.Option(min=0, help="Of the sea and of all errors.")] = 1,
+) -> None:
+    """Serve simulated Modbus sensors until Ctrl-C."""
+    import tempfile
+
+    from heaved import demo as demonstration
+    from heaved.simulate.faults import parse_faults
+    from heaved.simulate.play import Player, read_recording
+
+    devices = (demonstration.demo_config() if config is None else _load(config)).device
+
+    def ready(served: tuple[DeviceSpec, ...]) -> None:
+        for device in served:
+            typer.echo(_device_line(device))
+
+    with tempfile.TemporaryDirectory(prefix="heaved-sim-") as directory:
+        if link is LinkKind.rtu:
+            devices = demonstration.on_serial_line(devices, Path(directory))
+        try:
+            source = (
+                demonstration.instruments(sea, sensor=sensor, laser=laser, seed=seed)
+                if play is None
+                else Player(read_recording(play))
+            )
+            demonstration.serve(devices, source, parse_faults(",".join(fault or ())), seed=seed, ready=ready)
+        except OSError as error:
+            _fail(f"{error.filename}: {error.strerror}" if error.filename else str(error), 1)
+        except ValueError as error:
+            _fail(str(error), 1)
+
+
+def _fail(message: str, code: int) -> NoReturn:
+    typer.echo(message, err=True)
+    raise typer.Exit(code)

@@ -1,0 +1,177 @@
+"""Simulated sensors for ``heaved sim``, and the whole chain on one machine for ``heaved demo``."""
+
+from __future__ import annotations
+
+import asyncio
+import multiprocessing
+import os
+import signal
+import socket
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from heaved import daemon
+from heaved.config import Config, data_directory, load
+from heaved.devices.profile import DeviceSpec
+from heaved.simulate.faults import PlannedFault
+from heaved.simulate.instruments import Instruments
+from heaved.simulate.plant import SimulatedPlant
+from heaved.simulate.seaway import seaway
+from heaved.simulate.slave import Source
+
+SERIAL_BAUDRATE: Final = 230_400
+"""Of the simulated serial line: it carries the demo's IMU at 100 Hz and its laser at 20 Hz with a third to spare."""
+_CHILD_STOPS_S: Final = 2.0
+
+
+class DemoError(Exception):
+    """The simulated sensors cannot be served; the message says why."""
+
+
+def demo_config() -> Config:
+    """The packaged ``demo.toml``."""
+    return load(data_directory() / "demo.toml")
+
+
+def on_serial_line(devices: Sequence[DeviceSpec], directory: Path) -> tuple[DeviceSpec, ...]:
+    """The devices on one simulated serial line, a pseudo-terminal that appears as ``directory/bus``."""
+    link = f"rtu://{directory}/bus?baudrate={SERIAL_BAUDRATE}"
+    return tuple(msgspec.structs.replace(device, link=link) for device in devices)
+
+
+def instruments(sea: str, *, sensor: str = "A", laser: str = "on", seed: int = 1) -> Instruments:
+    """Sensors in a sea.
+
+    Raises:
+        ValueError: there is no such sea, sensor or laser pattern; the message names those that there are.
+    """
+    return Instruments(seaway(sea, seed), sensor=sensor, laser=laser, seed=seed)
+
+
+def serve(
+    devices: Sequence[DeviceSpec],
+    source: Source,
+    faults: Sequence[PlannedFault],
+    *,
+    seed: int,
+    ready: Callable[[tuple[DeviceSpec, ...]], None],
+) -> None:
+    """Serve simulated devices until SIGINT or SIGTERM; ``ready`` is told where.
+
+    Raises:
+        ValueError: the devices or faults do not go together.
+        OSError: a port or path cannot be had.
+    """
+
+    async def run() -> None:
+        stop = asyncio.Event()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            asyncio.get_running_loop().add_signal_handler(number, stop.set)
+        plant = SimulatedPlant(devices, source, faults=faults, seed=seed)
+        await plant.start()
+        ready(plant.devices)
+        await stop.wait()
+        await plant.stop()
+
+    asyncio.run(run())
+
+
+def run(
+    sea: str, *, serial: bool, duration_s: float | None, log_format: str, announce: Callable[[Config], None]
+) -> int:
+    """Serve the sensors of ``demo.toml`` in a process of their own and run the daemon on them; returns its exit code.
+
+    What is learned goes to a temporary directory. Ports of the default configuration that are taken are replaced by
+    free ones; ``announce`` is told the configuration just before the daemon starts.
+
+    Raises:
+        DemoError: the sensors cannot be simulated.
+    """
+    # Until the daemon has its own handler, and after it, a signal still leaves nothing behind.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    with tempfile.TemporaryDirectory(prefix="heaved-demo-") as name:
+        directory = Path(name)
+        config = demo_config()
+        wanted = on_serial_line(config.device, directory) if serial else config.device
+        with _sensors(wanted, sea) as devices:
+            config = msgspec.structs.replace(
+                config,
+                device=devices,
+                stream=msgspec.structs.replace(config.stream, port=_free_port(config.stream.host, config.stream.port)),
+                http=msgspec.structs.replace(config.http, port=_free_port(config.http.host, config.http.port)),
+                state=msgspec.structs.replace(config.state, directory=str(directory / "state")),
+            )
+            announce(config)
+            # The daemon ends by signal, whoever wants it to end.
+            end = threading.Timer(duration_s or 0.0, os.kill, (os.getpid(), signal.SIGTERM))
+            end.daemon = True
+            if duration_s is not None:
+                end.start()
+            try:
+                return daemon.run(config, None, log_format=log_format)
+            finally:
+                end.cancel()
+
+
+@contextmanager
+def _sensors(devices: Sequence[DeviceSpec], sea: str) -> Iterator[tuple[DeviceSpec, ...]]:
+    """The devices, served by another process as a real sensor is by another machine; where they are reached."""
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    child = context.Process(target=_sensor_process, args=(theirs, tuple(devices), sea), daemon=True)
+    child.start()
+    theirs.close()
+    try:
+        try:
+            answer = ours.recv()
+        except EOFError:
+            answer = "the process of the simulated sensors ended at once"
+        if isinstance(answer, str):
+            raise DemoError(answer)
+        yield answer
+    finally:
+        ours.close()
+        child.join(_CHILD_STOPS_S)
+        if child.is_alive():
+            child.kill()
+            child.join()
+
+
+def _sensor_process(connection: Connection, devices: tuple[DeviceSpec, ...], sea: str) -> None:
+    """Ends when the other end of the connection is closed, so also when the parent is killed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both; the parent decides the order.
+
+    async def run() -> None:
+        closed = asyncio.Event()
+        asyncio.get_running_loop().add_reader(connection.fileno(), closed.set)
+        plant = SimulatedPlant(devices, instruments(sea), any_port=True)
+        await plant.start()
+        connection.send(plant.devices)
+        await closed.wait()
+        await plant.stop()
+
+    try:
+        asyncio.run(run())
+    except (OSError, ValueError) as error:
+        connection.send(str(error))
+
+
+def _free_port(host: str, port: int) -> int:
+    """``port`` if it can be had, else one that can."""
+    for candidate in (port, 0):
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((host, candidate))
+            except OSError:
+                continue
+            return int(probe.getsockname()[1])
+    raise DemoError(f"no port can be had on {host}")

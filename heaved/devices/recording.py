@@ -1,0 +1,245 @@
+"""A recording as a source of samples: CSV in, the records of :mod:`heaved.samples` out, row by row.
+
+One header row, then one row per instant; a blank cell is a missing value. ``t_s`` (any start, strictly increasing) and
+``az_mps2`` are required. Degrees in the file, radians in the samples. The reader is strict: a row that is not exactly
+what the header promises is refused with file, line, column and reason, because a silently skipped or misread row would
+make every figure drawn from the recording wrong.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Iterator
+from math import isfinite, nan, radians
+from operator import itemgetter
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+from heaved.samples import ImuSample, LaserSample
+
+COLUMNS: Final = (
+    "t_s",
+    "ax_mps2", "ay_mps2", "az_mps2",
+    "roll_deg", "pitch_deg", "yaw_deg",
+    "gx_radps", "gy_radps", "gz_radps",
+    "laser_m",
+)  # fmt: skip
+"""Columns that are read."""
+REQUIRED: Final = ("t_s", "az_mps2")
+IGNORED: Final = (
+    "gx1_radps", "gy1_radps", "gz1_radps",
+    "gx2_radps", "gy2_radps", "gz2_radps",
+    "ax2_mps2", "ay2_mps2", "az2_mps2",
+    "roll2_deg", "pitch2_deg", "yaw2_deg",
+)  # fmt: skip
+"""Columns of a second IMU and of the two gyro triads of hull-deformation recordings: allowed, never looked at."""
+
+_RADIANS_PER_DEGREE: Final = radians(1.0)
+_LONGEST_HEADER: Final = 4096
+"""Characters. A first line beyond this is no header of ours, whatever it is."""
+_ALSO_CALLED: Final = {"t": "t_s", "time": "t_s", "timestamp": "t_s", "heading": "yaw_deg", "laser": "laser_m"}
+
+Row = tuple[ImuSample | None, LaserSample | None]
+
+
+class RecordingError(Exception):
+    """A file that is no recording. Its text says where and why; ``line`` counts from 1, 0 is the file as a whole."""
+
+    def __init__(self, file: str, reason: str, *, line: int = 0, column: str = "") -> None:
+        place = file + (f", line {line}" if line else "") + (f", column {column}" if column else "")
+        super().__init__(f"{place}: {reason}")
+        self.file, self.line, self.column, self.reason = file, line, column, reason
+
+
+class Recording:
+    """An open recording. Iterate once over its rows; memory does not grow with its length.
+
+    A row gives an ImuSample when ``az_mps2`` is there (without it the row's other motion values are of no use and are
+    left out) and a LaserSample when ``laser_m`` is there; a row may give both or neither.
+
+    Attributes:
+        columns: names in the header, in the file's order.
+        total_bytes: size of the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open ``path`` and read its header.
+
+        Raises:
+            RecordingError: the file cannot be opened, or its header is not that of a recording.
+        """
+        self._file = str(path)
+        try:
+            self._raw = open(path, "rb", buffering=0)  # noqa: SIM115 - closed by close()
+        except OSError as error:
+            raise self._error(f"cannot be read: {error.strerror or error}") from error
+        self._text = io.TextIOWrapper(io.BufferedReader(self._raw, 1 << 18), encoding="utf-8-sig", newline="")
+        self.total_bytes = os.fstat(self._raw.fileno()).st_size
+        try:
+            self.columns = self._header()
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self._text.close()
+
+    @property
+    def has_laser(self) -> bool:
+        return "laser_m" in self.columns
+
+    @property
+    def read_bytes(self) -> int:
+        """How much of the file has been read: for progress, in steps of the read buffer."""
+        return self._raw.tell()
+
+    def __iter__(self) -> Iterator[Row]:
+        """The rows, in order.
+
+        Raises:
+            RecordingError: at the row that is malformed; the rows before it have been given.
+        """
+        rows = csv.reader(self._text, skipinitialspace=True, strict=True)
+        try:
+            yield from self._rows(rows)
+        except UnicodeDecodeError as error:
+            # Text is decoded in pieces, ahead of the rows: the line itself is not known.
+            raise self._error(f"{_not_utf8(error)}; somewhere after line {rows.line_num + 1}") from error
+        except csv.Error as error:
+            raise self._error(f"is not CSV: {error}", line=rows.line_num + 1) from error
+        except OSError as error:
+            raise self._error(f"cannot be read: {error.strerror or error}", line=rows.line_num + 1) from error
+
+    def _rows(self, rows: Iterator[list[str]]) -> Iterator[Row]:
+        width = len(self.columns)
+        # A blank cell is appended to each row, and columns that the file does not have are picked from there.
+        pick = itemgetter(*(self.columns.index(name) if name in self.columns else -1 for name in COLUMNS))
+        last_s = -float("inf")
+        for row in rows:
+            if len(row) != width:
+                if not row:
+                    continue  # An empty line, as editors leave at the end.
+                raise self._error(f"{len(row)} cells, but the header has {width}", line=_line(rows))
+            row.append("")
+            cells = pick(row)
+            try:
+                values = [float(cell) if cell else nan for cell in cells]
+            except ValueError:
+                raise self._bad_cell(cells, _line(rows)) from None
+            text = "".join(cells)
+            if sum(map(isfinite, values)) + cells.count("") != len(cells) or "_" in text or not text.isascii():
+                raise self._bad_cell(cells, _line(rows))
+            t_s, ax, ay, az, roll, pitch, yaw, gx, gy, gz, laser = values
+            if not t_s > last_s:
+                raise self._bad_time(cells[0], last_s, _line(rows))
+            last_s = t_s
+            imu = None if az != az else ImuSample(
+                t_s=t_s,
+                ax_mps2=ax,
+                ay_mps2=ay,
+                az_mps2=az,
+                roll_rad=roll * _RADIANS_PER_DEGREE,
+                pitch_rad=pitch * _RADIANS_PER_DEGREE,
+                yaw_rad=yaw * _RADIANS_PER_DEGREE,
+                gx_radps=gx,
+                gy_radps=gy,
+                gz_radps=gz,
+            )  # fmt: skip
+            yield imu, None if laser != laser else LaserSample(t_s=t_s, laser_m=laser)
+        if last_s == -float("inf"):
+            raise self._error("has a header but no rows")
+
+    def _header(self) -> tuple[str, ...]:
+        try:
+            line = self._text.readline(_LONGEST_HEADER)
+        except UnicodeDecodeError as error:
+            raise self._error(_not_utf8(error), line=1) from error
+        except OSError as error:
+            raise self._error(f"cannot be read: {error.strerror or error}") from error
+        if not line.strip():
+            raise self._error("is empty" if not line else "the first line is blank; it must name the columns", line=1)
+        try:
+            names = tuple(name.strip() for name in next(csv.reader([line], skipinitialspace=True, strict=True)))
+        except csv.Error as error:
+            raise self._error(f"is not CSV: {error}", line=1) from error
+        if len(line) >= _LONGEST_HEADER or all(_is_number(name) for name in names):
+            raise self._error(f"no header row; the first line must name the columns: {', '.join(COLUMNS)}", line=1)
+        if len(names) == 1 and (";" in line or "\t" in line):
+            raise self._error("cells must be separated by commas", line=1)
+        for name in names:
+            if name not in COLUMNS and name not in IGNORED:
+                raise self._error(_unknown_column(name), line=1, column=name or "(blank)")
+            if names.count(name) > 1:
+                raise self._error("is named twice", line=1, column=name)
+        for name in REQUIRED:
+            if name not in names:
+                raise self._error(f"column {name} is missing; a recording needs {' and '.join(REQUIRED)}", line=1)
+        return names
+
+    def _bad_cell(self, cells: tuple[str, ...], line: int) -> RecordingError:
+        """The fault of the first cell that is neither blank nor a finite number in plain digits."""
+        for name, cell in zip(COLUMNS, cells, strict=True):
+            if cell and not _is_number(cell):
+                return self._error(
+                    f"{_shown(cell)} is not a number; leave a missing value blank", line=line, column=name
+                )
+            if cell and not isfinite(float(cell)):
+                return self._error(f"{_shown(cell)} is not finite; leave a missing value blank", line=line, column=name)
+        raise AssertionError("a row was refused, but every cell of it is sound")
+
+    def _bad_time(self, cell: str, last_s: float, line: int) -> RecordingError:
+        if not cell:
+            return self._error("is blank; every row needs its time", line=line, column="t_s")
+        return self._error(f"{_shown(cell)} does not come after {last_s!r}, the row before", line=line, column="t_s")
+
+    def _error(self, reason: str, *, line: int = 0, column: str = "") -> RecordingError:
+        return RecordingError(self._file, reason, line=line, column=column)
+
+
+def read_recording(path: Path) -> Iterator[Row]:
+    """The rows of the recording at ``path``; see :class:`Recording`.
+
+    Raises:
+        RecordingError: while iterating, at what is wrong.
+    """
+    with Recording(path) as recording:
+        yield from recording
+
+
+def _line(rows: Iterator[list[str]]) -> int:
+    """Line of the file that was read last: the header came before the reader's first."""
+    return int(rows.line_num) + 1  # type: ignore[attr-defined]
+
+
+def _is_number(text: str) -> bool:
+    """Whether ``text`` is a number as CSV has it; Python also takes ``1_000`` and the digits of other scripts."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return text.isascii() and "_" not in text
+
+
+def _shown(text: str) -> str:
+    return repr(text if len(text) <= 40 else text[:40] + "…")
+
+
+def _not_utf8(error: UnicodeDecodeError) -> str:
+    return f"is not UTF-8 text (byte 0x{error.object[error.start]:02x}: {error.reason}); save it as CSV in UTF-8"
+
+
+def _unknown_column(name: str) -> str:
+    stem = name.lower().split("_")[0].split("(")[0].split("[")[0].strip()
+    stems = {column.split("_")[0]: column for column in COLUMNS}
+    meant = _ALSO_CALLED.get(stem) or stems.get(stem)
+    hint = f"did you mean {meant}? (the name says the unit: convert the values too); " if meant else ""
+    return f"unknown column; {hint}columns are {', '.join(COLUMNS)}"

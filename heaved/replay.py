@@ -1,0 +1,223 @@
+"""Replay: a recording through the very pipeline of the daemon, causal and repeatable to the byte.
+
+Nothing here depends on the time of day or on how fast the machine is: the pipeline hands over a training window at a
+time of the recording, replay waits for the network, and the pipeline judges it before the next sample.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from math import inf, isfinite, isnan, nan, pi
+from pathlib import Path
+from typing import Final, TextIO
+
+import msgspec
+
+from heaved.config import Config
+from heaved.devices.recording import Recording
+from heaved.estimation.rock import STANDARD_HORIZONS_S
+from heaved.pipeline import Pipeline
+from heaved.samples import HeaveForecast, HeaveState, MotionFrame, RockPrediction
+from heaved.training.process import BlockingTrainer
+
+_DEGREES: Final = 180.0 / pi
+_PROGRESS_ROWS: Final = 500
+"""Rows between two calls of ``progress``."""
+
+Progress = Callable[[int, int], None]
+"""(bytes read, bytes in all)"""
+
+
+class OutputError(Exception):
+    """The result cannot be written; the message says where, why and what to do."""
+
+
+class Summary(msgspec.Struct, frozen=True, kw_only=True):
+    """What a replay did."""
+
+    rows: int
+    """Of the recording."""
+    frames: int
+    """Rows of the result."""
+    duration_s: float
+    """Of the recording, from the first row to the last one replayed."""
+    elapsed_s: float
+    """By the clock on the wall."""
+    quality: dict[HeaveState, int]
+    """Frames by how far their heave can be trusted."""
+    trainings: dict[str, int]
+    """Training windows by what became of them: accepted, rejected, failed."""
+
+    def __str__(self) -> str:
+        speed = self.duration_s / self.elapsed_s if self.elapsed_s > 0.0 else inf
+        shares = ", ".join(
+            f"{100.0 * self.quality[state] / self.frames:.1f} % {state.value}"
+            for state in HeaveState
+            if self.quality.get(state)
+        )
+        trained = ", ".join(f"{count} {result}" for result, count in sorted(self.trainings.items()))
+        return (
+            f"{self.rows} rows, {self.duration_s:.1f} s of motion in {self.elapsed_s:.1f} s "
+            f"({speed:.0f} x real time)\n"
+            f"{self.frames} frames: {shares or 'no row has az_mps2'}\n"
+            f"training windows: {trained or 'none'}"
+        )
+
+
+class Columns:
+    """The columns of the result for one configuration, and the text of a frame in them."""
+
+    def __init__(self, config: Config) -> None:
+        self._forecasts = config.heave.forecast_horizons_s
+        self._rocks = tuple(sorted({*config.rock.horizons_s, *STANDARD_HORIZONS_S}))
+        forecasts = [f"forecast_{h:g}s_{what}" for h in self._forecasts for what in ("m", "std_m")]
+        rocks = [
+            f"{axis}_{h:g}s_{what}"
+            for axis in ("roll", "pitch", "yaw")
+            for h in self._rocks
+            for what in ("deg", "std_deg")
+        ]
+        fixed = "t_s heave_m heave_std_m heave_velocity_mps observer_m correction_m lead_s quality delayed_heave_m"
+        self.names = (*fixed.split(), *forecasts, *rocks)
+
+    def header(self) -> str:
+        return ",".join(self.names) + "\n"
+
+    def row(self, frame: MotionFrame) -> str:
+        """One line; what is not known is blank, never zero. There is no delayed heave yet."""
+        numbers = [
+            frame.t_s,
+            frame.heave_m,
+            frame.heave_std_m,
+            frame.heave_velocity_mps,
+            frame.observer_m,
+            frame.correction_m,
+            frame.lead_s,
+        ]
+        forecasts = {forecast.horizon_s: forecast for forecast in frame.forecast}
+        predicted = []
+        for h in self._forecasts:
+            forecast = forecasts.get(h, _NO_FORECAST)
+            predicted += [forecast.heave_m, forecast.std_m]
+        rocks = {rock.horizon_s: rock for rock in frame.rock}
+        known = [rocks.get(h, _NO_ROCK) for h in self._rocks]
+        for rock in known:
+            predicted += [rock.roll_rad * _DEGREES, rock.roll_std_rad * _DEGREES]
+        for rock in known:
+            predicted += [rock.pitch_rad * _DEGREES, rock.pitch_std_rad * _DEGREES]
+        for rock in known:
+            predicted += [rock.yaw_rad * _DEGREES, rock.yaw_std_rad * _DEGREES]
+        cells = [*map(_cell, numbers), frame.quality.heave.value, "", *map(_cell, predicted)]
+        return ",".join(cells) + "\n"
+
+
+_NO_FORECAST: Final = HeaveForecast(horizon_s=nan)
+_NO_ROCK: Final = RockPrediction(horizon_s=nan)
+
+
+def _cell(value: float) -> str:
+    return f"{value:.6f}" if isfinite(value) else ""
+
+
+def replay(
+    source: Path, out: Path | None, config: Config, *, until_s: float = inf, progress: Progress | None = None
+) -> Summary:
+    """Run the recording ``source`` through the pipeline; the result goes to ``out``, or to standard output if None.
+
+    until_s: seconds of the recording, from its first row, after which to stop.
+
+    Raises:
+        RecordingError: the recording is malformed; nothing is written.
+        OutputError: the result cannot be written; nothing is left behind.
+    """
+    begun_s = time.monotonic()
+    if out is not None and out.exists() and out.samefile(source):
+        raise OutputError(f"{out} is the recording itself: name another file with -o")
+    with Recording(source) as recording, BlockingTrainer() as trainer, _writing(out) as file:
+        columns = Columns(config)
+        file.write(columns.header())
+        run = _Run(_pipeline(config, recording.has_laser), trainer)
+        for frame in run.frames(recording, until_s, progress):
+            file.write(columns.row(frame))
+    return run.summary(time.monotonic() - begun_s)
+
+
+def _pipeline(config: Config, has_laser: bool) -> Pipeline:
+    return Pipeline(
+        heave=config.heave, laser=config.laser, correction=config.correction, rock=config.rock, has_laser=has_laser
+    )
+
+
+class _Run:
+    """One pass over a recording, and what it counts."""
+
+    def __init__(self, pipeline: Pipeline, trainer: BlockingTrainer) -> None:
+        self._pipeline = pipeline
+        self._trainer = trainer
+        self._rows = 0
+        self._duration_s = 0.0
+        self._quality: Counter[HeaveState] = Counter()
+        self._trainings: Counter[str] = Counter()
+
+    def frames(self, recording: Recording, until_s: float, progress: Progress | None) -> Iterator[MotionFrame]:
+        first_s = nan
+        for imu, laser in recording:
+            sample = imu or laser
+            if sample is not None:
+                first_s = sample.t_s if isnan(first_s) else first_s
+                if sample.t_s - first_s > until_s:
+                    break
+                self._duration_s = sample.t_s - first_s
+            self._rows += 1
+            # The laser first: a row is one instant, and what it says of the heave is known when its frame is made.
+            for reading in (laser, imu):
+                if reading is None:
+                    continue
+                frame = self._pipeline.step(reading)
+                if (window := self._pipeline.training_due()) is not None:
+                    self._trainings[self._pipeline.accept(self._trainer.fit(window))] += 1
+                if frame is not None:
+                    self._quality[frame.quality.heave] += 1
+                    yield frame
+            if progress is not None and self._rows % _PROGRESS_ROWS == 0:
+                progress(recording.read_bytes, recording.total_bytes)
+
+    def summary(self, elapsed_s: float) -> Summary:
+        return Summary(
+            rows=self._rows,
+            frames=self._quality.total(),
+            duration_s=self._duration_s,
+            elapsed_s=elapsed_s,
+            quality=dict(self._quality),
+            trainings=dict(self._trainings),
+        )
+
+
+@contextmanager
+def _writing(out: Path | None) -> Iterator[TextIO]:
+    """A file that appears under its name only when it is whole; pipes and devices are written as they are.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    if out is None:
+        yield sys.stdout
+        return
+    is_special = out.exists() and not out.is_file()
+    target = out.resolve()
+    partial = target if is_special else target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        with partial.open("w", encoding="utf-8", newline="") as file:
+            yield file
+        if not is_special:
+            partial.replace(target)
+    except OSError as error:
+        raise OutputError(f"{out}: cannot be written: {error.strerror or error}; name another file with -o") from error
+    finally:
+        if not is_special:
+            partial.unlink(missing_ok=True)

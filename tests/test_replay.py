@@ -1,0 +1,198 @@
+"""Replay: the same to the byte, causal, whole or not there at all, and columns that hold what their names say."""
+
+from __future__ import annotations
+
+import csv
+import math
+import stat
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from heaved.config import Config
+from heaved.devices.recording import RecordingError
+from heaved.estimation import correction, heave, lead, rock
+from heaved.replay import Columns, OutputError, Summary, replay
+from heaved.samples import (
+    CorrectionState,
+    HeaveForecast,
+    HeaveState,
+    LaserState,
+    MotionFrame,
+    Quality,
+    RockPrediction,
+)
+from heaved.simulate.play import write_recording
+from heaved.simulate.seaway import seaway
+from heaved.simulate.sensors import Recording, record
+
+# Learns early and trains often, so that a short recording shows all of it.
+EAGER = Config(
+    heave=heave.Params(lead=lead.Params(window_s=20.0, refresh_s=2.0, min_laser_s=5.0, min_coherence=0.0)),
+    correction=correction.Params(min_laser_s=20.0, window_s=30.0, period_s=12.0, epochs=50),
+)
+
+
+@pytest.fixture(scope="module")
+def sea() -> Recording:
+    return record(seaway("T3", seed=3), 70.0, imu_rate_hz=20.0, laser_rate_hz=10.0, seed=3)
+
+
+@pytest.fixture(scope="module")
+def source(sea: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recording") / "in.csv"
+    write_recording(path, sea)
+    return path
+
+
+@pytest.fixture(scope="module")
+def replayed(source: Path) -> tuple[Path, Summary]:
+    out = source.with_name("out.csv")
+    return out, replay(source, out, EAGER)
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_one_row_for_each_row_with_an_imu_sample(sea: Recording, replayed: tuple[Path, Summary]) -> None:
+    rows, summary = rows_of(replayed[0]), replayed[1]
+    assert [float(row["t_s"]) for row in rows] == pytest.approx(sea.t_s[np.isfinite(sea.az_mps2)].tolist(), abs=1e-6)
+    assert summary.frames == len(rows) == sum(summary.quality.values())
+    assert summary.duration_s == pytest.approx(sea.t_s[-1] - sea.t_s[0])
+    assert {row["delayed_heave_m"] for row in rows} == {""}
+
+
+def test_what_comes_out_is_the_heave(sea: Recording, replayed: tuple[Path, Summary]) -> None:
+    rows = [row for row in rows_of(replayed[0]) if row["heave_m"] and float(row["t_s"]) > 50.0]
+    assert len(rows) > 300
+    estimate = np.array([float(row["heave_m"]) for row in rows])
+    truth = np.interp([float(row["t_s"]) for row in rows], sea.truth.t_s, sea.truth.heave_m)
+    assert np.corrcoef(estimate, truth)[0, 1] > 0.95
+
+
+def test_trains_and_is_the_same_to_the_byte_every_time(source: Path, replayed: tuple[Path, Summary]) -> None:
+    out, summary = replayed
+    assert sum(summary.trainings.values()) >= 2
+    assert "failed" not in summary.trainings
+    again = source.with_name("again.csv")
+    assert replay(source, again, EAGER).trainings == summary.trainings
+    assert again.read_bytes() == out.read_bytes()
+
+
+def test_what_comes_later_changes_nothing_before(source: Path, replayed: tuple[Path, Summary]) -> None:
+    lines = source.read_text().splitlines(keepends=True)
+    cut = int(0.9 * len(lines))
+    shorter = source.with_name("shorter.csv")
+    shorter.write_text("".join(lines[:cut]))
+    out = source.with_name("shorter.out.csv")
+    replay(shorter, out, EAGER)
+    expected = replayed[0].read_text().splitlines()
+    found = out.read_text().splitlines()
+    assert len(found) > 0.85 * len(expected)
+    assert found == expected[: len(found)]
+
+
+def test_until_counts_from_the_first_row(tmp_path: Path) -> None:
+    path = tmp_path / "in.csv"
+    path.write_text("t_s,az_mps2\n" + "".join(f"{1.7e9 + 0.05 * k:.2f},9.8\n" for k in range(100)))
+    out = tmp_path / "out.csv"
+    replay(path, out, Config(), until_s=2.0)
+    rows = rows_of(out)
+    assert (rows[0]["t_s"], rows[-1]["t_s"]) == ("1700000000.000000", "1700000002.000000")
+
+
+def test_rows_without_imu_give_no_frame_and_a_laser_may_be_absent(tmp_path: Path) -> None:
+    path = tmp_path / "in.csv"
+    path.write_text("t_s,az_mps2,laser_m\n0,9.8,\n0.05,,12\n0.1,,\n0.15,9.8,12\n")
+    summary = replay(path, tmp_path / "out.csv", Config())
+    assert (summary.rows, summary.frames) == (4, 2)
+    assert [row["t_s"] for row in rows_of(tmp_path / "out.csv")] == ["0.000000", "0.150000"]
+
+
+def test_the_columns_hold_what_their_names_say() -> None:
+    config = Config(heave=heave.Params(forecast_horizons_s=(0.5, 2.0)), rock=rock.Params(horizons_s=(0.05, 1.0)))
+    degree = math.pi / 180.0
+    frame = MotionFrame(
+        t_s=12.5,
+        quality=Quality(heave=HeaveState.DEGRADED, laser=LaserState.OFF, correction=CorrectionState.LEARNING),
+        heave_m=1.0,
+        heave_std_m=0.1,
+        heave_velocity_mps=-0.5,
+        observer_m=0.9,
+        correction_m=0.1,
+        lead_s=-0.25,
+        forecast=(HeaveForecast(horizon_s=2.0, heave_m=3.0, std_m=0.3), HeaveForecast(horizon_s=0.5)),
+        rock=(
+            RockPrediction(horizon_s=1.0, roll_rad=1 * degree, pitch_rad=2 * degree, yaw_rad=3 * degree),
+            RockPrediction(horizon_s=0.05, roll_std_rad=4 * degree, pitch_std_rad=5 * degree, yaw_std_rad=6 * degree),
+        ),
+    )
+    columns = Columns(config)
+    assert columns.header() == (
+        "t_s,heave_m,heave_std_m,heave_velocity_mps,observer_m,correction_m,lead_s,quality,delayed_heave_m,"
+        "forecast_0.5s_m,forecast_0.5s_std_m,forecast_2s_m,forecast_2s_std_m,"
+        "roll_0.05s_deg,roll_0.05s_std_deg,roll_0.1s_deg,roll_0.1s_std_deg,"
+        "roll_0.15s_deg,roll_0.15s_std_deg,roll_1s_deg,roll_1s_std_deg,"
+        "pitch_0.05s_deg,pitch_0.05s_std_deg,pitch_0.1s_deg,pitch_0.1s_std_deg,"
+        "pitch_0.15s_deg,pitch_0.15s_std_deg,pitch_1s_deg,pitch_1s_std_deg,"
+        "yaw_0.05s_deg,yaw_0.05s_std_deg,yaw_0.1s_deg,yaw_0.1s_std_deg,"
+        "yaw_0.15s_deg,yaw_0.15s_std_deg,yaw_1s_deg,yaw_1s_std_deg\n"
+    )
+    assert columns.row(frame) == (
+        "12.500000,1.000000,0.100000,-0.500000,0.900000,0.100000,-0.250000,degraded,,"
+        ",,3.000000,0.300000,"
+        ",4.000000,,,,,1.000000,,"
+        ",5.000000,,,,,2.000000,,"
+        ",6.000000,,,,,3.000000,\n"
+    )
+
+
+# ---- the file that is written ----------------------------------------------------------------------------------------
+
+
+def test_a_malformed_recording_leaves_what_was_there(tmp_path: Path) -> None:
+    path, out = tmp_path / "in.csv", tmp_path / "out.csv"
+    path.write_text("t_s,az_mps2\n0,9.8\n1,x\n")
+    out.write_text("of last time")
+    with pytest.raises(RecordingError, match=r"in\.csv, line 3, column az_mps2: 'x' is not a number"):
+        replay(path, out, Config())
+    assert out.read_text() == "of last time"
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["in.csv", "out.csv"]
+
+
+def test_the_recording_itself_is_never_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "in.csv"
+    path.write_text("t_s,az_mps2\n0,9.8\n")
+    (tmp_path / "link.csv").symlink_to(path)
+    for out in (path, tmp_path / "link.csv"):
+        with pytest.raises(OutputError, match="is the recording itself"):
+            replay(path, out, Config())
+    assert path.read_text() == "t_s,az_mps2\n0,9.8\n"
+
+
+def test_where_nothing_can_be_written(tmp_path: Path) -> None:
+    path = tmp_path / "in.csv"
+    path.write_text("t_s,az_mps2\n0,9.8\n")
+    with pytest.raises(OutputError, match="cannot be written: No such file or directory; name another file with -o"):
+        replay(path, tmp_path / "absent" / "out.csv", Config())
+    with pytest.raises(OutputError, match="cannot be written"):
+        replay(path, tmp_path, Config())
+
+
+def test_a_device_is_written_to_never_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "in.csv"
+    path.write_text("t_s,az_mps2\n0,9.8\n")
+    replay(path, Path("/dev/null"), Config())
+    assert stat.S_ISCHR(Path("/dev/null").stat().st_mode)
+
+
+def test_progress_ends_at_the_size_of_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "in.csv"
+    path.write_text("t_s,az_mps2\n" + "".join(f"{k / 20},9.8\n" for k in range(1000)))
+    seen: list[tuple[int, int]] = []
+    replay(path, tmp_path / "out.csv", Config(), progress=lambda done, total: seen.append((done, total)))
+    assert seen
+    assert seen[-1] == (path.stat().st_size, path.stat().st_size)
