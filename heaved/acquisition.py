@@ -85,7 +85,6 @@ class Acquisition:
 
     def on_poll(self, result: PollResult) -> None:
         """What the buses call, once for each deadline of each device."""
-        self._account(result)
         sample = result.sample
         started_s = self._clock()
         frame = self._step(sample)
@@ -97,6 +96,8 @@ class Acquisition:
             # A timeout arrives long after its deadline, when its replacements are out already: it is no sign of life.
             if published or result.fault is Fault.NONE:
                 self._live_s = now_s
+        # The frame is out: what nobody waits for.
+        self._account(result)
         self._offer_training()
 
     def heartbeat(self) -> bool:

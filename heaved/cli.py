@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -25,6 +26,9 @@ EX_CONFIG = 78
 """The configuration has faults (sysexits.h)."""
 
 SYSTEM_CONFIG = Path("/etc/heaved/heaved.toml")
+
+# Before numpy is loaded: its matrices are tiny here, and a second BLAS thread costs milliseconds when it wakes.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 app = typer.Typer(
     name="heaved",

@@ -132,7 +132,7 @@ class RockPredictor:
         self._axes = tuple(_Axis() for _ in range(AXES))
         self._yaw_reference_rad = nan
         self._yaw_rad = 0.0
-        self._fitted_s = -inf
+        self._fitted_s = self._scored_s = -inf
         self._advance = np.full((len(self._grid), *rows, width, width), nan)
         keep_s = max(self._params.window_s, START_SPAN_S, self.horizons_s[-1]) + 1.0
         self._history = History(rows, (len(self._grid), *rows, width), keep_s)
@@ -164,7 +164,10 @@ class RockPredictor:
             self._fit()
         curve = (self._z[:, :, None, :] @ self._advance)[..., 0, :]
         self._history.curves[row] = curve
-        self._score(row, elapsed_s, measured)
+        since_s = t_s - self._scored_s if self._scored_s > -inf else elapsed_s
+        if since_s > STEP_S - 0.5 * elapsed_s:  # errors closer together are hardly different ones
+            self._score(row, min(since_s, max(STEP_S, elapsed_s)), elapsed_s, measured)
+            self._scored_s = t_s
         self._latest = self._publish(curve)
         return self._latest
 
@@ -319,7 +322,7 @@ class RockPredictor:
         weights: Array = self._beyond_factor * steps[:, None] ** self._beyond_power
         return weights[:, :, None]
 
-    def _score(self, row: int, elapsed_s: float, measured: Array) -> None:
+    def _score(self, row: int, weight_s: float, elapsed_s: float, measured: Array) -> None:
         history = self._history
         made_s = history.t_s[history.first : row]
         found = made_s.searchsorted(self._t_s - self._horizons + 0.5 * elapsed_s) - 1
@@ -330,7 +333,7 @@ class RockPredictor:
         error = measured - (curve @ self._beyond(age_s / STEP_S - self._grid)[:, None])[..., 0]
         if found[-1] < 0:
             error[found < 0] = nan
-        self._errors.update(self._t_s, elapsed_s, error)
+        self._errors.update(self._t_s, weight_s, error)
 
     def _publish(self, curve: Array) -> tuple[RockPrediction, ...]:
         best, std = self._errors.of_best(curve)
