@@ -10,7 +10,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from math import isfinite, nan
+from math import inf, isfinite, nan
 from typing import Final
 
 import msgspec
@@ -49,6 +49,8 @@ LATE_LASER_S: Final = 4.0
 """A laser reading may come this late and still be compared with the heave of its own time."""
 REFERENCE_AFTER_S: Final = 30.0
 """The observer's start is not compared with the laser before this."""
+LEARN_AFTER_S: Final = 60.0
+"""Nor is a network trained on it before this: it would learn the transient."""
 MAX_RATE_HZ: Final = 250.0
 """Sizes the rings; a faster sensor is served too, with a shorter memory of late lasers."""
 
@@ -107,6 +109,8 @@ class Pipeline:
         self._imu_t_s = self._good_t_s = self._period_s = nan
         self._lead_t_s = self._accepted_t_s = nan
         self._attitude, self._attitude_t_s = (nan, nan, nan), nan
+        self._tilt_removed = False
+        self._laser_t_s = -inf
         self._imu_fault = self._laser_fault = Fault.NONE
         self._trained: Counter[str] = Counter()
         self._out_of_order = 0
@@ -123,12 +127,12 @@ class Pipeline:
         if t <= self._imu_t_s:
             self._out_of_order += 1
             return None
+        self._imu_t_s, self._imu_fault = t, sample.fault
         good = sample.fault is Fault.NONE
         if good:
             self._take_attitude(sample)
             self._observe(sample)
         rock = self._rock.step(t, *((sample.roll_rad, sample.pitch_rad, sample.yaw_rad) if good else (nan, nan, nan)))
-        self._imu_t_s, self._imu_fault = t, sample.fault
         self._take_laser()
         self._learn_lead(t)
         return self._frame(t, rock)
@@ -147,14 +151,16 @@ class Pipeline:
     def _observe(self, sample: ImuSample) -> None:
         """Tilt out, spikes out, observer, correction."""
         t, up = sample.t_s, sample.az_mps2 - GRAVITY_MPS2
-        if self._tilt_known(t) and isfinite(sample.ax_mps2) and isfinite(sample.ay_mps2):
+        self._tilt_removed = self._tilt_known(t) and isfinite(sample.ax_mps2 + sample.ay_mps2)
+        if self._tilt_removed:
             roll, pitch, _ = self._attitude
             up = up_acceleration(sample.ax_mps2, sample.ay_mps2, sample.az_mps2, roll, pitch)
         up = self._spikes(t, up)
         if not isfinite(up):
+            self._imu_fault = Fault.OUT_OF_RANGE if isfinite(sample.az_mps2) else Fault.NOT_FINITE
             return
         if isfinite(self._good_t_s):
-            step = t - self._good_t_s
+            step = min(t - self._good_t_s, COAST_S)
             self._period_s = step if not isfinite(self._period_s) else self._period_s + 0.02 * (step - self._period_s)
         self._good_t_s = t
         before = self._observer.resets.total()
@@ -177,18 +183,20 @@ class Pipeline:
             self._laser_fault = sample.fault
             row = self._outputs.interpolate(sample.t_s)
             settled = self._observer.settled_s >= REFERENCE_AFTER_S and self._observer.refreshes > 0
-            if sample.fault is not Fault.NONE or not settled or not isfinite(row[1] + sample.laser_m):
+            usable = settled and isfinite(row[1] + sample.laser_m) and sample.t_s > self._laser_t_s
+            if sample.fault is not Fault.NONE or not usable:
                 continue
+            self._laser_t_s = sample.t_s
             _, observer_m, corrected_m, heave_m, velocity_mps = row.tolist()
             verdict = self._reference.take(sample.t_s, sample.laser_m, corrected_m, self._observer.error_std_m(0.0))
             if verdict is Verdict.RESTARTED:
                 self._compared.clear()
                 self._correction.forget_rows()
-            newest = self._compared.last(1)
-            if verdict is Verdict.ACCEPTED and not (len(newest) and sample.t_s <= newest[0, 0]):
+            if verdict is Verdict.ACCEPTED:
                 signed = self._reference.signed(sample.laser_m)
                 self._compared.push((sample.t_s, heave_m, velocity_mps, signed))
-                self._correction.learn(sample.t_s, signed - observer_m, self._reference.constant_m)
+                if self._observer.settled_s >= LEARN_AFTER_S:
+                    self._correction.learn(sample.t_s, signed - observer_m, self._reference.constant_m)
 
     def _learn_lead(self, t_s: float) -> None:
         """Every refresh, the lead that the laser shows beyond that of the chain's own design."""
@@ -206,8 +214,8 @@ class Pipeline:
 
     def training_due(self) -> TrainingWindow | None:
         """A window for the trainer, when it is time for one; each is given out once."""
-        if self._params.lead.enabled and self._lead.updates == 0:
-            return None
+        if self._params.lead.enabled and self._lead.last is None:
+            return None  # The first comparison moves the observer, and with it everything there is to learn.
         return self._correction.due(self._good_t_s, self._observer.omega_radps)
 
     def accept(self, network: TrainedNetwork) -> str:
@@ -224,7 +232,7 @@ class Pipeline:
         observer, p, learned_s = self._observer, self._params, self._lead.learned_s
         scale = self._reference.std_scale
         shift = t_s - observer.t_s
-        error_std_m = observer.error_std_m(shift) * scale if shift <= COAST_S else nan
+        error_std_m = observer.error_std_m(shift, scale) if shift <= COAST_S else nan
         fresh = self._reference.fresh(t_s)
         state, reasons = judge(
             Facts(
@@ -235,7 +243,7 @@ class Pipeline:
                 needed_s=p.window_s,
                 error_std_m=error_std_m,
                 heave_std_m=observer.heave_std_m(),
-                tilt_known=self._tilt_known(t_s),
+                tilt_removed=self._tilt_removed and self._tilt_known(t_s),
                 std_scale=scale,
                 laser_fault=self._laser_fault,
                 laser_configured=self._has_laser,
@@ -272,7 +280,7 @@ class Pipeline:
                 HeaveForecast(
                     horizon_s=h,
                     heave_m=observer.at(shift + h, learned_s).heave_m,
-                    std_m=observer.error_std_m(shift + h) * max(scale, 1.0),
+                    std_m=observer.error_std_m(shift + h, max(scale, 1.0)),
                 )
                 for h in p.forecast_horizons_s
             ),
@@ -294,9 +302,13 @@ class Pipeline:
         Raises:
             ValueError: the state does not fit the configuration; says what does not, and nothing was taken over.
         """
-        if state.correction is not None:
-            self._correction.restore(state.correction)
         self._observer.restore(state.frequencies_hz)
+        if state.correction is not None:
+            try:
+                self._correction.restore(state.correction)
+            except ValueError:
+                self._observer = HarmonicObserver(self._params, MAX_RATE_HZ)
+                raise
         if state.lead_learned_s is not None:
             self._lead.restore(state.lead_learned_s)
 

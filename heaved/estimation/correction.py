@@ -4,6 +4,7 @@ Source: Zhang et al. 2022 (UKF multi-step + BP), eq. (15)-(17): a 50-10-1 networ
 to the residual (laser - X*), and the published heave is X~ = X* + y. Training happens elsewhere; here is what keeps a
 learned correction from ever making the output worse than the physics underneath it:
 
+* nothing is learned while the laser does not follow the heave at all (stuck, wrong sign, on another target);
 * the last part of each window is held out, and a network replaces the one in use only if it beats it, and
   "no correction", there;
 * while the laser is there, the running correlation of the correction with the residual decides how much of it is
@@ -35,6 +36,11 @@ GUARD_TIME_S: Final = 90.0
 """Memory of the running comparison of correction and residual, in seconds of laser."""
 INDEPENDENT_S: Final = 4.0
 """Residuals this far apart count as independent: half a wave period."""
+AGREEMENT_TIME_S: Final = 15.0
+"""Memory of the comparison of residual and heave: two wave periods."""
+DISAGREEMENT: Final = 0.8
+"""RMS residual over RMS heave above which there is nothing to learn: 1 is a stuck laser, 2 one of wrong sign. The
+harmonic observer is at 0.5 on the broadest of seas."""
 SEA_TIME_S: Final = 30.0
 """Memory of the variance that is compared with that of the training."""
 FADE_S: Final = 2.0
@@ -134,7 +140,10 @@ class ResidualCorrection:
         self._rows_since_training = 0
         self._variance = self._variance_weight = 0.0
         self._evidence = _Evidence()
+        self._residual2 = self._heave2 = 0.0
+        self._learned_t_s = nan
         self._weight = 0.0
+        self._replaced, self._carry_m = False, 0.0
         self._t_s = nan
         self.value_m = 0.0
 
@@ -168,26 +177,38 @@ class ResidualCorrection:
             target = self._evidence.share() * self._likeness(omega_radps)
         self._outputs.push((t_s, observer_m, raw))
         self._weight += (1.0 - exp(-dt / FADE_S)) * (target - self._weight)
-        self.value_m = self._weight * raw
+        if self._replaced:
+            self._carry_m, self._replaced = self.value_m - self._weight * raw, False
+        self._carry_m *= exp(-dt / FADE_S)
+        self.value_m = self._weight * raw + self._carry_m
         return self.value_m
 
     def learn(self, t_s: float, residual_m: float, constant_m: float) -> None:
         """Take a laser reading: ``residual_m`` = signed reading - observer at ``t_s``, the unknown constant included.
 
-        constant_m: the constant as it is known now, for the running comparison (nan: not known).
+        constant_m: the constant as it is known now; nothing is learned before (nan).
         """
-        if not self._params.enabled:
+        _, observer_m, raw_m = self._outputs.interpolate(t_s).tolist()
+        if not self._params.enabled or not isfinite(constant_m + observer_m):
             return
+        if self.network is not None:
+            self._evidence.add(t_s, residual_m - constant_m, raw_m)
         newest = self._rows.last(1)
-        if not len(newest) or t_s - newest[0, 0] >= 0.95 * self._params.step_s:
+        due = not len(newest) or t_s - newest[0, 0] >= 0.95 * self._params.step_s
+        if self._agrees(t_s, residual_m - constant_m, observer_m) and due:
             inputs = self._inputs(t_s, nan)
             if inputs is not None:
                 self._rows.push(np.concatenate(([t_s, residual_m], inputs)))
                 self._rows_since_training += 1
-        if self.network is not None and isfinite(constant_m):
-            row = self._outputs.interpolate(t_s)
-            if isfinite(row[2]):
-                self._evidence.add(t_s, residual_m - constant_m, float(row[2]))
+
+    def _agrees(self, t_s: float, residual_m: float, observer_m: float) -> bool:
+        """Whether laser and observer see the same motion, by their recent mean squares."""
+        dt = min(t_s - self._learned_t_s, 1.0) if isfinite(self._learned_t_s) else 0.05
+        self._learned_t_s = t_s
+        memory = 1.0 - exp(-dt / AGREEMENT_TIME_S)
+        self._residual2 += memory * (residual_m**2 - self._residual2)
+        self._heave2 += memory * (observer_m**2 - self._heave2)
+        return self._residual2 < DISAGREEMENT**2 * self._heave2
 
     def forget_rows(self) -> None:
         """Drop what was learned from: the lead, the constant or the observer has been changed under it."""
@@ -198,7 +219,7 @@ class ResidualCorrection:
     def forget_outputs(self) -> None:
         """The observer was restarted: its outputs do not continue the old ones."""
         self._outputs.clear()
-        self._weight = 0.0
+        self._weight = self._carry_m = 0.0
         self.forget_rows()
 
     def due(self, t_s: float, omega_radps: float) -> TrainingWindow | None:
@@ -262,6 +283,7 @@ class ResidualCorrection:
             bar = min(bar, _mean_square(residuals - old))
         if not _mean_square(residuals - corrections) < WORTH * bar:
             return "rejected"
+        self._replaced = self.network is not None
         self.network = network
         self._in_use = Saved(
             weights=trained.weights,
@@ -287,10 +309,9 @@ class ResidualCorrection:
         if not len(span) or span[0, 0] > t_s - self._lags[0] or (not isfinite(observer_m) and span[-1, 0] < t_s):
             return None
         times, values = span[:, 0], span[:, 1]
-        inputs = np.interp(t_s - self._lags, times, values)
         if isfinite(observer_m):
-            inputs[-1] = observer_m
-        return inputs
+            times, values = np.append(times, t_s), np.append(values, observer_m)
+        return np.interp(t_s - self._lags, times, values)
 
     def _likeness(self, omega_radps: float) -> float:
         """1 while amplitude and frequency are those of the training, 0 when they are not, straight between."""
@@ -319,8 +340,9 @@ class ResidualCorrection:
             )
         self.network = Network.from_bytes(saved.weights, width=saved.width, hidden=saved.hidden, output=saved.output)
         self._in_use = saved
-        # Nothing but the likeness of the sea speaks for it until the laser does: as good as new from the held-out rows.
-        self._evidence = _Evidence(seconds=GUARD_TIME_S, square=1.0, cross=1.0, total=1.0)
+        # Nothing but the likeness of the sea speaks for it until the laser does, which soon outweighs this.
+        square = (saved.limit_m / p.clip) ** 2
+        self._evidence = _Evidence(seconds=GUARD_TIME_S / 3.0, square=square, cross=square, total=square)
 
 
 def _mean_square(values: Array) -> float:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from cmath import phase
 from collections import Counter
-from math import cos, exp, isfinite, nan, pi, sin, sqrt
+from math import cos, exp, hypot, isfinite, nan, pi, sin, sqrt
 from typing import Annotated, Final, Literal
 
 import msgspec
@@ -35,6 +35,14 @@ FILL_STEP_S: Final = 0.05
 """Step with which a gap is bridged by the model's own acceleration."""
 BIAS_TIME_S: Final = 60.0
 """Time constant of the slow mean that is taken out of the published acceleration."""
+LEAD_RANGE: Final = (-0.25, 0.5)
+"""Leads that are considered, in dominant periods: a high-pass of second order leads by 0 to 0.5, the rest is small."""
+MIN_GAIN: Final = 0.4
+"""The high-pass is not undone further than this: below, it would be noise that is amplified."""
+GAP_MEMORY: Final = 0.5
+"""What was wrongly assumed in a gap dies with the high-pass, within this share of its period, observer included."""
+GAP_CONVERGED_S: Final = 3.0
+"""After a gap of more than a second the filter's gain is back where it was by then: no look at it before that."""
 LEAD_SLEW_S: Final = 2.0
 """Time constant with which a new lead and gain are brought in, so that no refresh shows as a step."""
 
@@ -91,7 +99,7 @@ class HarmonicObserver:
         self._history_s = 4.0 * params.window_s
         self._ring = Ring(int(self._history_s * max_rate_hz), 2)
         self.resets: Counter[str] = Counter()
-        self._start_over(2.0 * pi / params.initial_period_s * (1.0 + 0.25 * np.arange(n)))
+        self._start_over(2.0 * pi / params.initial_period_s * (1.0 + 0.25 * np.arange(n, dtype=np.float64)))
 
     def _start_over(self, omega: Array) -> None:
         n = self._params.components
@@ -103,6 +111,7 @@ class HarmonicObserver:
         self.t_s = nan
         self._bias = self._acceleration = 0.0
         self._bias_weight = 0.0
+        self._gap_error_m = 0.0
         self._refreshed_t_s = self._started_t_s = nan
         self.refreshes = 0
         self._spectrum = (np.empty(0), np.empty(0))
@@ -126,11 +135,15 @@ class HarmonicObserver:
             self._reset("gap")
             self.step(t_s, a_up_mps2)
             return
-        if dt > 4.0 * FILL_STEP_S:
+        self._dt_s += 0.02 * (min(dt, 2.0 * self._dt_s) - self._dt_s) if dt > 0.0 else 0.0
+        self._gap_error_m *= exp(-dt / (GAP_MEMORY * self._params.highpass_period_s))
+        if dt > max(4.0 * FILL_STEP_S, 3.0 * self._dt_s):
+            if isfinite(guess := self.error_std_m(dt)):
+                self._gap_error_m = guess
+            if dt > 1.0:
+                self._refreshed_t_s = max(self._refreshed_t_s, t_s + GAP_CONVERGED_S - self._params.refresh_s)
             self._bridge(t_s)
             dt = t_s - self.t_s
-        elif dt > 0.0:
-            self._dt_s += 0.02 * (dt - self._dt_s)
         self._follow_bias(dt, a_up_mps2)
         z = self._inertial.step(dt, a_up_mps2)
         self.t_s = t_s
@@ -147,12 +160,13 @@ class HarmonicObserver:
     def _bridge(self, until_s: float) -> None:
         """Go through a gap on the model's own acceleration: the samples that are missing, not a flat line."""
         while until_s - self.t_s > 1.5 * FILL_STEP_S:
-            pairs = self._x[:-1].reshape(-1, 2)
-            angle = self._omega * FILL_STEP_S
-            ahead = pairs[:, 0] * np.cos(angle) + pairs[:, 1] * np.sin(angle) / self._omega
-            a = self._bias - float(np.sum(self._omega**2 * ahead))
+            # Of the heave, not of the inertial displacement: that one is early.
+            row = self._output_row(FILL_STEP_S - self.design_lead_s) / self._gain
+            row[:-1] *= np.repeat(self._omega**2, 2)
+            a = self._bias - float(row @ self._x)
             self._inertial.step(FILL_STEP_S, a)
             self.t_s += FILL_STEP_S
+            self._ring.push((self.t_s, a))
             F, Q = self._transition(FILL_STEP_S), self._Q(FILL_STEP_S)
             predicted = sigma.predict(self._points, self._x, self._P, F, Q)
             if predicted is None:
@@ -211,7 +225,11 @@ class HarmonicObserver:
         self._refreshed_t_s = t_s
         record = self._ring.since(t_s - self._params.window_s)
         found = 2.0 * pi * dominant_frequencies(
-            record[:, 0], record[:, 1], self._params.components, self._params.band_hz
+            record[:, 0],
+            record[:, 1],
+            self._params.components,
+            self._params.band_hz,
+            1.0 / self._params.highpass_period_s,
         )
         if len(found):
             # Fewer peaks than components: the others stay where they were, but never two at one frequency.
@@ -250,16 +268,34 @@ class HarmonicObserver:
         return np.asarray(np.linalg.solve(left, drive)[..., 0] * inertial[:, None])
 
     def _shift_and_gain(self) -> tuple[float, float]:
-        """Lead (s) and gain of integration and observer at the dominant frequency."""
-        w = self.omega_radps
-        response = complex(np.sum(self._state_response(np.array([w]))[0, :-1:2]))
-        return phase(response) / w, abs(response)
+        """Lead (s) and gain of integration and observer, m of eq. (14): the pair that errs least on the sea at hand.
 
-    def error_std_m(self, shift_s: float) -> float:
+        Minimises the integral of |1 - G(lead) / gain|^2 S df over the wave band, G the response of the chain moved back
+        by the lead; for a single tone that is its phase and its amplitude. Before there is a spectrum: those, at the
+        assumed frequency.
+        """
+        f, S = self._spectrum
+        if len(f) < 2 or not float(np.sum(S)) > 0.0:
+            w = self.omega_radps
+            response = complex(np.sum(self._state_response(np.array([w]))[0, :-1:2]))
+            return phase(response) / w, abs(response)
+        leads, gain = np.linspace(*LEAD_RANGE, 61) * 2.0 * pi / self.omega_radps, 1.0
+        for _ in range(3):
+            G = self._response @ np.stack([self._output_row(-lead) for lead in leads], axis=1)
+            cross, power = S @ G.real, S @ np.abs(G) ** 2
+            best = int(np.argmax(np.where(cross > 0.0, cross**2 / power, 0.0)))
+            lead, gain = float(leads[best]), float(power[best] / max(cross[best], 1e-300))
+            leads = np.linspace(lead - (leads[1] - leads[0]), lead + (leads[1] - leads[0]), 11)
+        return lead, max(gain, MIN_GAIN)
+
+    def error_std_m(self, shift_s: float, scale: float = 1.0) -> float:
         """Standard deviation of the error of :meth:`at` for a moment ``shift_s`` after the last sample.
 
+        scale: what the laser has shown of the modelled part, as a factor.
+
         From the spectrum S of the measured acceleration over omega^4 and the response G of the whole chain:
-        integral of |exp(j omega shift) - G|^2 S df. Noise in the wave band counts as sea, so it errs upwards.
+        integral of |exp(j omega shift) - G|^2 S df. Noise in the wave band counts as sea, so it errs upwards. After a
+        gap, what it had to be bridged with is off by the error of a forecast that long; that is added and dies down.
         nan until there is a spectrum.
         """
         key = round(shift_s, 2)
@@ -270,7 +306,7 @@ class HarmonicObserver:
             w = 2.0 * pi * f
             G = self._response @ self._output_row(key - self._target[0]) / self._target[1]
             self._error_cache[key] = sqrt(float(np.sum(np.abs(np.exp(1j * w * key) - G) ** 2 * S) * (f[1] - f[0])))
-        return self._error_cache[key]
+        return hypot(scale * self._error_cache[key], self._gap_error_m)
 
     def heave_std_m(self) -> float:
         """Standard deviation of the heave itself over the recent past: what knowing nothing would be off by."""

@@ -36,7 +36,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     time_constant_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] = 60.0
     """Of the first-order update; the first comparisons are averaged."""
     limit_s: Annotated[float, msgspec.Meta(gt=0, le=5)] = 1.0
-    """Bound on what is learned, either sign."""
+    """Bound on what is learned, either sign; a laser that shows more is of the wrong sign, or of something else."""
 
 
 class Comparison(msgspec.Struct, frozen=True):
@@ -102,7 +102,9 @@ class LeadTracker:
         self.last = comparison
         if comparison is None or comparison.coherence < p.min_coherence or comparison.lead_std_s > p.max_std_s:
             return False
-        measured = min(max(comparison.lead_s - design_lead_s, -p.limit_s), p.limit_s)
+        measured = comparison.lead_s - design_lead_s
+        if abs(measured) > p.limit_s:
+            return False
         weight = max(self._weight, 1.0 / (1.0 + self.updates))
         self.learned_s += weight * (measured - self.learned_s)
         self.updates += 1

@@ -35,7 +35,7 @@ class Facts(msgspec.Struct, frozen=True, kw_only=True):
     """Length from which it counts as settled."""
     error_std_m: float
     heave_std_m: float
-    tilt_known: bool
+    tilt_removed: bool
     std_scale: float
     laser_fault: Fault
     laser_configured: bool
@@ -54,7 +54,7 @@ def judge(facts: Facts) -> tuple[HeaveState, tuple[str, ...]]:
         what = f.imu_fault.value if f.imu_fault is not Fault.NONE else "no samples"
         return HeaveState.INVALID, (f"imu: {what}", *reasons)
     if not isfinite(f.error_std_m):
-        return HeaveState.SETTLING, (f"settling: {max(f.settled_s, 0.0):.0f} s of {f.needed_s:.0f} s", *reasons)
+        return HeaveState.SETTLING, (f"settling: {max(0.0, f.settled_s):.0f} s of {f.needed_s:.0f} s", *reasons)
     if f.settled_s < f.needed_s:
         state = HeaveState.SETTLING
         reasons.insert(0, f"settling: {f.settled_s:.0f} s of {f.needed_s:.0f} s")
@@ -62,11 +62,12 @@ def judge(facts: Facts) -> tuple[HeaveState, tuple[str, ...]]:
     if f.since_sample_s > max(MISSING_S, 2.0 * f.period_s if isfinite(f.period_s) else MISSING_S):
         what = f.imu_fault.value if f.imu_fault is not Fault.NONE else "samples missing"
         degraded.append(f"imu: {what}, extrapolated")
-    if not f.tilt_known:
-        degraded.append("no attitude: tilt not removed")
-    if f.error_std_m > max(BROAD_SEA * f.heave_std_m, SMALL_M):
+    if not f.tilt_removed:
+        degraded.append("no attitude or no horizontal acceleration: tilt not removed")
+    limit_m = max(BROAD_SEA * f.heave_std_m, SMALL_M)
+    if f.error_std_m > limit_m * max(f.std_scale, 1.0):
         degraded.append("sea broader than the harmonic model")
-    if f.std_scale > DISAGREEMENT:
+    elif f.error_std_m > limit_m or f.std_scale > DISAGREEMENT:
         degraded.append("laser and observer disagree")
     if degraded and state is HeaveState.VALID:
         state = HeaveState.DEGRADED

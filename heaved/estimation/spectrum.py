@@ -11,6 +11,8 @@ Array = NDArray[np.float64]
 
 GRID_HZ: Final = 10.0
 """Rate to which records are brought for an FFT; waves end an order of magnitude below its Nyquist frequency."""
+SILENCE_MPS2: Final = 1e-9
+"""Less than this is the rounding of a constant, not motion."""
 PADDING: Final = 4
 """Zero padding: four points within each bin of the window, which the parabola through a peak then refines."""
 
@@ -21,23 +23,27 @@ def resample(t_s: Array, values: Array) -> Array:
     return np.interp(grid, t_s, values)
 
 
-def dominant_frequencies(t_s: Array, a_mps2: Array, count: int, band_hz: tuple[float, float]) -> Array:
+def dominant_frequencies(
+    t_s: Array, a_mps2: Array, count: int, band_hz: tuple[float, float], highpass_hz: float
+) -> Array:
     """Frequencies (Hz) of the ``count`` largest peaks of the heave, ascending; fewer where the record shows fewer.
 
     t_s, a_mps2 (n,): vertical acceleration over the window (Zhang et al. 2022, section 3.2: 30 s). The peaks are those
-    of acceleration over omega^2, not of the integrated displacement, which would show the start of the integrator for
-    half a minute. The division tilts each line of the windowed spectrum, so that its top lies low by half a bin or so; a
+    of the acceleration times the integrator's own |1 / (s^2 + sqrt(2) w s + w^2)|, w = 2 pi highpass_hz: the integrated
+    displacement itself would show its start for half a minute, and a plain 1 / omega^2 would find the skirt of the
+    window at the lower end of the band. The division tilts each line, so that its top lies low by half a bin or so; a
     peak is therefore placed at the top of the acceleration's own line, by the parabola through its logarithm, at most
-    half a bin away: within 2 % of a bin for a pure tone under the Hann window. Peaks closer to each other than the
-    resolution of the window (1 / its length) are one.
+    half a bin away: for a pure tone under the Hann window within 5 % of a bin when the window holds 3.5 periods of it,
+    20 % when it holds less than two. Peaks closer to each other than the resolution of the window (1 / its length) are
+    one.
     """
     x = _detrended(resample(t_s, a_mps2))
     n = len(x)
-    if n < 8:
+    if n < 8 or float(np.max(np.abs(x))) < SILENCE_MPS2:
         return np.empty(0)
     f = np.fft.rfftfreq(PADDING * n, 1.0 / GRID_HZ)
     line = np.abs(np.fft.rfft(x * np.hanning(n), PADDING * n))
-    amplitude = line / np.maximum(f, 0.5 * band_hz[0]) ** 2
+    amplitude = line / np.sqrt(f**4 + highpass_hz**4)
     inner = amplitude[1:-1]
     peaks = 1 + np.flatnonzero((inner > amplitude[:-2]) & (inner >= amplitude[2:]) & (f[1:-1] > band_hz[0]))
     peaks = peaks[f[peaks] < band_hz[1]]
@@ -48,7 +54,7 @@ def dominant_frequencies(t_s: Array, a_mps2: Array, count: int, band_hz: tuple[f
         away = 0.5 * (left - right) / curvature if curvature < 0.0 else 0.0
         at = f[k] + f[1] * min(max(away, -0.5 * PADDING), 0.5 * PADDING)
         if all(abs(at - other) > GRID_HZ / n for other in found):
-            found.append(float(at))
+            found.append(min(max(float(at), band_hz[0]), band_hz[1]))
         if len(found) == count:
             break
     return np.sort(np.array(found))
@@ -68,9 +74,9 @@ def heave_spectrum(t_s: Array, a_mps2: Array, band_hz: tuple[float, float], segm
     starts = range(0, len(x) - n + 1, max(1, n // 2))
     segments = np.stack([_detrended(x[s : s + n]) for s in starts]) * window
     power = np.mean(np.abs(np.fft.rfft(segments)) ** 2, axis=0) * 2.0 / (GRID_HZ * np.sum(window**2))
-    f = np.fft.rfftfreq(n, 1.0 / GRID_HZ)
-    inside = (f >= band_hz[0]) & (f <= band_hz[1])
-    f = f[inside]
+    grid_hz = np.fft.rfftfreq(n, 1.0 / GRID_HZ)
+    inside = (grid_hz >= band_hz[0]) & (grid_hz <= band_hz[1])
+    f: Array = grid_hz[inside].astype(np.float64)
     return f, power[inside] / (2.0 * np.pi * f) ** 4
 
 

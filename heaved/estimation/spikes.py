@@ -1,4 +1,4 @@
-"""A gate for single wild readings of the accelerometer, before they are integrated twice."""
+"""A gate for wild readings of the accelerometer, before they are integrated twice."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ FLOOR_MPS2: Final = 0.5
 """Steps below this are never suspect: slams and engine vibration are real."""
 LASTING_S: Final = 0.15
 """A level that lasts is real; a spike is over after a reading or two."""
+PLAUSIBLE_MPS2: Final = 8.0
+"""No vessel that lifts loads heaves harder, for however long; free fall is what a register left at zero reads."""
 MEMORY: Final = 0.005
 """Weight of one step in the mean square (the last 200 steps)."""
 STALE_S: Final = 0.5
@@ -29,6 +31,9 @@ class SpikeGate:
     def __call__(self, t_s: float, value: float) -> float:
         """The value, or nan for a spike. Not finite: nan. The first 100 steps are only learned from."""
         if not isfinite(value):
+            return nan
+        if abs(value) > PLAUSIBLE_MPS2:
+            self.rejected += 1
             return nan
         step = value - self._value
         elapsed = t_s - self._t_s

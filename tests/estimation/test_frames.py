@@ -24,7 +24,7 @@ def test_gives_the_vertical_part_of_any_motion() -> None:
     for _ in range(50):
         level = rng.normal(0.0, 3.0, 3)
         roll, pitch = rng.uniform(-1.0, 1.0, 2)
-        f = body_force(level + [0.0, 0.0, GRAVITY_MPS2], roll, pitch)
+        f = body_force(level + np.array([0.0, 0.0, GRAVITY_MPS2]), roll, pitch)
         assert up_acceleration(*f, roll, pitch) == pytest.approx(level[2], abs=1e-12)
 
 

@@ -1,0 +1,143 @@
+"""Oracle: a laser made from the observer's own output, moved and scaled by known amounts."""
+
+from math import cos, pi, sin
+
+import numpy as np
+import pytest
+
+from heaved.estimation.lead import Comparison, LeadTracker, Params, compare
+
+OMEGA = 2.0 * pi / 6.0
+
+
+def readings(
+    rng: np.random.Generator, lead_s: float, gain: float, noise_m: float, span_s: float = 60.0, share: float = 0.5
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Times, early observer (heave, velocity) and laser = gain * truth + 12 m + noise, with holes in it."""
+    t = np.sort(rng.choice(np.arange(0.0, span_s, 0.05), int(share * span_s / 0.05), replace=False)) + 5000.0
+    phase = rng.uniform(0.0, 2.0 * pi)
+    early = OMEGA * (t + lead_s) + phase
+    truth = 0.04 * np.sin(OMEGA * t + phase)
+    laser = 12.0 + gain * truth + noise_m * rng.standard_normal(len(t))
+    return t, 0.04 * np.sin(early), 0.04 * OMEGA * np.cos(early), laser
+
+
+@pytest.mark.parametrize("lead_s", [-0.9, -0.1, 0.0, 0.25, 1.0])
+@pytest.mark.parametrize("gain", [0.8, 1.0, 1.3])
+def test_a_known_lead_and_gain_are_found_exactly_without_noise(lead_s: float, gain: float) -> None:
+    shown = compare(*readings(np.random.default_rng(1), lead_s, gain, 0.0), OMEGA)
+    assert shown is not None
+    assert shown.lead_s == pytest.approx(lead_s, abs=1e-9)  # positive: the estimate is early
+    assert shown.gain == pytest.approx(gain, abs=1e-9)
+    assert shown.coherence == pytest.approx(1.0, abs=1e-9)
+    assert shown.lead_std_s < 1e-9
+
+
+def test_a_constant_and_a_slope_of_the_laser_do_not_count() -> None:
+    t, heave, velocity, laser = readings(np.random.default_rng(2), 0.2, 1.0, 0.0)
+    shown = compare(t, heave, velocity, laser - 30.0 + 0.01 * (t - 5000.0), OMEGA)
+    assert shown is not None
+    assert (shown.lead_s, shown.coherence) == pytest.approx((0.2, 1.0), abs=1e-6)
+
+
+def test_with_noise_and_gaps_the_lead_lies_within_its_own_standard_error() -> None:
+    """Over 100 records no bias, and the claimed error is not below the realised one (it allows for slow residuals)."""
+    rng = np.random.default_rng(3)
+    normalised = []
+    for _ in range(100):
+        shown = compare(*readings(rng, 0.3, 1.1, 0.01, share=rng.uniform(0.2, 0.9)), OMEGA)
+        assert shown is not None
+        normalised.append((shown.lead_s - 0.3) / shown.lead_std_s)
+    z = np.array(normalised)
+    assert abs(np.mean(z)) < 0.3
+    assert np.mean(np.abs(z) < 1.96) > 0.9
+
+
+def test_with_residuals_as_narrow_as_the_sea_it_still_does() -> None:
+    """Waves beside the dominant frequency are what the residual is made of; they are as slow as the sea itself."""
+    rng = np.random.default_rng(4)
+    normalised = []
+    for _ in range(100):
+        t, heave, velocity, laser = readings(rng, 0.3, 1.0, 0.0, span_s=90.0, share=1.0)
+        beside = rng.uniform(1.05, 1.3) * OMEGA
+        laser = (
+            laser
+            + 0.008 * np.sin(beside * t + rng.uniform(0.0, 2.0 * pi))
+            + 0.008 * np.sin(rng.uniform(0.7, 0.95) * OMEGA * t + rng.uniform(0.0, 2.0 * pi))
+        )
+        shown = compare(t, heave, velocity, laser, OMEGA)
+        assert shown is not None
+        normalised.append((shown.lead_s - 0.3) / shown.lead_std_s)
+    assert np.mean(np.abs(np.array(normalised)) < 1.96) > 0.9
+
+
+def test_too_few_readings_or_no_motion_give_no_comparison() -> None:
+    t, heave, velocity, laser = readings(np.random.default_rng(5), 0.0, 1.0, 0.0)
+    assert compare(t[:7], heave[:7], velocity[:7], laser[:7], OMEGA) is None
+    assert compare(t[:0], heave[:0], velocity[:0], laser[:0], OMEGA) is None
+    assert compare(t, 0.0 * heave, 0.0 * velocity, laser, OMEGA) is None
+    shown = compare(t, heave, velocity, np.full(len(t), 12.0), OMEGA)
+    assert shown is None or shown.coherence < 0.1
+
+
+def comparison(lead_s: float, lead_std_s: float = 0.01, coherence: float = 0.95) -> Comparison:
+    return Comparison(lead_s=lead_s, lead_std_s=lead_std_s, gain=1.0, coherence=coherence)
+
+
+def test_what_is_learned_is_the_lead_beyond_the_design() -> None:
+    tracker = LeadTracker(Params())
+    assert tracker.update(comparison(0.5), design_lead_s=0.4)
+    assert tracker.learned_s == pytest.approx(0.1)
+    tracker = LeadTracker(Params())
+    assert tracker.update(comparison(0.2), design_lead_s=0.4)
+    assert tracker.learned_s == pytest.approx(-0.2)
+
+
+def test_the_first_comparisons_are_averaged_and_then_followed_slowly() -> None:
+    p = Params(refresh_s=10.0, time_constant_s=100.0)
+    tracker = LeadTracker(p)
+    values = [0.1, 0.3, 0.2, 0.0]
+    for n, value in enumerate(values, 1):
+        tracker.update(comparison(value), 0.0)
+        assert tracker.learned_s == pytest.approx(np.mean(values[:n]))
+    for _ in range(200):
+        tracker.update(comparison(0.1), 0.0)
+    tracker.update(comparison(0.2), 0.0)
+    assert tracker.learned_s == pytest.approx(0.1 + 0.1 * (1.0 - np.exp(-0.1)), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "poor",
+    [
+        None,
+        comparison(0.3, coherence=0.2),
+        comparison(0.3, lead_std_s=0.2),
+        comparison(3.0),  # a laser of the wrong sign is half a period off
+        comparison(-1.2),
+    ],
+)
+def test_what_is_not_believable_is_not_learned(poor: Comparison | None) -> None:
+    tracker = LeadTracker(Params())
+    tracker.update(comparison(0.1), 0.0)
+    assert not tracker.update(poor, 0.0)
+    assert (tracker.learned_s, tracker.updates) == (pytest.approx(0.1), 1)
+
+
+def test_restored_is_bounded_and_soon_overruled() -> None:
+    tracker = LeadTracker(Params())
+    tracker.restore(7.0)
+    assert tracker.learned_s == 1.0
+    tracker.restore(-0.4)
+    for _ in range(60):
+        tracker.update(comparison(0.1), 0.0)
+    assert tracker.learned_s == pytest.approx(0.1, abs=1e-3)
+
+
+def test_the_sign_is_that_of_the_multistep() -> None:
+    """A pair that is early by L, moved by F^(-L), lies on the laser."""
+    t, heave, velocity, laser = readings(np.random.default_rng(7), 0.6, 1.0, 0.0)
+    shown = compare(t, heave, velocity, laser, OMEGA)
+    assert shown is not None
+    L = -shown.lead_s
+    moved = heave * cos(OMEGA * L) + velocity / OMEGA * sin(OMEGA * L)
+    assert moved == pytest.approx(laser - 12.0, abs=1e-9)

@@ -1,0 +1,58 @@
+"""Oracle: the table of what a consumer is to be told, written out."""
+
+from math import nan
+
+import msgspec
+import pytest
+
+from heaved.estimation.quality import Facts, judge
+from heaved.samples import Fault, HeaveState
+
+WELL = Facts(
+    imu_fault=Fault.NONE,
+    since_sample_s=0.0,
+    period_s=0.05,
+    settled_s=100.0,
+    needed_s=30.0,
+    error_std_m=0.02,
+    heave_std_m=0.5,
+    tilt_removed=True,
+    std_scale=1.0,
+    laser_fault=Fault.NONE,
+    laser_configured=True,
+    laser_fresh=True,
+)
+VALID, SETTLING, DEGRADED, INVALID = HeaveState.VALID, HeaveState.SETTLING, HeaveState.DEGRADED, HeaveState.INVALID
+TILT = "no attitude or no horizontal acceleration: tilt not removed"
+
+TABLE = [
+    ({}, VALID, ()),
+    ({"since_sample_s": 0.09}, VALID, ()),
+    ({"since_sample_s": 0.11}, DEGRADED, ("imu: samples missing, extrapolated",)),
+    ({"since_sample_s": 0.11, "period_s": 0.1}, VALID, ()),
+    ({"since_sample_s": 0.21, "period_s": 0.1}, DEGRADED, ("imu: samples missing, extrapolated",)),
+    ({"since_sample_s": 0.2, "imu_fault": Fault.CRC}, DEGRADED, ("imu: crc, extrapolated",)),
+    ({"since_sample_s": 1.0}, DEGRADED, ("imu: samples missing, extrapolated",)),
+    ({"since_sample_s": 1.01}, INVALID, ("imu: no samples",)),
+    ({"since_sample_s": 9.0, "imu_fault": Fault.TIMEOUT}, INVALID, ("imu: timeout",)),
+    ({"since_sample_s": nan, "period_s": nan, "settled_s": nan, "error_std_m": nan}, INVALID, ("imu: no samples",)),
+    ({"settled_s": 12.0, "error_std_m": nan}, SETTLING, ("settling: 12 s of 30 s",)),
+    ({"settled_s": nan, "error_std_m": nan}, SETTLING, ("settling: 0 s of 30 s",)),
+    ({"settled_s": 16.0}, SETTLING, ("settling: 16 s of 30 s",)),
+    ({"settled_s": 16.0, "tilt_removed": False}, SETTLING, (TILT, "settling: 16 s of 30 s")),
+    ({"tilt_removed": False}, DEGRADED, (TILT,)),
+    ({"error_std_m": 0.12}, DEGRADED, ("sea broader than the harmonic model",)),
+    ({"error_std_m": 0.005, "heave_std_m": 0.006}, VALID, ()),
+    ({"error_std_m": 0.12, "std_scale": 0.5}, DEGRADED, ("sea broader than the harmonic model",)),
+    ({"error_std_m": 0.12, "std_scale": 2.0}, DEGRADED, ("laser and observer disagree",)),
+    ({"std_scale": 3.1}, DEGRADED, ("laser and observer disagree",)),
+    ({"laser_fresh": False}, VALID, ("laser: no fresh reference",)),
+    ({"laser_fresh": False, "laser_fault": Fault.STUCK}, VALID, ("laser: stuck",)),
+    ({"laser_fresh": False, "laser_configured": False}, VALID, ()),
+    ({"laser_fresh": False, "since_sample_s": 2.0}, INVALID, ("imu: no samples", "laser: no fresh reference")),
+]
+
+
+@pytest.mark.parametrize(("changed", "state", "reasons"), TABLE)
+def test_state_and_reasons(changed: dict[str, object], state: HeaveState, reasons: tuple[str, ...]) -> None:
+    assert judge(msgspec.structs.replace(WELL, **changed)) == (state, reasons)
