@@ -9,23 +9,20 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from math import inf, isfinite, nan
+from collections import Counter
+from math import isfinite, nan
 from typing import Final
 
 import msgspec
-import numpy as np
 
 from heaved.estimation.correction import Params as CorrectionParams
 from heaved.estimation.correction import ResidualCorrection, Saved
 from heaved.estimation.frames import up_acceleration
 from heaved.estimation.heave import HarmonicObserver
 from heaved.estimation.heave import Params as HeaveParams
-from heaved.estimation.lead import LeadTracker, compare
+from heaved.estimation.laser import LaserTeacher
 from heaved.estimation.quality import COAST_S, Facts, judge
 from heaved.estimation.reference import Params as LaserParams
-from heaved.estimation.reference import Reference, Verdict
-from heaved.estimation.ring import Ring
 from heaved.estimation.rock import Params as RockParams
 from heaved.estimation.rock import RockPredictor
 from heaved.estimation.spikes import SpikeGate
@@ -45,12 +42,6 @@ from heaved.samples import (
 
 ATTITUDE_HOLD_S: Final = 0.5
 """The last attitude serves this long; then the tilt is unknown."""
-LATE_LASER_S: Final = 4.0
-"""A laser reading may come this late and still be compared with the heave of its own time."""
-REFERENCE_AFTER_S: Final = 30.0
-"""The observer's start is not compared with the laser before this."""
-LEARN_AFTER_S: Final = 60.0
-"""Nor is a network trained on it before this: it would learn the transient."""
 MAX_RATE_HZ: Final = 250.0
 """Sizes the rings; a faster sensor is served too, with a shorter memory of late lasers."""
 
@@ -97,21 +88,14 @@ class Pipeline:
         self._has_laser = has_laser
         self._spikes = SpikeGate()
         self._observer = HarmonicObserver(heave, MAX_RATE_HZ)
-        self._lead = LeadTracker(heave.lead)
-        self._reference = Reference(laser)
         self._correction = ResidualCorrection(correction, MAX_RATE_HZ)
+        self._laser = LaserTeacher(laser, heave.lead, self._correction, MAX_RATE_HZ)
         self._rock = RockPredictor(rock)
-        self._outputs = Ring(int(LATE_LASER_S * MAX_RATE_HZ), 5)
-        """Time, observer output X*, published heave, and the unshifted observer's heave and velocity."""
-        self._compared = Ring(int(heave.lead.window_s * MAX_RATE_HZ), 4)
-        """Time of a laser reading, the unshifted observer's heave and velocity then, the signed reading."""
-        self._waiting: deque[LaserSample] = deque(maxlen=1024)
         self._imu_t_s = self._good_t_s = self._period_s = nan
-        self._lead_t_s = self._accepted_t_s = nan
+        self._accepted_t_s = nan
         self._attitude, self._attitude_t_s = (nan, nan, nan), nan
         self._tilt_removed = False
-        self._laser_t_s = -inf
-        self._imu_fault = self._laser_fault = Fault.NONE
+        self._imu_fault = Fault.NONE
         self._trained: Counter[str] = Counter()
         self._out_of_order = 0
         self.resets: Counter[tuple[str, str]] = Counter()
@@ -121,7 +105,7 @@ class Pipeline:
     def step(self, sample: ImuSample | LaserSample) -> MotionFrame | None:
         """Take one sample; a frame for each IMU sample, faulted ones too. One older than the last is counted."""
         if isinstance(sample, LaserSample):
-            self._waiting.append(sample)
+            self._laser.give(sample)
             return None
         t = sample.t_s
         if t <= self._imu_t_s:
@@ -133,8 +117,7 @@ class Pipeline:
             self._take_attitude(sample)
             self._observe(sample)
         rock = self._rock.step(t, *((sample.roll_rad, sample.pitch_rad, sample.yaw_rad) if good else (nan, nan, nan)))
-        self._take_laser()
-        self._learn_lead(t)
+        self._laser.teach(t, self._observer)
         return self._frame(t, rock)
 
     def coast(self, t_s: float) -> MotionFrame:
@@ -167,54 +150,16 @@ class Pipeline:
         self._observer.step(t, up)
         if self._observer.resets.total() != before:
             self.resets = Counter({("heave", reason): count for reason, count in self._observer.resets.items()})
-            self._outputs.clear()
-            self._compared.clear()
-            self._correction.forget_outputs()
-        observer, unshifted = self._observer.at(0.0, self._lead.learned_s), self._observer.unshifted()
+            self._laser.forget()
+        observer, unshifted = self._observer.at(0.0, self._laser.lead.learned_s), self._observer.unshifted()
         corrected = observer.heave_m + self._correction.step(t, observer.heave_m, self._observer.omega_radps)
-        self._outputs.push((t, observer.heave_m, corrected, unshifted.heave_m, unshifted.velocity_mps))
+        self._laser.note(t, observer.heave_m, corrected, unshifted)
 
-    # --- what the laser teaches --------------------------------------------------------------------------------------
-
-    def _take_laser(self) -> None:
-        """Compare each reading with the heave of its own time, which it waits for and may be late for."""
-        while self._waiting and not self._waiting[0].t_s > self._good_t_s:
-            sample = self._waiting.popleft()
-            self._laser_fault = sample.fault
-            row = self._outputs.interpolate(sample.t_s)
-            settled = self._observer.settled_s >= REFERENCE_AFTER_S and self._observer.refreshes > 0
-            usable = settled and isfinite(row[1] + sample.laser_m) and sample.t_s > self._laser_t_s
-            if sample.fault is not Fault.NONE or not usable:
-                continue
-            self._laser_t_s = sample.t_s
-            _, observer_m, corrected_m, heave_m, velocity_mps = row.tolist()
-            verdict = self._reference.take(sample.t_s, sample.laser_m, corrected_m, self._observer.error_std_m(0.0))
-            if verdict is Verdict.RESTARTED:
-                self._compared.clear()
-                self._correction.forget_rows()
-            if verdict is Verdict.ACCEPTED:
-                signed = self._reference.signed(sample.laser_m)
-                self._compared.push((sample.t_s, heave_m, velocity_mps, signed))
-                if self._observer.settled_s >= LEARN_AFTER_S:
-                    self._correction.learn(sample.t_s, signed - observer_m, self._reference.constant_m)
-
-    def _learn_lead(self, t_s: float) -> None:
-        """Every refresh, the lead that the laser shows beyond that of the chain's own design."""
-        p = self._params.lead
-        if not p.enabled or t_s - self._lead_t_s < p.refresh_s:
-            return
-        self._lead_t_s = t_s
-        rows = self._compared.since(t_s - p.window_s)
-        if float(np.minimum(np.diff(rows[:, 0]), 0.5).sum()) < p.min_laser_s:
-            return
-        first = self._lead.updates == 0
-        shown = compare(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3], self._observer.omega_radps)
-        if self._lead.update(shown, self._observer.design_lead_s) and first:
-            self._correction.forget_rows()
+    # --- what is learned ---------------------------------------------------------------------------------------------
 
     def training_due(self) -> TrainingWindow | None:
         """A window for the trainer, when it is time for one; each is given out once."""
-        if self._params.lead.enabled and self._lead.last is None:
+        if self._params.lead.enabled and self._laser.lead.last is None:
             return None  # The first comparison moves the observer, and with it everything there is to learn.
         return self._correction.due(self._good_t_s, self._observer.omega_radps)
 
@@ -229,11 +174,11 @@ class Pipeline:
     # --- the frame ---------------------------------------------------------------------------------------------------
 
     def _frame(self, t_s: float, rock: tuple[RockPrediction, ...]) -> MotionFrame:
-        observer, p, learned_s = self._observer, self._params, self._lead.learned_s
-        scale = self._reference.std_scale
+        observer, p, learned_s = self._observer, self._params, self._laser.lead.learned_s
+        scale = self._laser.reference.std_scale
         shift = t_s - observer.t_s
         error_std_m = observer.error_std_m(shift, scale) if shift <= COAST_S else nan
-        fresh = self._reference.fresh(t_s)
+        fresh = self._laser.reference.fresh(t_s)
         state, reasons = judge(
             Facts(
                 imu_fault=self._imu_fault,
@@ -245,7 +190,7 @@ class Pipeline:
                 heave_std_m=observer.heave_std_m(),
                 tilt_removed=self._tilt_removed and self._tilt_known(t_s),
                 std_scale=scale,
-                laser_fault=self._laser_fault,
+                laser_fault=self._laser.fault,
                 laser_configured=self._has_laser,
                 laser_fresh=fresh,
             )
@@ -271,7 +216,7 @@ class Pipeline:
             observer_m=motion.heave_m,
             correction_m=correction_m,
             lead_s=observer.design_lead_s + learned_s,
-            reference_m=self._reference.value_m if fresh else nan,
+            reference_m=self._laser.reference.value_m if fresh else nan,
             roll_rad=roll,
             pitch_rad=pitch,
             yaw_rad=yaw,
@@ -292,7 +237,7 @@ class Pipeline:
         """What a restart shall remember."""
         return PipelineState(
             frequencies_hz=self._observer.frequencies_hz,
-            lead_learned_s=self._lead.learned_s if self._lead.updates else None,
+            lead_learned_s=self._laser.lead.learned_s if self._laser.lead.updates else None,
             correction=self._correction.saved(),
         )
 
@@ -310,16 +255,16 @@ class Pipeline:
                 self._observer = HarmonicObserver(self._params, MAX_RATE_HZ)
                 raise
         if state.lead_learned_s is not None:
-            self._lead.restore(state.lead_learned_s)
+            self._laser.lead.restore(state.lead_learned_s)
 
     def summary(self) -> PipelineSummary:
         return PipelineSummary(
             frequencies_hz=self._observer.frequencies_hz,
-            lead_s=self._observer.design_lead_s + self._lead.learned_s,
-            lead_learned_s=self._lead.learned_s if self._lead.updates else nan,
-            lead_comparisons=self._lead.updates,
-            laser_constant_m=self._reference.constant_m,
-            laser_error_rms_m=self._reference.error_rms_m(),
+            lead_s=self._observer.design_lead_s + self._laser.lead.learned_s,
+            lead_learned_s=self._laser.lead.learned_s if self._laser.lead.updates else nan,
+            lead_comparisons=self._laser.lead.updates,
+            laser_constant_m=self._laser.reference.constant_m,
+            laser_error_rms_m=self._laser.reference.error_rms_m(),
             training_windows=self._correction.windows,
             trained_accepted=self._trained["accepted"],
             trained_rejected=self._trained["rejected"],

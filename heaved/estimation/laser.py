@@ -1,0 +1,101 @@
+"""What the laser teaches: each reading, compared with the heave of its own time, shows constant, lead and residual."""
+
+from __future__ import annotations
+
+from collections import deque
+from math import inf, isfinite, nan
+from typing import Final
+
+import numpy as np
+
+from heaved.estimation import lead, reference
+from heaved.estimation.correction import ResidualCorrection
+from heaved.estimation.heave import HarmonicObserver, Motion
+from heaved.estimation.ring import Ring
+from heaved.samples import Fault, LaserSample
+
+LATE_S: Final = 4.0
+"""A reading may come this late and still be compared with the heave of its own time."""
+REFERENCE_AFTER_S: Final = 30.0
+"""The observer's start is not compared with the laser before this."""
+LEARN_AFTER_S: Final = 60.0
+"""Nor is a network trained on it before this: it would learn the transient."""
+
+
+class LaserTeacher:
+    """Holds the reference and the lead, and feeds the correction with residuals.
+
+    Attributes:
+        reference: the laser as heave reference.
+        lead: what it has shown beyond the lead of the chain's own design.
+        fault: of the last reading that was looked at.
+    """
+
+    def __init__(
+        self, laser: reference.Params, comparison: lead.Params, correction: ResidualCorrection, max_rate_hz: float
+    ) -> None:
+        self._params = comparison
+        self._correction = correction
+        self.reference = reference.Reference(laser)
+        self.lead = lead.LeadTracker(comparison)
+        self.fault = Fault.NONE
+        self._waiting: deque[LaserSample] = deque(maxlen=1024)
+        self._outputs = Ring(int(LATE_S * max_rate_hz), 5)
+        """Time, observer output X*, published heave, and the unshifted observer's heave and velocity."""
+        self._compared = Ring(int(comparison.window_s * max_rate_hz), 4)
+        """Time of a reading, the unshifted observer's heave and velocity then, the signed reading."""
+        self._output_t_s = nan
+        self._taken_t_s = -inf
+        self._lead_t_s = nan
+
+    def give(self, sample: LaserSample) -> None:
+        """A reading, which waits until the heave of its time is known."""
+        self._waiting.append(sample)
+
+    def note(self, t_s: float, observer_m: float, published_m: float, unshifted: Motion) -> None:
+        """What the observer said at ``t_s``."""
+        self._output_t_s = t_s
+        self._outputs.push((t_s, observer_m, published_m, unshifted.heave_m, unshifted.velocity_mps))
+
+    def forget(self) -> None:
+        """The observer was restarted: nothing that it said before can be compared."""
+        self._outputs.clear()
+        self._compared.clear()
+        self._correction.forget_outputs()
+
+    def teach(self, t_s: float, observer: HarmonicObserver) -> None:
+        """Take the readings whose heave is known by now; every refresh, compare the lead."""
+        while self._waiting and not self._waiting[0].t_s > self._output_t_s:
+            self._take(self._waiting.popleft(), observer)
+        if self._params.enabled and not t_s - self._lead_t_s < self._params.refresh_s:
+            self._lead_t_s = t_s
+            self._learn_lead(t_s, observer)
+
+    def _take(self, sample: LaserSample, observer: HarmonicObserver) -> None:
+        self.fault = sample.fault
+        row = self._outputs.interpolate(sample.t_s)
+        settled = observer.settled_s >= REFERENCE_AFTER_S and observer.refreshes > 0
+        usable = settled and isfinite(row[1] + sample.laser_m) and sample.t_s > self._taken_t_s
+        if sample.fault is not Fault.NONE or not usable:
+            return
+        self._taken_t_s = sample.t_s
+        _, observer_m, published_m, heave_m, velocity_mps = row.tolist()
+        verdict = self.reference.take(sample.t_s, sample.laser_m, published_m, observer.error_std_m(0.0))
+        if verdict is reference.Verdict.RESTARTED:
+            self._compared.clear()
+            self._correction.forget_rows()
+        if verdict is reference.Verdict.ACCEPTED:
+            signed = self.reference.signed(sample.laser_m)
+            self._compared.push((sample.t_s, heave_m, velocity_mps, signed))
+            if observer.settled_s >= LEARN_AFTER_S:
+                self._correction.learn(sample.t_s, signed - observer_m, self.reference.constant_m)
+
+    def _learn_lead(self, t_s: float, observer: HarmonicObserver) -> None:
+        """The lead that the laser shows beyond that of the chain's own design."""
+        rows = self._compared.since(t_s - self._params.window_s)
+        if float(np.minimum(np.diff(rows[:, 0]), 0.5).sum()) < self._params.min_laser_s:
+            return
+        first = self.lead.updates == 0
+        shown = lead.compare(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3], observer.omega_radps)
+        if self.lead.update(shown, observer.design_lead_s) and first:
+            self._correction.forget_rows()
