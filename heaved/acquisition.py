@@ -51,6 +51,8 @@ class Acquisition:
         self.last_frame: MotionFrame | None = None
         self.frames = 0
         self.period_s = 1.0 / IDLE_RATE_HZ
+        self.trainings = 0
+        """Finished since the start, with any result and any pipeline."""
         self.last_training = ""
         self.accepted_s = nan
         """When the network in use was accepted."""
@@ -116,6 +118,7 @@ class Acquisition:
         except Exception as error:
             self._bug("accept", error)
             result = "failed"
+        self.trainings += 1
         self._metrics.training_runs.labels(result).inc()
         if result == "accepted":
             self.accepted_s = self._clock()

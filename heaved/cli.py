@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from collections.abc import Iterator
@@ -117,7 +118,7 @@ def run(
 
 
 @app.command("check-config")
-def check_config(file: Path) -> None:
+def check_config(file: Annotated[Path, typer.Argument(metavar="FILE")]) -> None:
     """Check a configuration file: names every fault, and rates that a serial line cannot carry (exit code 78)."""
     config = _load(file)
     from heaved.config import rate_faults
@@ -371,7 +372,9 @@ def sim(
             )
             demonstration.serve(devices, source, parse_faults(",".join(fault or ())), seed=seed, ready=ready)
         except OSError as error:
-            _fail(f"{error.filename}: {error.strerror}" if error.filename else str(error), 1)
+            in_use = "; stop what serves there (another heaved sim?), or change the link"
+            reason = f"{error.strerror or error}{in_use if error.errno == errno.EADDRINUSE else ''}"
+            _fail(f"{error.filename}: {reason}" if error.filename else reason, 1)
         except ValueError as error:
             _fail(str(error), 1)
 

@@ -10,7 +10,7 @@ from contextlib import suppress
 from importlib import resources
 from math import isfinite
 from pathlib import Path
-from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -116,8 +116,11 @@ def parse(document: Mapping[str, Any], *, file: str, directory: Path) -> Config:
             for i, device in enumerate(devices)
         ]
     _check(Config, tree, "", faults)
-    faults += _cross_checks(*_sound_parts(tree))
+    sound, tables = _sound_parts(tree)
+    faults += _cross_checks(sound, tables)
     if faults:
+        # Alone, a rate beyond the line is no reason to refuse a file; beside others it shall not wait for its turn.
+        faults += _overload_faults(tuple(sound.values()))
         raise ConfigError(file, faults)
     return msgspec.convert(tree, Config)
 
@@ -216,7 +219,9 @@ def _convert(kind: Any, value: Any, path: str, faults: list[str]) -> None:
     try:
         msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
-        faults.append(f"{path}: {error} (got {_shown(value)})")
+        choices = _choices_of(kind)
+        reason = f"must be {choices}" if choices and "Invalid enum value" in str(error) else str(error)
+        faults.append(f"{path}: {reason} (got {_shown(value)})")
         return
     numbers = value if isinstance(value, list) else [value]
     if any(isinstance(number, float) and not isfinite(number) for number in numbers):
@@ -244,6 +249,15 @@ def _table_of(kind: Any) -> Any:
 def _element_of(kind: Any) -> Any:
     kind = _strip(kind)
     return get_args(kind)[0] if get_origin(kind) is tuple else None
+
+
+def _choices_of(kind: Any) -> str:
+    """``'a', 'b' or 'c'`` for a Literal; empty for any other type."""
+    kind = _strip(kind)
+    if get_origin(kind) is not Literal:
+        return ""
+    *others, last = map(repr, get_args(kind))
+    return f"{', '.join(others)} or {last}" if others else last
 
 
 def _join(path: str, key: str) -> str:
@@ -277,7 +291,7 @@ def _cross_checks(devices: Mapping[int, DeviceSpec], config: Config) -> list[str
                 faults.append(f"device[{i}].{key}: {value!r} is already the {key} of device[{seen[value]}]")
             seen.setdefault(value, i)
     if not any(".link: " in fault for fault in faults):
-        overload = bus_load_faults(tuple(devices.values()))  # Of the plan, not of the file: see rate_faults.
+        overload = _overload_faults(tuple(devices.values()))  # Of the plan, not of the file: see rate_faults.
         faults += [fault for fault in line_faults(tuple(devices.values())) if fault not in overload]
     low, high = config.heave.band_hz
     if isfinite(low) and isfinite(high) and not 0.0 < low < high:
@@ -294,6 +308,14 @@ def _cross_checks(devices: Mapping[int, DeviceSpec], config: Config) -> list[str
     if config.http.enabled and same:
         faults.append(f"http.port: {config.http.port} is also stream.port")
     return faults
+
+
+def _overload_faults(devices: tuple[DeviceSpec, ...]) -> list[str]:
+    """As :func:`rate_faults`; none when a link cannot be parsed, which is a fault of its own."""
+    try:
+        return bus_load_faults(devices)
+    except ValueError:
+        return []
 
 
 def _device_faults(path: str, device: DeviceSpec) -> list[str]:

@@ -260,7 +260,9 @@ class Daemon:
             _log.warning("estimator reset", filter=name, reason=reason, count=count)
         self._resets_seen = Counter(resets)
         self.metrics.training_age.set(self._clock() - self.acquisition.accepted_s)
-        self._notifier.notify(f"STATUS={status_line(self.status())}")
+        status = self.status()
+        self._publisher.publish_record(status)
+        self._notifier.notify(f"STATUS={status_line(status)}")
 
     # ---- for the parts -----------------------------------------------------------------------------------------------
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from math import inf
+from math import inf, isfinite
 from typing import Literal
 
 import msgspec
@@ -20,7 +20,10 @@ BACK_AFTER_RELAPSE_S = 60.0
 """... or for so long, if it failed again within as much: a loose plug is no reason to flood the log."""
 SUMMARY_PERIOD_S = 60.0
 """Single faults of a device that is up are summed up at most this often."""
+MOSTLY_FAULTS_AFTER_S = 5.0
+"""... but the first time so soon, if most polls fail: with a wrong byte order a few values are plausible by chance."""
 _RATE_WINDOW_S = 2.0
+_RATE_FIRST_S = 0.5
 
 
 class Event(msgspec.Struct, frozen=True):
@@ -42,13 +45,18 @@ class RateMeter:
     def count(self, t_s: float) -> None:
         elapsed_s = t_s - self._since_s
         if elapsed_s >= _RATE_WINDOW_S:
-            self._per_s = self._count / elapsed_s
+            self._per_s = self._count / elapsed_s if elapsed_s < 2.0 * _RATE_WINDOW_S else 0.0
             self._since_s, self._count = t_s, 0
         self._count += 1
 
     def per_s(self, t_s: float) -> float:
-        """0 when nothing has come for a while."""
-        return self._per_s if t_s - self._since_s < 2.0 * _RATE_WINDOW_S else 0.0
+        """0 when nothing has come for a while. Until the first window is full, what there is of it."""
+        elapsed_s = t_s - self._since_s
+        if elapsed_s >= 2.0 * _RATE_WINDOW_S:
+            return 0.0
+        if self._per_s == 0.0 and elapsed_s >= _RATE_FIRST_S:
+            return (self._count - 1) / elapsed_s  # The first event opened the window.
+        return self._per_s
 
 
 class DeviceHealth:
@@ -74,6 +82,7 @@ class DeviceHealth:
         self._said_down = False
         self._said_up = False
         self._outage: Counter[Fault] = Counter()
+        self._outage_said: set[Fault] = set()
         self._outage_since_s = -inf
         self._held_since_s = inf
         self._back_s = -inf
@@ -81,6 +90,7 @@ class DeviceHealth:
         self._singles: Counter[Fault] = Counter()
         self._singles_since_s = -inf
         self._singles_polls = 0
+        self._summary_s = -inf
 
     def rate_hz(self, t_s: float) -> float:
         """Good samples a second, measured."""
@@ -114,7 +124,8 @@ class DeviceHealth:
             self.up = False
         if self._said_down:
             self._outage[fault] += 1
-            return self._changed(fault, detail) if self._outage[fault] == 1 else None
+            # A single lost answer of a device that has come back, but is not reported yet, is no news.
+            return None if self.up or fault in self._outage_said else self._changed(fault, detail)
         if not self.up and t_s - self._run_since_s >= DOWN_AFTER_S:
             return self._down(t_s, fault, detail)
         if not self._singles:
@@ -125,6 +136,7 @@ class DeviceHealth:
     def _down(self, t_s: float, fault: Fault, detail: str) -> Event:
         self._said_down, self._outage_since_s = True, self._run_since_s
         self._outage = Counter({fault: self._run})
+        self._outage_said, self._held_since_s = {fault}, inf
         self._singles.clear()
         fields: dict[str, str | int | float] = {"device": self.device, "fault": fault.value, "detail": detail}
         self._back_after_s = BACK_AFTER_S
@@ -134,8 +146,10 @@ class DeviceHealth:
         return Event("warning", "device down", fields)
 
     def _changed(self, fault: Fault, detail: str) -> Event:
+        self._outage_said.add(fault)
         fields: dict[str, str | int | float] = {"device": self.device, "fault": fault.value, "detail": detail}
-        return Event("warning", "device still down, another fault", fields)
+        state = "down again" if isfinite(self._held_since_s) else "still down"
+        return Event("warning", f"device {state}, another fault", fields)
 
     def _back(self, t_s: float) -> Event:
         self._said_down, self._said_up, self._back_s = False, True, t_s
@@ -144,9 +158,12 @@ class DeviceHealth:
         return Event("info", "device back", {"device": self.device, "away_s": round(outage_s, 3), **faults})
 
     def _summary(self, t_s: float) -> Event | None:
-        if not self._singles or t_s - self._singles_since_s < SUMMARY_PERIOD_S:
-            return None
         polls = self.results.total() - self._singles_polls + 1
+        is_early = 2 * self._singles.total() > polls and t_s - self._summary_s >= SUMMARY_PERIOD_S
+        if not self._singles or t_s - self._singles_since_s < (MOSTLY_FAULTS_AFTER_S if is_early else SUMMARY_PERIOD_S):
+            return None
         faults = {fault.value: count for fault, count in self._singles.items()}
         self._singles.clear()
-        return Event("warning", "device loses samples", {"device": self.device, "polls": polls, **faults})
+        self._summary_s = t_s
+        fields: dict[str, str | int | float] = {"device": self.device, "polls": polls, **faults, "detail": self.detail}
+        return Event("warning", "device loses samples", fields)

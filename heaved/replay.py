@@ -206,7 +206,13 @@ def _writing(out: Path | None) -> Iterator[TextIO]:
         OutputError: it cannot be written.
     """
     if out is None:
-        yield sys.stdout
+        try:
+            yield sys.stdout
+            sys.stdout.flush()
+        except OSError as error:
+            # What is still buffered cannot be written either: the interpreter would try, and say so, as it exits.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            raise OutputError(f"standard output: cannot be written: {error.strerror or error}") from error
         return
     is_special = out.exists() and not out.is_file()
     target = out.resolve()

@@ -9,7 +9,6 @@ from heaved.acquisition import Acquisition
 from heaved.clock import UtcClock
 from heaved.config import Config
 from heaved.outputs import wire
-from heaved.pipeline import PipelineSummary
 from heaved.samples import CorrectionState, Fault, HeaveState, LaserState, MotionFrame
 
 _NO_QUALITY = wire.QualityRecord(
@@ -48,7 +47,7 @@ def status_record(
             frequencies_hz=tuple(round(frequency_hz, 5) for frequency_hz in summary.frequencies_hz),
             resets=acquisition.pipeline.resets.total(),
         ),
-        correction=_correction(acquisition, summary, frame, now_s),
+        correction=_correction(acquisition, frame, now_s),
         clock=wire.ClockStatus(utc_offset_s=round(utc.offset_s, 6), steps=utc.steps),
         config_file=config_file,
         state_file=state_file,
@@ -111,13 +110,11 @@ def _devices(acquisition: Acquisition, config: Config, now_s: float) -> tuple[wi
     return tuple(devices)
 
 
-def _correction(
-    acquisition: Acquisition, summary: PipelineSummary, frame: MotionFrame | None, now_s: float
-) -> wire.CorrectionStatus:
+def _correction(acquisition: Acquisition, frame: MotionFrame | None, now_s: float) -> wire.CorrectionStatus:
     age_s = now_s - acquisition.accepted_s
     return wire.CorrectionStatus(
         state=frame.quality.correction if frame else CorrectionState.OFF,
-        runs=summary.trained_accepted + summary.trained_rejected + summary.trained_failed,
+        runs=acquisition.trainings,
         last_result=acquisition.last_training or None,
         age_s=round(age_s, 3) if isfinite(age_s) else None,
     )

@@ -339,3 +339,4 @@ def test_results_are_counted_and_said_when_they_change(rig):
     assert rig.value('heaved_training_runs_total{result="accepted"}') == 3
     assert rig.value('heaved_training_runs_total{result="failed"}') == 1
     assert rig.acquisition.accepted_s == 140.0
+    assert rig.acquisition.trainings == 6

@@ -234,6 +234,18 @@ def test_replay_to_standard_output_and_until(recording: Path, capsys: pytest.Cap
     assert list(recording.parent.iterdir()) == [recording]
 
 
+@pytest.mark.parametrize("rows", [40, 4000], ids=["less than a buffer", "more"])
+def test_replay_to_a_reader_that_goes_away_is_said_in_one_line(tmp_path: Path, rows: int) -> None:
+    path = tmp_path / "rec.csv"
+    path.write_text("t_s,az_mps2\n" + "".join(f"{k / 20},9.8\n" for k in range(rows)))
+    command = [sys.executable, "-m", "heaved", "replay", str(path), "-o", "-"]
+    ours, theirs = os.pipe()
+    os.close(ours)
+    result = subprocess.run(command, stdout=theirs, stderr=subprocess.PIPE, text=True, timeout=60)
+    os.close(theirs)
+    assert (result.returncode, result.stderr) == (1, "standard output: cannot be written: Broken pipe\n")
+
+
 def test_replay_of_what_is_no_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["replay", str(tmp_path / "absent.csv")]) == 1
     assert "absent.csv: cannot be read: No such file or directory" in capsys.readouterr().err
@@ -260,6 +272,16 @@ def test_replay_of_what_is_no_recording(tmp_path: Path, capsys: pytest.CaptureFi
 def test_what_cannot_be_simulated(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sim", *arguments]) == 1
     assert message in capsys.readouterr().err
+
+
+def test_sim_on_a_port_that_is_taken_says_what_to_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        config = tmp_path / "sim.toml"
+        demo = (data_directory() / "demo.toml").read_text()
+        config.write_text(demo.replace(":15020", f":{taken.getsockname()[1]}"))
+        assert main(["sim", "--config", str(config)]) == 1
+    error = capsys.readouterr().err
+    assert "address already in use; stop what serves there" in error
 
 
 def test_sim_serves_until_it_is_told_to_stop() -> None:

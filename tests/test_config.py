@@ -81,7 +81,9 @@ FAULTS: dict[str, tuple[str, str]] = {
     "missing key of a device": (IMU.replace("rate_hz = 100", "") + IMU_PROFILE, "device[0].rate_hz: missing"),
     "wrong type": ('[stream]\nport = "5570"', "stream.port: Expected `int`, got `str` (got '5570')"),
     "out of range": ("[stream]\nport = 70000", "stream.port: Expected `int` <= 65535 (got 70000)"),
-    "no such choice": ('[heave]\nobserver = "kalman"', "heave.observer: Invalid enum value 'kalman'"),
+    "no such choice": ('[heave]\nobserver = "kalman"', "heave.observer: must be 'harmonic' (got 'kalman')"),
+    "no such role": (LASER.replace('role = "laser"', 'role = "imu2"'), "must be 'imu' or 'laser' (got 'imu2')"),
+    "neither sign": ("[laser]\nsign = 2", "laser.sign: must be 1 or -1 (got 2)"),
     "nan": ("[heave]\nmax_gap_s = nan", "heave.max_gap_s: "),
     "nan in a list": ("[heave]\nband_hz = [nan, 0.6]", "heave.band_hz: must be finite"),
     "infinity": ("[correction]\nstep_s = inf", "correction.step_s: "),
@@ -145,6 +147,11 @@ def test_every_fault_is_reported_in_one_go() -> None:
     for path in ("heave.components", "heave.window", "stream.port", "http.allow[0]", "device[0].profile",
                  "device[1].rate_hz"):  # fmt: skip
         assert sum(fault.startswith(path + ":") for fault in found) == 1, (path, found)
+
+
+def test_a_rate_beyond_the_line_is_reported_beside_other_faults() -> None:
+    found = faults_of((IMU + IMU_PROFILE).replace("tcp://127.0.0.1:15020", "rtu:///dev/ttyS0") + "[haeve]")
+    assert [fault.split(":")[0] for fault in found] == ["haeve", "line /dev/ttyS0 (9600 8N1)"]
 
 
 def test_faults_of_a_profile_file_name_the_file(tmp_path: Path) -> None:

@@ -48,6 +48,17 @@ async def test_status_knows_it_all(tmp_path):
     assert record["quality"]["heave"] == "settling"
 
 
+async def test_who_watches_status_gets_it_without_asking(tmp_path):
+    async with running(demo_config(tmp_path, device=())) as daemon:
+        reader, writer = await asyncio.open_connection(*daemon.addresses["stream"])
+        writer.write(b'?WATCH={"classes":["STATUS"]}\n')
+        for _ in range(2):
+            while (record := json.loads(await reader.readline()))["class"] != "STATUS":
+                pass
+        writer.close()
+    assert record["devices"] == []
+
+
 async def test_http_says_alive_and_not_yet_ready_without_sensors(tmp_path):
     async with running(demo_config(tmp_path, device=())) as daemon:
         await until(daemon, lambda record: True)

@@ -79,7 +79,7 @@ async def test_absent_at_the_start_then_plugged_in(tmp_path):
         with capture_logs() as logs:
             async with running(config) as daemon:
                 first = await until(daemon, lambda record: not daemon.status().devices[0].up)
-                await until(daemon, lambda record: "device down" in events(logs))
+                await until(daemon, lambda record: events(logs).count("device down") == 2)
                 assert first["quality"]["heave"] == "invalid"
                 assert metric(daemon, 'heaved_device_up{device="imu"}') == 0
                 await plant.start()

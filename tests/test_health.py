@@ -73,6 +73,22 @@ def test_another_fault_during_an_outage_is_said_once_for_each_kind(polls):
     assert polls.texts() == ["device up", "device down", "device still down, another fault"]
 
 
+def test_a_device_that_fails_again_differently_is_not_said_to_be_still_down(polls):
+    polls.feed(100)
+    polls.feed(300, Fault.TIMEOUT)
+    polls.feed(300)
+    polls.feed(300, Fault.TIMEOUT)
+    assert polls.texts()[-1] == "device down"
+    polls.feed(500)
+    polls.feed(1, Fault.CRC)  # A single one, of a device that is up: no news.
+    polls.feed(500)
+    assert polls.texts()[-1] == "device down"
+    polls.feed(300, Fault.CRC)
+    assert polls.texts()[-1] == "device down again, another fault"
+    polls.feed(300, Fault.TIMEOUT)
+    assert len(polls.lines) == 5
+
+
 def test_single_faults_are_summed_up(polls):
     """One poll in twenty is lost, for five minutes."""
     for _ in range(1500):
@@ -82,6 +98,17 @@ def test_single_faults_are_summed_up(polls):
     assert polls.texts() == ["device up"] + ["device loses samples"] * 4
     assert all(line.fields["timeout"] == pytest.approx(300, abs=1) for line in polls.lines[1:])
     assert all(line.fields["polls"] == pytest.approx(6000, abs=25) for line in polls.lines[1:])
+
+
+def test_a_device_that_fails_mostly_but_never_for_long_is_reported_soon_and_not_often(polls):
+    """Wrong byte order: nine polls in ten are out of range, for two minutes."""
+    for number in range(1200):
+        polls.feed(1)
+        polls.feed(9, Fault.OUT_OF_RANGE)
+        if number == 60:
+            assert polls.texts() == ["device up", "device loses samples"]
+    assert polls.texts() == ["device up"] + ["device loses samples"] * 2
+    assert polls.lines[1].fields["detail"] == "out_of_range happened"
 
 
 def test_a_loose_plug_does_not_flood_the_log(polls):
@@ -108,6 +135,15 @@ def test_back_only_when_it_holds(polls):
 def test_measured_rate(polls):
     polls.feed(1000)
     assert polls.health.rate_hz(polls.now_s) == pytest.approx(100.0, rel=0.01)
+
+
+def test_the_rate_is_known_soon_after_the_first_sample_and_after_an_outage(polls):
+    polls.feed(60)
+    assert polls.health.rate_hz(polls.now_s) == pytest.approx(100.0, rel=0.02)
+    polls.feed(1000, Fault.TIMEOUT)
+    assert polls.health.rate_hz(polls.now_s) == 0.0
+    polls.feed(60)
+    assert polls.health.rate_hz(polls.now_s) == pytest.approx(100.0, rel=0.02)
     for _ in range(500):
         polls.feed(1)
         polls.feed(1, Fault.CRC)

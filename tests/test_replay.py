@@ -36,7 +36,7 @@ EAGER = Config(
 
 @pytest.fixture(scope="module")
 def sea() -> Recording:
-    return record(seaway("T3", seed=3), 70.0, imu_rate_hz=20.0, laser_rate_hz=10.0, seed=3)
+    return record(seaway("T3", seed=3), 110.0, imu_rate_hz=20.0, laser_rate_hz=10.0, seed=3)
 
 
 @pytest.fixture(scope="module")

@@ -201,7 +201,8 @@ def line_faults(devices: Sequence[DeviceSpec]) -> list[str]:
 
 
 def bus_load_faults(devices: Sequence[DeviceSpec]) -> list[str]:
-    """One message for each serial line that cannot carry the poll rates of its devices; TCP has no such limit.
+    """One message for each serial line that cannot carry the poll rates of its devices; TCP has no such limit, and of a
+    line whose devices want different settings nothing can be said.
 
     Raises:
         ValueError: a link that cannot be parsed.
@@ -209,6 +210,8 @@ def bus_load_faults(devices: Sequence[DeviceSpec]) -> list[str]:
     faults = []
     for members in buses(devices).values():
         link = parse_link(members[0].link)
+        if any(parse_link(device.link) != link for device in members):
+            continue
         if isinstance(link, RtuLink) and (load := _load(link, members)) > 1.0:
             faults.append(_load_message(link, members, load))
     return faults

@@ -162,7 +162,8 @@ class Recording:
         try:
             line = self._text.readline(_LONGEST_HEADER)
         except UnicodeDecodeError as error:
-            raise self._error(_not_utf8(error), line=1) from error
+            # The text is decoded in pieces, and this is the first one: its line ends count the lines.
+            raise self._error(_not_utf8(error), line=1 + error.object.count(b"\n", 0, error.start)) from error
         except OSError as error:
             raise self._error(f"cannot be read: {error.strerror or error}") from error
         if not line.strip():

@@ -169,7 +169,7 @@ def decode_record(line: bytes, where: str) -> VersionRecord | MotionRecord | Sta
         raise Unreachable(Trouble.NOT_HEAVED, f"{where}: not a heaved daemon: {error}") from error
 
 
-def fetch_status(host: str, port: int, timeout_s: float = 0.8) -> Snapshot:
+def fetch_status(host: str, port: int, timeout_s: float = 0.5) -> Snapshot:
     """Ask the daemon for its state, and wait for one frame as well; returns by ``timeout_s``, whatever happens.
 
     Raises:

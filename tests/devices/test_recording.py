@@ -152,6 +152,11 @@ def test_bytes_that_are_not_utf8_far_in_the_file(tmp_path: Path) -> None:
     assert "after line" in error.reason
 
 
+def test_bytes_that_are_not_utf8_near_the_start_are_on_their_line(tmp_path: Path) -> None:
+    body = "".join(f"{k},9.8,1\n" for k in range(50))
+    assert refusal(write(tmp_path, (HEADER + body).encode() + b"60,9.8,\xff\n")).line == 52
+
+
 def test_files_that_cannot_be_opened(tmp_path: Path) -> None:
     assert "cannot be read: No such file" in refusal(tmp_path / "absent.csv").reason
     assert "cannot be read: Is a directory" in refusal(tmp_path).reason
