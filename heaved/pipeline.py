@@ -24,10 +24,11 @@ from heaved.estimation.laser import LaserTeacher
 from heaved.estimation.quality import COAST_S, Facts, judge
 from heaved.estimation.reference import Params as LaserParams
 from heaved.estimation.rock import Params as RockParams
-from heaved.estimation.rock import RockPredictor
+from heaved.estimation.rock import RockPredictor, carried
 from heaved.estimation.spikes import SpikeGate
 from heaved.samples import (
     GRAVITY_MPS2,
+    CorrectionState,
     Fault,
     HeaveForecast,
     ImuSample,
@@ -91,6 +92,7 @@ class Pipeline:
         self._correction = ResidualCorrection(correction, MAX_RATE_HZ)
         self._laser = LaserTeacher(laser, heave.lead, self._correction, MAX_RATE_HZ)
         self._rock = RockPredictor(rock)
+        self._predicted = tuple(RockPrediction(horizon_s=h) for h in self._rock.horizons_s)
         self._imu_t_s = self._good_t_s = self._period_s = nan
         self._accepted_t_s = nan
         self._attitude, self._attitude_t_s = (nan, nan, nan), nan
@@ -116,13 +118,14 @@ class Pipeline:
         if good:
             self._take_attitude(sample)
             self._observe(sample)
-        rock = self._rock.step(t, *((sample.roll_rad, sample.pitch_rad, sample.yaw_rad) if good else (nan, nan, nan)))
+        attitude = (sample.roll_rad, sample.pitch_rad, sample.yaw_rad) if good else (nan, nan, nan)
+        self._predicted = self._rock.step(t, *attitude)
         self._laser.teach(t, self._observer)
-        return self._frame(t, rock)
+        return self._frame(t, self._predicted)
 
     def coast(self, t_s: float) -> MotionFrame:
         """A frame for a moment without a sample: extrapolated, nothing is advanced."""
-        return self._frame(t_s, tuple(RockPrediction(horizon_s=h) for h in self._rock.horizons_s))
+        return self._frame(t_s, carried(self._predicted, t_s - self._imu_t_s))
 
     def _take_attitude(self, sample: ImuSample) -> None:
         if isfinite(sample.roll_rad) and isfinite(sample.pitch_rad):
@@ -198,7 +201,7 @@ class Pipeline:
         quality = Quality(
             heave=state,
             laser=LaserState.OFF if not self._has_laser else LaserState.VALID if fresh else LaserState.STALE,
-            correction=self._correction.state(fresh),
+            correction=self._correction.state(fresh) if self._has_laser else CorrectionState.OFF,
             reasons=reasons,
         )
         roll, pitch, yaw = self._attitude if self._tilt_known(t_s) else (nan, nan, nan)

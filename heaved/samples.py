@@ -82,7 +82,7 @@ class LaserState(Enum):
 
 
 class CorrectionState(Enum):
-    """OFF: disabled; LEARNING: no accepted network yet; ACTIVE: applied, laser fresh; HOLDING: laser absent."""
+    """OFF: disabled; LEARNING: no network yet; ACTIVE: applied, laser fresh; HOLDING: no laser, or faded out."""
 
     OFF = "off"
     LEARNING = "learning"

@@ -81,6 +81,32 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return points * STEP_S
 
 
+def carried(predictions: tuple[RockPrediction, ...], by_s: float) -> tuple[RockPrediction, ...]:
+    """The same predictions as seen from a moment ``by_s`` later, on straight lines through neighbouring horizons.
+
+    For the moment between two samples, or of one that is late. Beyond one step of 50 ms nothing is claimed (nan).
+    """
+    if not 0.0 <= by_s <= STEP_S or len(predictions) < 2:
+        return tuple(RockPrediction(horizon_s=p.horizon_s) for p in predictions)
+    seen = []
+    for i, p in enumerate(predictions):
+        near, far = predictions[min(i, len(predictions) - 2) :][:2]
+        share = (p.horizon_s + by_s - near.horizon_s) / (far.horizon_s - near.horizon_s)
+        turn = (far.yaw_rad - near.yaw_rad + pi) % (2 * pi) - pi
+        seen.append(
+            RockPrediction(
+                horizon_s=p.horizon_s,
+                roll_rad=near.roll_rad + share * (far.roll_rad - near.roll_rad),
+                pitch_rad=near.pitch_rad + share * (far.pitch_rad - near.pitch_rad),
+                yaw_rad=(near.yaw_rad + share * turn) % (2 * pi),
+                roll_std_rad=far.roll_std_rad,
+                pitch_std_rad=far.pitch_std_rad,
+                yaw_std_rad=far.yaw_std_rad,
+            )
+        )
+    return tuple(seen)
+
+
 class RockPredictor:
     """Predicts the three axes at once; arrays are (B, 3, ...): B memories by roll, pitch, yaw.
 

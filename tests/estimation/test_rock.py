@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from math import nan, pi
+from math import isnan, nan, pi
 
 import msgspec
 import numpy as np
 import pytest
 
-from heaved.estimation.rock import Params, RockPredictor
+from heaved.estimation.rock import Params, RockPredictor, carried
 from heaved.estimation.rock_regression import regression
+from heaved.samples import RockPrediction
 
 TURN = 2 * pi
 
@@ -288,3 +289,25 @@ def test_late_samples_are_ignored_and_reset_forgets():
 def test_wrong_settings_are_refused(table, message):
     with pytest.raises(msgspec.ValidationError, match=message):
         msgspec.convert(table, Params)
+
+
+def test_carried_predictions_are_those_of_a_straight_motion_and_end_after_a_step() -> None:
+    def at(t: float, horizon_s: float) -> RockPrediction:
+        when = t + horizon_s
+        return RockPrediction(
+            horizon_s=horizon_s,
+            roll_rad=0.1 - 0.3 * when,
+            pitch_rad=0.2 * when,
+            yaw_rad=(6.2 + when) % (2 * pi),
+            roll_std_rad=0.01 * horizon_s,
+        )
+
+    given = tuple(at(0.0, h) for h in (0.05, 0.1, 0.15))
+    for by_s in (0.0, 0.013, 0.05):
+        for seen, expected in zip(carried(given, by_s), (at(by_s, h) for h in (0.05, 0.1, 0.15)), strict=True):
+            assert seen.horizon_s == expected.horizon_s
+            assert seen.roll_rad == pytest.approx(expected.roll_rad, abs=1e-12)
+            assert seen.pitch_rad == pytest.approx(expected.pitch_rad, abs=1e-12)
+            assert seen.yaw_rad == pytest.approx(expected.yaw_rad, abs=1e-12)
+            assert seen.roll_std_rad >= expected.roll_std_rad
+    assert all(isnan(seen.roll_rad) for seen in carried(given, 0.0501))
