@@ -120,6 +120,15 @@ class Metrics:
             "heaved_config_reloads_total", "Reloads of the configuration by result.", ["result"], registry=registry
         )
 
+        # Series that exist from the start: a rate over a counter that appears with its first event misses that event.
+        for counter, results in (
+            (self.training_runs, ("accepted", "rejected", "failed")),
+            (self.state_saves, ("saved", "failed")),
+            (self.config_reloads, ("applied", "refused")),
+        ):
+            for result in results:
+                counter.labels(result)
+
         self._quality_states = {state: self.quality.labels(state.value) for state in HeaveState}
         self._quality: HeaveState | None = None
         for gauge in (self.heave, self.heave_std, self.reference_error, self.lead, self.training_age):

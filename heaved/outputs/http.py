@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import isfinite
 from typing import Any, Final
 
 import msgspec
@@ -43,6 +44,8 @@ def readiness(last_frame: MotionFrame | None, *, now_s: float, fresh_s: float = 
     reasons = [f"last frame is {age_s:.1f} s old"] if age_s > fresh_s else []
     if last_frame.quality.heave is HeaveState.INVALID:
         reasons += ["heave is invalid", *last_frame.quality.reasons]
+    elif not isfinite(last_frame.heave_m):
+        reasons += ["no heave yet", *last_frame.quality.reasons]
     details = {"heave": last_frame.quality.heave.value, "age_s": round(age_s, 6)}
     return Verdict(reasons=tuple(reasons), details=details)
 
