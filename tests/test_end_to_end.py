@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+import statistics
 import time
 
 import msgspec
@@ -81,9 +82,11 @@ async def test_the_clients_see_the_motion_of_the_ship(tmp_path):
     sigma_m = rms([truth.heave_m for _, _, truth in settled])
     # Three periods after the start the observer still settles; a wrong sign, unit or time would be beyond 1.
     assert rms([record["heave_m"] - truth.heave_m for _, record, truth in settled]) < 0.5 * sigma_m
-    # 20 ms of error in time would show as this much: the sensor's noise is 0.02 degrees.
-    assert rms([record["roll_deg"] - math.degrees(truth.roll_rad) for _, record, truth in settled]) < 0.05
-    assert rms([record["pitch_deg"] - math.degrees(truth.pitch_rad) for _, record, truth in settled]) < 0.05
+    # 20 ms of error in time would show as more: the sensor's noise is 0.02 degrees. The median, because a frame that
+    # fills in for a late sample holds the attitude of the last one.
+    for axis in ("roll", "pitch"):
+        off = [abs(record[f"{axis}_deg"] - math.degrees(getattr(truth, f"{axis}_rad"))) for _, record, truth in settled]
+        assert statistics.median(off) < 0.03
 
     for number, horizon_s in enumerate((0.05, 0.10, 0.15)):
         predicted = [record["rock"][number] for _, record, _ in settled]
