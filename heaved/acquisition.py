@@ -10,6 +10,7 @@ import structlog
 
 from heaved.devices.modbus import PollResult
 from heaved.devices.profile import DeviceSpec
+from heaved.estimation.sea_window import SeaFit, SeaWindow
 from heaved.health import DeviceHealth, RateMeter
 from heaved.metrics import DeviceMetrics, Metrics
 from heaved.pipeline import Pipeline
@@ -43,9 +44,10 @@ class Acquisition:
         metrics: Metrics,
         publish: Callable[[MotionFrame], None],
         train: Callable[[TrainingWindow], None],
+        fit: Callable[[SeaWindow], None],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """``publish`` and ``train`` must only hand over; ``clock`` is that of the samples."""
+        """``publish``, ``train`` and ``fit`` must only hand over; ``clock`` is that of the samples."""
         self.pipeline = pipeline
         self.health: dict[str, DeviceHealth] = {}
         self.last_frame: MotionFrame | None = None
@@ -56,10 +58,14 @@ class Acquisition:
         self.last_training = ""
         self.accepted_s = nan
         """When the network in use was accepted."""
+        self.last_fit = ""
+        self.fitted_s = nan
+        """When the sea model in use was accepted."""
         self._metrics = metrics
         self._device_metrics: dict[str, DeviceMetrics] = {}
         self._publish = publish
         self._train = train
+        self._fit = fit
         self._clock = clock
         self._rate = RateMeter()
         self._published_s = -inf
@@ -100,7 +106,7 @@ class Acquisition:
                 self._live_s = now_s
         # The frame is out: what nobody waits for.
         self._account(result)
-        self._offer_training()
+        self._offer_work()
 
     def heartbeat(self) -> bool:
         """Called once a period: publish an extrapolated frame if the IMU's is missing. Returns whether it did."""
@@ -125,6 +131,20 @@ class Acquisition:
         if result != self.last_training:
             self.last_training = result
             _log.info("training of the correction", result=result, seconds=network.seconds, detail=network.message)
+
+    def accept_fit(self, fit: SeaFit) -> None:
+        """Hand a fit of the sea to the pipeline."""
+        try:
+            result = self.pipeline.accept_fit(fit)
+        except Exception as error:
+            self._bug("accept_fit", error)
+            result = "failed"
+        self._metrics.sea_fits.labels(result).inc()
+        if result == "accepted":
+            self.fitted_s = self._clock()
+        if result != self.last_fit:
+            self.last_fit = result
+            _log.info("fit of the sea", result=result, detail=fit.message)
 
     # ---- within one poll ---------------------------------------------------------------------------------------------
 
@@ -167,14 +187,15 @@ class Acquisition:
         self._metrics.record_frame(frame, age_s=now_s - frame.t_s, step_s=step_s)
         return True
 
-    def _offer_training(self) -> None:
+    def _offer_work(self) -> None:
+        """Hand out what is to be computed beside the event loop."""
         try:
-            window = self.pipeline.training_due()
+            if (window := self.pipeline.training_due()) is not None:
+                self._train(window)
+            if (past := self.pipeline.fit_due()) is not None:
+                self._fit(past)
         except Exception as error:
-            self._bug("training_due", error)
-            return
-        if window is not None:
-            self._train(window)
+            self._bug("work", error)
 
     def _bug(self, where: str, error: Exception) -> None:
         """Count it; say it, with its traceback, once for each kind."""

@@ -17,6 +17,7 @@ import msgspec
 from heaved.devices.line import bus_load_faults, line_faults, parse_link
 from heaved.devices.profile import DeviceSpec, Profile, profile_faults
 from heaved.estimation import correction, heave, reference, rock
+from heaved.estimation.points import Point
 
 Port = Annotated[int, msgspec.Meta(ge=0, le=65535)]
 
@@ -51,6 +52,13 @@ class StateParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     save_period_s: Annotated[float, msgspec.Meta(ge=1, le=86400)] = 60.0
 
 
+class CompensationParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[compensation]``: what the consumer makes of the heave."""
+
+    lead_s: Annotated[float, msgspec.Meta(ge=0, le=5)] = 0.0
+    """Its own reaction time: heave, velocity and points are published for this long ahead."""
+
+
 class RuntimeParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[runtime]``: how the process runs."""
 
@@ -66,6 +74,8 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     laser: reference.Params = reference.Params()
     correction: correction.Params = correction.Params()
     rock: rock.Params = rock.Params()
+    point: tuple[Point, ...] = ()
+    compensation: CompensationParams = CompensationParams()
     stream: StreamParams = StreamParams()
     http: HttpParams = HttpParams()
     state: StateParams = StateParams()
@@ -108,8 +118,9 @@ def parse(document: Mapping[str, Any], *, file: str, directory: Path) -> Config:
     faults: list[str] = []
     tree = dict(document)
     devices = tree.get("device")
-    if isinstance(devices, dict):
-        raise ConfigError(file, ["device: is one table; write [[device]], once for each device"])
+    single = [key for key, what in (("device", "device"), ("point", "point")) if isinstance(tree.get(key), dict)]
+    if single:
+        raise ConfigError(file, [f"{key}: is one table; write [[{key}]], once for each {key}" for key in single])
     if isinstance(devices, list):
         tree["device"] = [
             _with_profile(device, f"device[{i}]", directory, faults) if isinstance(device, dict) else device
@@ -290,6 +301,10 @@ def _cross_checks(devices: Mapping[int, DeviceSpec], config: Config) -> list[str
             if value in seen:
                 faults.append(f"device[{i}].{key}: {value!r} is already the {key} of device[{seen[value]}]")
             seen.setdefault(value, i)
+    names = [point.name for point in config.point]
+    faults += [f"point[{i}].name: {name!r} is taken" for i, name in enumerate(names) if name in names[:i]]
+    if list(config.heave.sea.windows_s) != sorted(set(config.heave.sea.windows_s)) or not config.heave.sea.windows_s:
+        faults.append(f"heave.sea.windows_s: must be lengths that increase (got {list(config.heave.sea.windows_s)})")
     if not any(".link: " in fault for fault in faults):
         overload = _overload_faults(tuple(devices.values()))  # Of the plan, not of the file: see rate_faults.
         faults += [fault for fault in line_faults(tuple(devices.values())) if fault not in overload]

@@ -31,24 +31,26 @@ from heaved.devices.line import buses
 from heaved.devices.modbus import Bus
 from heaved.devices.profile import DeviceSpec
 from heaved.devices.timer import PeriodicTimer
+from heaved.estimation.sea_window import SeaFit, SeaWindow
 from heaved.logs import configure_logging
 from heaved.metrics import Metrics
+from heaved.outputs import wire
 from heaved.outputs.access import ListenError
 from heaved.outputs.http import HttpServer, liveness, readiness
 from heaved.outputs.publisher import Publisher
 from heaved.outputs.wire import StatusRecord
 from heaved.pipeline import Pipeline, PipelineState
 from heaved.realtime import freeze_memory, set_real_time
-from heaved.samples import MotionFrame, TrainedNetwork, TrainingWindow
+from heaved.samples import DelayedHeave, MotionFrame, SeaState, TrainedNetwork, TrainingWindow
 from heaved.sdnotify import Notifier
 from heaved.state import Memory, StateFile, state_directory
 from heaved.status import status_line, status_record
 from heaved.tasks import cancelled, in_time, supervise
-from heaved.training.process import Trainer
+from heaved.training.process import FITTER, TRAINER, Worker
 
 __all__ = ["Daemon", "configure_logging", "run"]
 
-_AT_ONCE: Final = ("heave", "laser", "correction", "rock")
+_AT_ONCE: Final = ("heave", "laser", "correction", "rock", "point", "compensation")
 _AT_RESTART: Final = ("stream", "http", "state", "runtime")
 _CANCEL_S: Final = 0.4
 """What a task may take to be cancelled."""
@@ -87,7 +89,12 @@ class Daemon:
         self.metrics = Metrics(__version__)
         self.utc = UtcClock(clock, realtime)
         self.acquisition = Acquisition(
-            make_pipeline(config), metrics=self.metrics, publish=self._publish, train=self._train, clock=clock
+            make_pipeline(config),
+            metrics=self.metrics,
+            publish=self._publish,
+            train=self._train,
+            fit=self._fit,
+            clock=clock,
         )
         self.memory = Memory(
             StateFile(state_directory(config.state.directory), PipelineState),
@@ -106,8 +113,11 @@ class Daemon:
         self._fed_frames = 0
         self._publisher = self._make_publisher()
         self._http = self._make_http() if config.http.enabled else None
-        self._trainer: Trainer | None = None
-        self._trainer_trouble = ""
+        self._trainer: Worker[TrainedNetwork] | None = None
+        self._fitter: Worker[SeaFit] | None = None
+        self._troubles: dict[str, str] = {}
+        self._sea_sent: SeaState | None = None
+        self._delayed_sent: DelayedHeave | None = None
 
     # ---- start and stop ----------------------------------------------------------------------------------------------
 
@@ -127,7 +137,7 @@ class Daemon:
             raise
         self.memory.restore(self.acquisition.pipeline.restore)
         await self._poll_devices()
-        await self._have_trainer()
+        await self._have_workers()
         self._supervise("heartbeat", self._beat)
         self._supervise("housekeeping", self._keep_house)
         self._supervise("state", partial(self.memory.keep_saving, self.config.state.save_period_s))
@@ -147,6 +157,8 @@ class Daemon:
         }
         if self._trainer is not None:
             parts["trainer"] = self._trainer.stop()
+        if self._fitter is not None:
+            parts["fitter"] = self._fitter.stop()
         if self._http is not None:
             parts["http"] = self._http.close()
         is_clean &= all(await asyncio.gather(*(in_time(name, part, _STOP_S) for name, part in parts.items())))
@@ -170,15 +182,27 @@ class Daemon:
     async def _poll(self, devices: tuple[DeviceSpec, ...]) -> None:
         await Bus(devices, self.acquisition.on_poll, self._clock).run()
 
-    async def _have_trainer(self) -> None:
-        """A trainer process runs when there is something to learn, and only then: it takes memory."""
+    async def _have_workers(self) -> None:
+        """A trainer process runs when there is something to learn, a fitter when there is a sea to fit, and only then:
+        they take memory."""
         wanted = self.config.correction.enabled and has_laser(self.config)
         if wanted and self._trainer is None:
-            self._trainer = Trainer(self._trained, self._trainer_failed)
+            self._trainer = Worker(
+                "trainer", TrainedNetwork, self._trained, partial(self._worker_failed, "trainer"), command=TRAINER
+            )
             await self._trainer.start()
         elif not wanted and self._trainer is not None:
             await self._trainer.stop()
             self._trainer = None
+        wanted = self.config.heave.observer == "sea"
+        if wanted and self._fitter is None:
+            self._fitter = Worker(
+                "fitter", SeaFit, self._fitted, partial(self._worker_failed, "fitter"), command=FITTER
+            )
+            await self._fitter.start()
+        elif not wanted and self._fitter is not None:
+            await self._fitter.stop()
+            self._fitter = None
 
     def _supervise(self, name: str, run: Callable[[], Awaitable[None]]) -> None:
         self._tasks[name] = asyncio.create_task(supervise(name, run), name=name)
@@ -209,7 +233,7 @@ class Daemon:
             _log.warning(f"[{table}] has changed: restart the daemon to bring it into force")
         if any(getattr(new, table) != getattr(old, table) for table in _AT_ONCE) or has_laser(new) != has_laser(old):
             self._replace_pipeline()
-            await self._have_trainer()
+            await self._have_workers()
         if new.device != old.device:
             await self._poll_devices()
             await cancelled([self._tasks.pop("heartbeat")], _CANCEL_S)
@@ -222,7 +246,7 @@ class Daemon:
             pipeline.restore(self.acquisition.pipeline.state())
         except ValueError as error:
             _log.warning("what was learned does not fit the new parameters: estimators start cold", reason=str(error))
-            self.acquisition.accepted_s = nan
+            self.acquisition.accepted_s = self.acquisition.fitted_s = nan
         self.acquisition.pipeline = pipeline
         self._resets_seen.clear()
 
@@ -262,6 +286,12 @@ class Daemon:
         self.metrics.training_age.set(self._clock() - self.acquisition.accepted_s)
         status = self.status()
         self._publisher.publish_record(status)
+        frame = self.acquisition.last_frame
+        if frame is not None and frame.sea is not None and frame.sea is not self._sea_sent:
+            self._sea_sent = frame.sea
+            self._publisher.publish_record(wire.sea_record(frame.sea, self.utc.utc_s(frame.sea.t_s)))
+        if frame is not None:
+            self.metrics.record_sea(frame)
         self._notifier.notify(f"STATUS={status_line(status)}")
 
     # ---- for the parts -----------------------------------------------------------------------------------------------
@@ -282,6 +312,11 @@ class Daemon:
 
     def _publish(self, frame: MotionFrame) -> None:
         self._publisher.publish(frame, utc_s=self.utc.utc_s(frame.t_s))
+        delayed = frame.delayed
+        if delayed is not None and delayed is not self._delayed_sent:
+            self._delayed_sent = delayed
+            if self._publisher.is_watched("DELAYED"):
+                self._publisher.publish_record(wire.delayed_record(delayed, self.utc.utc_s(delayed.t_s)))
         if not self._is_ready:
             self._is_ready = True
             self._notifier.notify("READY=1", "STATUS=running")
@@ -290,18 +325,29 @@ class Daemon:
         if self._trainer is not None:
             self._trainer.submit(window)
 
+    def _fit(self, window: SeaWindow) -> None:
+        if self._fitter is not None:
+            self._fitter.submit(window)
+
     def _trained(self, network: TrainedNetwork) -> None:
-        if self._trainer_trouble:
-            self._trainer_trouble = ""
-            _log.info("the trainer works again")
+        self._works_again("trainer")
         self.acquisition.accept(network)
 
-    def _trainer_failed(self, reason: str) -> None:
-        self.metrics.training_runs.labels("failed").inc()
+    def _fitted(self, fit: SeaFit) -> None:
+        self._works_again("fitter")
+        self.acquisition.accept_fit(fit)
+
+    def _works_again(self, name: str) -> None:
+        if self._troubles.pop(name, ""):
+            _log.info(f"the {name} works again")
+
+    def _worker_failed(self, name: str, reason: str) -> None:
+        runs = self.metrics.training_runs if name == "trainer" else self.metrics.sea_fits
+        runs.labels("failed").inc()
         trouble = reason.split(";")[0]  # Without the growing pause before the next start.
-        if trouble != self._trainer_trouble:
-            self._trainer_trouble = trouble
-            _log.warning("the trainer has failed: the stream goes on with what was learned", reason=reason)
+        if trouble != self._troubles.get(name):
+            self._troubles[name] = trouble
+            _log.warning(f"the {name} has failed: the stream goes on with what was learned", reason=reason)
 
     def _make_publisher(self) -> Publisher:
         stream = self.config.stream
@@ -342,6 +388,8 @@ def make_pipeline(config: Config) -> Pipeline:
         correction=config.correction,
         rock=config.rock,
         has_laser=has_laser(config),
+        point=config.point,
+        lead_s=config.compensation.lead_s,
     )
 
 

@@ -98,6 +98,18 @@ class Metrics:
         self.training_age = Gauge(
             "heaved_training_age_seconds", "Since the correction in use was accepted.", registry=registry
         )
+        self.sea_fits = Counter(
+            "heaved_sea_fits_total", "Fits of the sea model by result.", ["result"], registry=registry
+        )
+        self.significant_height = Gauge(
+            "heaved_significant_heave_meters", "Significant height of the heave: 4 standard deviations.",
+            registry=registry,
+        )  # fmt: skip
+        self.peak_period = Gauge("heaved_peak_period_seconds", "Of the heave spectrum.", registry=registry)
+        self.mean_period = Gauge("heaved_mean_period_seconds", "m0/m1 of the heave spectrum.", registry=registry)
+        self.delayed_heave = Gauge(
+            "heaved_delayed_heave_meters", "Delayed heave, valid at its own, earlier time.", registry=registry
+        )
         self.filter_resets = Counter(
             "heaved_filter_resets_total", "Estimators started afresh.", ["filter", "reason"], registry=registry
         )
@@ -123,6 +135,7 @@ class Metrics:
         # Series that exist from the start: a rate over a counter that appears with its first event misses that event.
         for counter, results in (
             (self.training_runs, ("accepted", "rejected", "failed")),
+            (self.sea_fits, ("accepted", "rejected", "failed")),
             (self.state_saves, ("saved", "failed")),
             (self.config_reloads, ("applied", "refused")),
         ):
@@ -132,6 +145,8 @@ class Metrics:
         self._quality_states = {state: self.quality.labels(state.value) for state in HeaveState}
         self._quality: HeaveState | None = None
         for gauge in (self.heave, self.heave_std, self.reference_error, self.lead, self.training_age):
+            gauge.set(nan)
+        for gauge in (self.significant_height, self.peak_period, self.mean_period, self.delayed_heave):
             gauge.set(nan)
 
     def device(self, name: str) -> DeviceMetrics:
@@ -155,6 +170,14 @@ class Metrics:
             self._quality = frame.quality.heave
             for state, gauge in self._quality_states.items():
                 gauge.set(state is self._quality)
+
+    def record_sea(self, frame: MotionFrame) -> None:
+        """What changes slowly: sea state and delayed heave."""
+        if frame.sea is not None:
+            self.significant_height.set(frame.sea.significant_height_m)
+            self.peak_period.set(frame.sea.peak_period_s)
+            self.mean_period.set(frame.sea.mean_period_s)
+        self.delayed_heave.set(frame.delayed.heave_m if frame.delayed is not None else nan)
 
     # What the stream's publisher counts.
 

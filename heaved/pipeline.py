@@ -1,9 +1,8 @@
 """The block diagram, top to bottom: samples in, one :class:`MotionFrame` out. Pure: time comes with the samples.
 
-    IMU --- tilt removed --- harmonic observer (UKF, F^m) --(+)--- heave, velocity, standard deviation
-                                 ^               |           ^
-                               lead         X* at laser      '--- residual network <--- trained outside, guarded
-                                 '---- laser ----'
+    IMU --- tilt removed --- heave chain: observer (F^m), gain, residual network --- heave, velocity, standard deviation
+                                  ^                                                    '--- points, forecasts, delayed
+    laser ------------------------'
     roll, pitch, yaw --- rock predictor --- 50/100/150 ms
 """
 
@@ -15,26 +14,30 @@ from typing import Final
 
 import msgspec
 
+from heaved.estimation import points
+from heaved.estimation.chain import Heave, HeaveChain
 from heaved.estimation.correction import Params as CorrectionParams
-from heaved.estimation.correction import ResidualCorrection, Saved
+from heaved.estimation.correction import Saved
 from heaved.estimation.frames import up_acceleration
 from heaved.estimation.heave import HarmonicObserver
 from heaved.estimation.heave import Params as HeaveParams
-from heaved.estimation.laser import LaserTeacher
+from heaved.estimation.points import Attitude, Point
 from heaved.estimation.quality import COAST_S, Facts, judge
 from heaved.estimation.reference import Params as LaserParams
 from heaved.estimation.rock import Params as RockParams
 from heaved.estimation.rock import RockPredictor, carried
-from heaved.estimation.spikes import SpikeGate
+from heaved.estimation.sea import SeaObserver
+from heaved.estimation.sea_model import SeaModel
+from heaved.estimation.sea_window import SeaFit, SeaWindow
 from heaved.samples import (
     GRAVITY_MPS2,
     CorrectionState,
     Fault,
-    HeaveForecast,
     ImuSample,
     LaserSample,
     LaserState,
     MotionFrame,
+    PointMotion,
     Quality,
     RockPrediction,
     TrainedNetwork,
@@ -45,13 +48,29 @@ ATTITUDE_HOLD_S: Final = 0.5
 """The last attitude serves this long; then the tilt is unknown."""
 MAX_RATE_HZ: Final = 250.0
 """Sizes the rings; a faster sensor is served too, with a shorter memory of late lasers."""
+MISSING_MEMORY_S: Final = 60.0
+"""Of the share of lost samples."""
+NOTHING: Final = Heave(
+    heave_m=nan,
+    std_m=nan,
+    velocity_mps=nan,
+    acceleration_mps2=nan,
+    observer_m=nan,
+    correction_m=nan,
+    lead_s=nan,
+    forecast=(),
+)
+"""While nothing is known of the heave."""
 
 
 class PipelineState(msgspec.Struct, frozen=True, kw_only=True):
     """What a restart remembers."""
 
-    frequencies_hz: tuple[float, ...]
+    frequencies_hz: tuple[float, ...] = ()
+    """Of the harmonic observer."""
+    sea: SeaModel | None = None
     lead_learned_s: float | None = None
+    gain_learned: float = 1.0
     correction: Saved | None = None
 
 
@@ -59,8 +78,10 @@ class PipelineSummary(msgspec.Struct, frozen=True, kw_only=True):
     """What a person wants to know of the estimators beside the frame; nan: not known."""
 
     frequencies_hz: tuple[float, ...]
+    refreshes: int
     lead_s: float
     lead_learned_s: float
+    gain_learned: float
     lead_comparisons: int
     laser_constant_m: float
     laser_error_rms_m: float
@@ -69,8 +90,13 @@ class PipelineSummary(msgspec.Struct, frozen=True, kw_only=True):
     trained_rejected: int
     trained_failed: int
     last_accepted_t_s: float
+    fitted: dict[str, int]
+    """Fits of the sea by what became of them."""
+    last_fitted_t_s: float
     out_of_order: int
     spikes: int
+    rejected: int
+    """Beats that the observer's own gate has kept out."""
 
 
 class Pipeline:
@@ -84,30 +110,35 @@ class Pipeline:
         correction: CorrectionParams,
         rock: RockParams,
         has_laser: bool,
+        point: tuple[Point, ...] = (),
+        lead_s: float = 0.0,
     ) -> None:
+        """``lead_s``: the heave is published for this long after each sample (the consumer's reaction time)."""
         self._params = heave
         self._has_laser = has_laser
-        self._spikes = SpikeGate()
-        self._observer = HarmonicObserver(heave, MAX_RATE_HZ)
-        self._correction = ResidualCorrection(correction, MAX_RATE_HZ)
-        self._laser = LaserTeacher(laser, heave.lead, self._correction, MAX_RATE_HZ)
+        self._points = point
+        self._lead_s = lead_s
+        self._chain = HeaveChain(
+            heave, laser, correction, has_laser=has_laser, lead_s=self._lead_s, max_rate_hz=MAX_RATE_HZ
+        )
         self._rock = RockPredictor(rock)
         self._predicted = tuple(RockPrediction(horizon_s=h) for h in self._rock.horizons_s)
-        self._imu_t_s = self._good_t_s = self._period_s = nan
-        self._accepted_t_s = nan
+        self._imu_t_s = self._period_s = nan
+        self._missing = 0.0
+        self._accepted_t_s = self._fitted_t_s = nan
         self._attitude, self._attitude_t_s = (nan, nan, nan), nan
         self._tilt_removed = False
         self._imu_fault = Fault.NONE
         self._trained: Counter[str] = Counter()
+        self._fitted: Counter[str] = Counter()
         self._out_of_order = 0
-        self.resets: Counter[tuple[str, str]] = Counter()
 
     # --- samples in, frames out --------------------------------------------------------------------------------------
 
     def step(self, sample: ImuSample | LaserSample) -> MotionFrame | None:
         """Take one sample; a frame for each IMU sample, faulted ones too. One older than the last is counted."""
         if isinstance(sample, LaserSample):
-            self._laser.give(sample)
+            self._chain.laser.give(sample)
             return None
         t = sample.t_s
         if t <= self._imu_t_s:
@@ -120,7 +151,8 @@ class Pipeline:
             self._observe(sample)
         attitude = (sample.roll_rad, sample.pitch_rad, sample.yaw_rad) if good else (nan, nan, nan)
         self._predicted = self._rock.step(t, *attitude)
-        self._laser.teach(t, self._observer)
+        if self._has_laser:
+            self._chain.laser.teach(t, self._chain.observer)
         return self._frame(t, self._predicted)
 
     def coast(self, t_s: float) -> MotionFrame:
@@ -135,113 +167,151 @@ class Pipeline:
         return t_s - self._attitude_t_s <= ATTITUDE_HOLD_S
 
     def _observe(self, sample: ImuSample) -> None:
-        """Tilt out, spikes out, observer, correction."""
-        t, up = sample.t_s, sample.az_mps2 - GRAVITY_MPS2
+        """Tilt out, then through the heave chain."""
+        t, up, before_s = sample.t_s, sample.az_mps2 - GRAVITY_MPS2, self._chain.good_t_s
         self._tilt_removed = self._tilt_known(t) and isfinite(sample.ax_mps2 + sample.ay_mps2)
         if self._tilt_removed:
             roll, pitch, _ = self._attitude
             up = up_acceleration(sample.ax_mps2, sample.ay_mps2, sample.az_mps2, roll, pitch)
-        up = self._spikes(t, up)
-        if not isfinite(up):
+        if isfinite(self._chain.observe(t, up, sample.az_mps2)):
+            self._note_interval(t - before_s)
+        elif self._chain.stuck.is_stuck:
+            self._imu_fault = Fault.STUCK
+        else:
             self._imu_fault = Fault.OUT_OF_RANGE if isfinite(sample.az_mps2) else Fault.NOT_FINITE
+
+    def _note_interval(self, interval_s: float) -> None:
+        """The usual interval of good samples, and the share of those that are missing."""
+        if not isfinite(interval_s):
             return
-        if isfinite(self._good_t_s):
-            step = min(t - self._good_t_s, COAST_S)
-            self._period_s = step if not isfinite(self._period_s) else self._period_s + 0.02 * (step - self._period_s)
-        self._good_t_s = t
-        before = self._observer.resets.total()
-        self._observer.step(t, up)
-        if self._observer.resets.total() != before:
-            self.resets = Counter({("heave", reason): count for reason, count in self._observer.resets.items()})
-            self._laser.forget()
-        observer, unshifted = self._observer.at(0.0, self._laser.lead.learned_s), self._observer.unshifted()
-        corrected = observer.heave_m + self._correction.step(t, observer.heave_m, self._observer.omega_radps)
-        self._laser.note(t, observer.heave_m, corrected, unshifted)
+        step = min(interval_s, COAST_S)
+        self._period_s = step if not isfinite(self._period_s) else self._period_s + 0.02 * (step - self._period_s)
+        usual = min(step, self._period_s) if isfinite(self._period_s) else step
+        lost = max(0.0, interval_s - 1.5 * usual)
+        weight = min(1.0, interval_s / MISSING_MEMORY_S)
+        self._missing += weight * (lost / interval_s - self._missing)
 
     # --- what is learned ---------------------------------------------------------------------------------------------
 
     def training_due(self) -> TrainingWindow | None:
         """A window for the trainer, when it is time for one; each is given out once."""
-        if self._params.lead.enabled and self._laser.lead.last is None:
+        if not self._has_laser or (self._params.lead.enabled and self._chain.lead.last is None):
             return None  # The first comparison moves the observer, and with it everything there is to learn.
-        return self._correction.due(self._good_t_s, self._observer.omega_radps)
+        return self._chain.correction.due(self._chain.good_t_s, self._chain.observer.omega_radps)
 
     def accept(self, network: TrainedNetwork) -> str:
         """Judge what the trainer made of a window: "accepted", "rejected" or "failed"."""
-        result = self._correction.accept(network)
+        result = self._chain.correction.accept(network)
         self._trained[result] += 1
         if result == "accepted":
-            self._accepted_t_s = self._good_t_s
+            self._accepted_t_s = self._chain.good_t_s
         return result
+
+    def fit_due(self) -> SeaWindow | None:
+        """The past, when it is time to fit the sea again; each is given out once."""
+        return self._chain.observer.due()
+
+    def accept_fit(self, fit: SeaFit) -> str:
+        """Change over to a fitted sea: "accepted", "rejected" (it comes too late) or "failed"."""
+        result = self._chain.observer.accept(fit)
+        self._fitted[result] += 1
+        if result == "accepted":
+            self._fitted_t_s = fit.t_s
+        return result
+
+    @property
+    def resets(self) -> Counter[tuple[str, str]]:
+        """Of the estimators, by (filter, reason)."""
+        return self._chain.resets
 
     # --- the frame ---------------------------------------------------------------------------------------------------
 
     def _frame(self, t_s: float, rock: tuple[RockPrediction, ...]) -> MotionFrame:
-        observer, p, learned_s = self._observer, self._params, self._laser.lead.learned_s
-        scale = self._laser.reference.std_scale
-        shift = t_s - observer.t_s
-        error_std_m = observer.error_std_m(shift, scale) if shift <= COAST_S else nan
-        fresh = self._laser.reference.fresh(t_s)
+        observer, reference = self._chain.observer, self._chain.laser.reference
+        shift_s = t_s - observer.t_s
+        heave = self._chain.at(shift_s) if shift_s <= COAST_S else None
+        roll, pitch, yaw = self._attitude if self._tilt_known(t_s) else (nan, nan, nan)
+        fresh = self._has_laser and reference.fresh(t_s)
+        quality = self._quality(t_s, heave, fresh)
+        if heave is None:
+            # No number without its uncertainty: before the first look at the sea, and after too long a gap.
+            heave = NOTHING
+        return MotionFrame(
+            t_s=t_s,
+            quality=quality,
+            heave_m=heave.heave_m,
+            heave_std_m=heave.std_m,
+            heave_velocity_mps=heave.velocity_mps,
+            heave_acceleration_mps2=heave.acceleration_mps2,
+            observer_m=heave.observer_m,
+            correction_m=heave.correction_m,
+            lead_s=heave.lead_s,
+            reference_m=reference.value_m if fresh else nan,
+            roll_rad=roll,
+            pitch_rad=pitch,
+            yaw_rad=yaw,
+            points=self._point_motions(heave, roll, pitch, rock) if self._points else (),
+            rock=rock,
+            forecast=heave.forecast,
+            compensation_lead_s=self._lead_s,
+            delayed=observer.delayed,
+            sea=observer.sea,
+        )
+
+    def _point_motions(
+        self, heave: Heave, roll_rad: float, pitch_rad: float, rock: tuple[RockPrediction, ...]
+    ) -> tuple[PointMotion, ...]:
+        """Each point, for the moment that the heave is for: the attitude moves on with its present rates."""
+        soon = rock[0]
+        roll_rate = (soon.roll_rad - roll_rad) / soon.horizon_s
+        pitch_rate = (soon.pitch_rad - pitch_rad) / soon.horizon_s
+        attitude = Attitude(
+            roll_rad=roll_rad + self._lead_s * roll_rate,
+            pitch_rad=pitch_rad + self._lead_s * pitch_rate,
+            roll_rate_radps=roll_rate,
+            pitch_rate_radps=pitch_rate,
+        )
+        return tuple([points.motion(point, heave.heave_m, heave.velocity_mps, attitude) for point in self._points])
+
+    def _quality(self, t_s: float, heave: Heave | None, fresh: bool) -> Quality:
+        chain, observer = self._chain, self._chain.observer
         state, reasons = judge(
             Facts(
                 imu_fault=self._imu_fault,
-                since_sample_s=t_s - self._good_t_s,
+                since_sample_s=t_s - chain.good_t_s,
                 period_s=self._period_s,
                 settled_s=observer.settled_s,
-                needed_s=p.window_s,
-                error_std_m=error_std_m,
+                needed_s=observer.needed_s,
+                error_std_m=nan if heave is None else heave.std_m,
                 heave_std_m=observer.heave_std_m(),
+                missing=self._missing,
+                doubts=observer.doubts,
+                notes=observer.notes,
                 tilt_removed=self._tilt_removed and self._tilt_known(t_s),
-                std_scale=scale,
-                laser_fault=self._laser.fault,
+                std_scale=chain.laser.reference.std_scale,
+                laser_fault=chain.laser.fault,
                 laser_configured=self._has_laser,
                 laser_fresh=fresh,
             )
         )
-        quality = Quality(
+        return Quality(
             heave=state,
             laser=LaserState.OFF if not self._has_laser else LaserState.VALID if fresh else LaserState.STALE,
-            correction=self._correction.state(fresh) if self._has_laser else CorrectionState.OFF,
+            correction=chain.correction.state(fresh) if self._has_laser else CorrectionState.OFF,
             reasons=reasons,
-        )
-        roll, pitch, yaw = self._attitude if self._tilt_known(t_s) else (nan, nan, nan)
-        if not isfinite(error_std_m):
-            # No number without its uncertainty: before the first look at the sea, and after too long a gap.
-            return MotionFrame(t_s=t_s, quality=quality, roll_rad=roll, pitch_rad=pitch, yaw_rad=yaw, rock=rock)
-        motion, correction_m = observer.at(shift, learned_s), self._correction.value_m
-        return MotionFrame(
-            t_s=t_s,
-            quality=quality,
-            heave_m=motion.heave_m + correction_m,
-            heave_std_m=error_std_m,
-            heave_velocity_mps=motion.velocity_mps,
-            heave_acceleration_mps2=observer.acceleration_mps2 if shift == 0.0 else nan,
-            observer_m=motion.heave_m,
-            correction_m=correction_m,
-            lead_s=observer.design_lead_s + learned_s,
-            reference_m=self._laser.reference.value_m if fresh else nan,
-            roll_rad=roll,
-            pitch_rad=pitch,
-            yaw_rad=yaw,
-            rock=rock,
-            forecast=tuple(
-                HeaveForecast(
-                    horizon_s=h,
-                    heave_m=observer.at(shift + h, learned_s).heave_m,
-                    std_m=observer.error_std_m(shift + h, max(scale, 1.0)),
-                )
-                for h in p.forecast_horizons_s
-            ),
         )
 
     # --- memory ------------------------------------------------------------------------------------------------------
 
     def state(self) -> PipelineState:
         """What a restart shall remember."""
+        observer, taught = self._chain.observer, self._chain.lead
         return PipelineState(
-            frequencies_hz=self._observer.frequencies_hz,
-            lead_learned_s=self._laser.lead.learned_s if self._laser.lead.updates else None,
-            correction=self._correction.saved(),
+            frequencies_hz=observer.frequencies_hz if isinstance(observer, HarmonicObserver) else (),
+            sea=observer.model if isinstance(observer, SeaObserver) else None,
+            lead_learned_s=taught.learned_s if taught.updates else None,
+            gain_learned=taught.gain,
+            correction=self._chain.correction.saved(),
         )
 
     def restore(self, state: PipelineState) -> None:
@@ -250,29 +320,39 @@ class Pipeline:
         Raises:
             ValueError: the state does not fit the configuration; says what does not, and nothing was taken over.
         """
-        self._observer.restore(state.frequencies_hz)
+        observer = self._chain.observer
+        if isinstance(observer, HarmonicObserver) and state.frequencies_hz:
+            observer.restore(state.frequencies_hz)
+        if isinstance(observer, SeaObserver) and state.sea is not None:
+            observer.restore(state.sea)
         if state.correction is not None:
             try:
-                self._correction.restore(state.correction)
+                self._chain.correction.restore(state.correction)
             except ValueError:
-                self._observer = HarmonicObserver(self._params, MAX_RATE_HZ)
+                self._chain.start_over()
                 raise
         if state.lead_learned_s is not None:
-            self._laser.lead.restore(state.lead_learned_s)
+            self._chain.lead.restore(state.lead_learned_s, state.gain_learned)
 
     def summary(self) -> PipelineSummary:
+        chain, taught = self._chain, self._chain.lead
         return PipelineSummary(
-            frequencies_hz=self._observer.frequencies_hz,
-            lead_s=self._observer.design_lead_s + self._laser.lead.learned_s,
-            lead_learned_s=self._laser.lead.learned_s if self._laser.lead.updates else nan,
-            lead_comparisons=self._laser.lead.updates,
-            laser_constant_m=self._laser.reference.constant_m,
-            laser_error_rms_m=self._laser.reference.error_rms_m(),
-            training_windows=self._correction.windows,
+            frequencies_hz=chain.observer.frequencies_hz,
+            refreshes=chain.observer.refreshes,
+            lead_s=chain.observer.design_lead_s + taught.learned_s,
+            lead_learned_s=taught.learned_s if taught.updates else nan,
+            gain_learned=taught.gain,
+            lead_comparisons=taught.updates,
+            laser_constant_m=chain.laser.reference.constant_m,
+            laser_error_rms_m=chain.laser.reference.error_rms_m(),
+            training_windows=chain.correction.windows,
             trained_accepted=self._trained["accepted"],
             trained_rejected=self._trained["rejected"],
             trained_failed=self._trained["failed"],
             last_accepted_t_s=self._accepted_t_s,
+            fitted=dict(self._fitted),
+            last_fitted_t_s=self._fitted_t_s,
             out_of_order=self._out_of_order,
-            spikes=self._spikes.rejected,
+            spikes=chain.spikes.rejected,
+            rejected=chain.observer.rejected,
         )

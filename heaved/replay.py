@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from math import inf, isfinite, isnan, nan, pi
@@ -21,11 +21,16 @@ import msgspec
 from heaved.config import Config
 from heaved.devices.recording import Recording
 from heaved.estimation.rock import STANDARD_HORIZONS_S
+from heaved.estimation.sea_window import look
 from heaved.pipeline import Pipeline
-from heaved.samples import HeaveForecast, HeaveState, MotionFrame, RockPrediction
+from heaved.samples import DelayedHeave, HeaveForecast, HeaveState, MotionFrame, RockPrediction
 from heaved.training.process import BlockingTrainer
 
 _DEGREES: Final = 180.0 / pi
+DELAYED: Final = "~"
+"""Stands for a cell that is not known yet."""
+MAX_STEP_S: Final = 0.5
+"""Delayed heaves further apart than this have a hole between them."""
 _PROGRESS_ROWS: Final = 500
 """Rows between two calls of ``progress``."""
 
@@ -52,6 +57,8 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """Frames by how far their heave can be trusted."""
     trainings: dict[str, int]
     """Training windows by what became of them: accepted, rejected, failed."""
+    fits: dict[str, int]
+    """Fits of the sea likewise."""
 
     def __str__(self) -> str:
         speed = self.duration_s / self.elapsed_s if self.elapsed_s > 0.0 else inf
@@ -60,12 +67,13 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
             for state in HeaveState
             if self.quality.get(state)
         )
+        fitted = ", ".join(f"{count} {result}" for result, count in sorted(self.fits.items()))
         trained = ", ".join(f"{count} {result}" for result, count in sorted(self.trainings.items()))
         return (
             f"{self.rows} rows, {self.duration_s:.1f} s of motion in {self.elapsed_s:.1f} s "
             f"({speed:.0f} x real time)\n"
             f"{self.frames} frames: {shares or 'no row has az_mps2'}\n"
-            f"training windows: {trained or 'none'}"
+            f"fits of the sea: {fitted or 'none'}; training windows: {trained or 'none'}"
         )
 
 
@@ -89,7 +97,8 @@ class Columns:
         return ",".join(self.names) + "\n"
 
     def row(self, frame: MotionFrame) -> str:
-        """One line; what is not known is blank, never zero. There is no delayed heave yet."""
+        """One line but for the delayed heave of its time, whose place is held by DELAYED: what is not known is blank,
+        never zero."""
         numbers = [
             frame.t_s,
             frame.heave_m,
@@ -112,8 +121,42 @@ class Columns:
             predicted += [rock.pitch_rad * _DEGREES, rock.pitch_std_rad * _DEGREES]
         for rock in known:
             predicted += [rock.yaw_rad * _DEGREES, rock.yaw_std_rad * _DEGREES]
-        cells = [*map(_cell, numbers), frame.quality.heave.value, "", *map(_cell, predicted)]
+        cells = [*map(_cell, numbers), frame.quality.heave.value, DELAYED, *map(_cell, predicted)]
         return ",".join(cells) + "\n"
+
+
+class DelayedColumn:
+    """Holds rows back until the delayed heave of their time is known, a minute later, and puts it in."""
+
+    def __init__(self, write: Callable[[str], object]) -> None:
+        self._write = write
+        self._rows: deque[tuple[float, str]] = deque()
+        self._last: DelayedHeave | None = None
+
+    def put(self, t_s: float, row: str, delayed: DelayedHeave | None) -> None:
+        """A row and its time; ``delayed``: what is newest now."""
+        self._rows.append((t_s, row))
+        if delayed is None or delayed is self._last:
+            return
+        before, self._last = self._last, delayed
+        while self._rows and self._rows[0][0] <= delayed.t_s:
+            at_s, waiting = self._rows.popleft()
+            self._write(waiting.replace(DELAYED, _cell(_between(before, delayed, at_s)), 1))
+
+    def flush(self) -> None:
+        """What has no delayed heave any more."""
+        while self._rows:
+            self._write(self._rows.popleft()[1].replace(DELAYED, "", 1))
+
+
+def _between(before: DelayedHeave | None, after: DelayedHeave, t_s: float) -> float:
+    """Linear, since neighbours are 50 ms apart; nan outside, and in holes."""
+    if t_s == after.t_s:
+        return after.heave_m
+    if before is None or not before.t_s <= t_s or after.t_s - before.t_s > MAX_STEP_S:
+        return nan
+    share = (t_s - before.t_s) / (after.t_s - before.t_s)
+    return before.heave_m + share * (after.heave_m - before.heave_m)
 
 
 _NO_FORECAST: Final = HeaveForecast(horizon_s=nan)
@@ -142,14 +185,22 @@ def replay(
         columns = Columns(config)
         file.write(columns.header())
         run = _Run(_pipeline(config, recording.has_laser), trainer)
+        rows = DelayedColumn(file.write)
         for frame in run.frames(recording, until_s, progress):
-            file.write(columns.row(frame))
+            rows.put(frame.t_s, columns.row(frame), frame.delayed)
+        rows.flush()
     return run.summary(time.monotonic() - begun_s)
 
 
 def _pipeline(config: Config, has_laser: bool) -> Pipeline:
     return Pipeline(
-        heave=config.heave, laser=config.laser, correction=config.correction, rock=config.rock, has_laser=has_laser
+        heave=config.heave,
+        laser=config.laser,
+        correction=config.correction,
+        rock=config.rock,
+        has_laser=has_laser,
+        point=config.point,
+        lead_s=config.compensation.lead_s,
     )
 
 
@@ -163,6 +214,7 @@ class _Run:
         self._duration_s = 0.0
         self._quality: Counter[HeaveState] = Counter()
         self._trainings: Counter[str] = Counter()
+        self._fits: Counter[str] = Counter()
 
     def frames(self, recording: Recording, until_s: float, progress: Progress | None) -> Iterator[MotionFrame]:
         first_s = nan
@@ -179,6 +231,8 @@ class _Run:
                 if reading is None:
                     continue
                 frame = self._pipeline.step(reading)
+                if (past := self._pipeline.fit_due()) is not None:
+                    self._fits[self._pipeline.accept_fit(look(past))] += 1
                 if (window := self._pipeline.training_due()) is not None:
                     self._trainings[self._pipeline.accept(self._trainer.fit(window))] += 1
                 if frame is not None:
@@ -195,6 +249,7 @@ class _Run:
             elapsed_s=elapsed_s,
             quality=dict(self._quality),
             trainings=dict(self._trainings),
+            fits=dict(self._fits),
         )
 
 

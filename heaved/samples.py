@@ -117,6 +117,55 @@ class HeaveForecast(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     std_m: float = nan
 
 
+class DelayedHeave(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """Heave of a moment that lies some time back, from the samples before and after it (fixed-lag smoothing)."""
+
+    t_s: float
+    """Its own time of validity."""
+    heave_m: float
+    std_m: float
+
+
+class PointMotion(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """Motion of a monitoring point: that of the IMU, and what the attitude adds at the end of the lever arm."""
+
+    name: str
+    heave_m: float = nan
+    heave_velocity_mps: float = nan
+
+
+class WaveSystem(msgspec.Struct, frozen=True, kw_only=True):
+    """One peak of the heave spectrum."""
+
+    kind: str
+    """"swell" or "wind sea", by its steepness."""
+    significant_height_m: float
+    peak_period_s: float
+
+
+class SeaState(msgspec.Struct, frozen=True, kw_only=True):
+    """The sea as the vessel's heave shows it."""
+
+    significant_height_m: float
+    """4 standard deviations of the heave."""
+    peak_period_s: float
+    mean_period_s: float
+    """m0 / m1 of the heave spectrum."""
+    systems: tuple[WaveSystem, ...]
+    """Longest waves first."""
+    frequencies_hz: tuple[float, ...]
+    spectrum_m2phz: tuple[float, ...]
+    """One-sided heave spectrum at those frequencies."""
+    t_s: float = nan
+    """End of the record that it was fitted to."""
+    window_s: float = nan
+    """Length of that record."""
+    model: str = ""
+    """What was fitted, for people."""
+    is_still: bool = False
+    """No motion above the noise of the sensor."""
+
+
 class MotionFrame(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     """All that is known of the motion at ``t_s``: one per IMU sample, one per missed sample time too."""
 
@@ -136,8 +185,15 @@ class MotionFrame(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     roll_rad: float = nan
     pitch_rad: float = nan
     yaw_rad: float = nan
+    points: tuple[PointMotion, ...] = ()
     rock: tuple[RockPrediction, ...] = ()
     forecast: tuple[HeaveForecast, ...] = ()
+    compensation_lead_s: float = 0.0
+    """Heave, velocity, their standard deviation and the points are for this long after ``t_s``."""
+    delayed: DelayedHeave | None = None
+    """The newest delayed heave; several frames may carry the same one."""
+    sea: SeaState | None = None
+    """The newest one; many frames carry the same object."""
 
 
 class TrainingWindow(msgspec.Struct, frozen=True, gc=False, kw_only=True):

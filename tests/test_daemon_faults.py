@@ -21,7 +21,7 @@ from heaved.daemon import Daemon, run
 from heaved.outputs.access import ListenError
 from heaved.realtime import set_real_time
 from heaved.simulate.faults import FaultKind, PlannedFault
-from heaved.training.process import Trainer
+from heaved.training.process import Worker
 
 FOR_EVER_S = 1e6
 
@@ -267,8 +267,8 @@ async def test_a_state_of_other_parameters(tmp_path):
 async def test_the_trainer_dies_again_and_again(tmp_path, monkeypatch):
     command = (sys.executable, "-c", "import sys; sys.exit('no module named torch')")
     monkeypatch.setattr(
-        "heaved.daemon.Trainer",
-        lambda *callbacks: Trainer(*callbacks, command=command, first_backoff_s=0.01),
+        "heaved.daemon.Worker",
+        lambda *arguments, **options: Worker(*arguments, command=command, first_backoff_s=0.01),
     )
     config = demo_config(tmp_path)
     correction = msgspec.structs.replace(config.correction, enabled=True)

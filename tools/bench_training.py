@@ -22,7 +22,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from heaved.samples import TrainedNetwork, TrainingWindow
-from heaved.training.process import Trainer
+from heaved.training.process import TRAINER, Worker
 
 TICK_NS = 10_000_000
 CLOCK_MONOTONIC = 1
@@ -93,7 +93,7 @@ async def process(window: TrainingWindow, seconds: float) -> tuple[np.ndarray, i
         trained += 1
         trainer.submit(window)
 
-    trainer = Trainer(next_one, print)
+    trainer = Worker("trainer", TrainedNetwork, next_one, print, command=TRAINER)
     await trainer.start()
     trainer.submit(window)
     try:

@@ -22,10 +22,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation import lead, sigma
+from heaved.estimation import lead, sea, sigma
 from heaved.estimation.inertial import InertialDisplacement
 from heaved.estimation.ring import Ring
+from heaved.estimation.sea import Motion
+from heaved.estimation.sea_window import SeaFit, SeaWindow
 from heaved.estimation.spectrum import dominant_frequencies, heave_spectrum
+from heaved.samples import DelayedHeave, SeaState
 
 Array = NDArray[np.float64]
 
@@ -50,7 +53,8 @@ LEAD_SLEW_S: Final = 2.0
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[heave]``: the observer."""
 
-    observer: Literal["harmonic"] = "harmonic"
+    observer: Literal["harmonic", "sea"] = "sea"
+    """"harmonic": a few sinusoids, as the paper has it; "sea": the spectrum of the sea."""
     components: Annotated[int, msgspec.Meta(ge=1, le=8)] = 1
     """Sinusoids in the model (n)."""
     window_s: Annotated[float, msgspec.Meta(ge=15, le=120)] = 30.0
@@ -75,17 +79,26 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Longest gap in the samples that is bridged; a longer one restarts the observer."""
     forecast_horizons_s: tuple[Annotated[float, msgspec.Meta(gt=0, le=30)], ...] = (0.05, 0.1, 0.15, 0.5, 1.0, 2.0, 5.0)
     lead: lead.Params = lead.Params()
-
-
-class Motion(msgspec.Struct, frozen=True, gc=False):
-    """Observer output at one moment."""
-
-    heave_m: float
-    velocity_mps: float
+    sea: sea.Params = sea.Params()
 
 
 class HarmonicObserver:
     """Feed it vertical acceleration in order of time; ask it for heave at any moment near the last one."""
+
+    # What the sea observer has and this one does not.
+    sea: SeaState | None = None
+    delayed: DelayedHeave | None = None
+    doubts: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    rejected = 0
+
+    def due(self) -> SeaWindow | None:
+        """Nothing to fit: the frequencies are looked for here."""
+        return None
+
+    def accept(self, fit: SeaFit) -> str:
+        """Never asked for."""
+        return "rejected"
 
     def __init__(self, params: Params, max_rate_hz: float = 250.0) -> None:
         self._params = params
@@ -329,6 +342,10 @@ class HarmonicObserver:
         heave, velocity = self._pair(shift_s - self.design_lead_s - learned_lead_s)
         return Motion(heave / self._gain, velocity / self._gain)
 
+    def outlook(self, shifts_s: tuple[float, ...], learned_lead_s: float = 0.0) -> list[Motion]:
+        """:meth:`at` for several moments at once."""
+        return [self.at(shift, learned_lead_s) for shift in shifts_s]
+
     def unshifted(self) -> Motion:
         """The one-step observer: eq. (14) with m = 0, as the comparison with the laser wants it."""
         return Motion(*self._pair(0.0))
@@ -352,6 +369,11 @@ class HarmonicObserver:
     def acceleration_mps2(self) -> float:
         """The last vertical acceleration, less its slow mean."""
         return self._acceleration - self._bias
+
+    @property
+    def needed_s(self) -> float:
+        """Seconds of record from which it counts as settled."""
+        return self._params.window_s
 
     @property
     def settled_s(self) -> float:

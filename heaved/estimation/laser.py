@@ -10,8 +10,9 @@ import numpy as np
 
 from heaved.estimation import lead, reference
 from heaved.estimation.correction import ResidualCorrection
-from heaved.estimation.heave import HarmonicObserver, Motion
+from heaved.estimation.heave import HarmonicObserver
 from heaved.estimation.ring import Ring
+from heaved.estimation.sea import Motion, SeaObserver
 from heaved.samples import Fault, LaserSample
 
 LATE_S: Final = 4.0
@@ -63,7 +64,7 @@ class LaserTeacher:
         self._compared.clear()
         self._correction.forget_outputs()
 
-    def teach(self, t_s: float, observer: HarmonicObserver) -> None:
+    def teach(self, t_s: float, observer: HarmonicObserver | SeaObserver) -> None:
         """Take the readings whose heave is known by now; every refresh, compare the lead."""
         while self._waiting and not self._waiting[0].t_s > self._output_t_s:
             self._take(self._waiting.popleft(), observer)
@@ -71,7 +72,7 @@ class LaserTeacher:
             self._lead_t_s = t_s
             self._learn_lead(t_s, observer)
 
-    def _take(self, sample: LaserSample, observer: HarmonicObserver) -> None:
+    def _take(self, sample: LaserSample, observer: HarmonicObserver | SeaObserver) -> None:
         self.fault = sample.fault
         row = self._outputs.interpolate(sample.t_s)
         settled = observer.settled_s >= REFERENCE_AFTER_S and observer.refreshes > 0
@@ -90,12 +91,13 @@ class LaserTeacher:
             if observer.settled_s >= LEARN_AFTER_S:
                 self._correction.learn(sample.t_s, signed - observer_m, self.reference.constant_m)
 
-    def _learn_lead(self, t_s: float, observer: HarmonicObserver) -> None:
+    def _learn_lead(self, t_s: float, observer: HarmonicObserver | SeaObserver) -> None:
         """The lead that the laser shows beyond that of the chain's own design."""
         rows = self._compared.since(t_s - self._params.window_s)
         if float(np.minimum(np.diff(rows[:, 0]), 0.5).sum()) < self._params.min_laser_s:
             return
         first = self.lead.updates == 0
         shown = lead.compare(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3], observer.omega_radps)
-        if self.lead.update(shown, observer.design_lead_s) and first:
+        has_true_gain = isinstance(observer, SeaObserver)
+        if self.lead.update(shown, observer.design_lead_s, has_true_gain=has_true_gain) and first:
             self._correction.forget_rows()

@@ -11,7 +11,7 @@ The sign of m in eq. (14) is explicit here: a positive lead means that the estim
 from __future__ import annotations
 
 from math import atan2, exp, hypot, pi, sqrt
-from typing import Annotated
+from typing import Annotated, Final
 
 import msgspec
 import numpy as np
@@ -37,6 +37,13 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Of the first-order update; the first comparisons are averaged."""
     limit_s: Annotated[float, msgspec.Meta(gt=0, le=5)] = 1.0
     """Bound on what is learned, either sign; a laser that shows more is of the wrong sign, or of something else."""
+    gain_limit: Annotated[float, msgspec.Meta(ge=0, le=0.5)] = 0.1
+    """Bound on the scale error of the accelerometer that is learned; 0: none is."""
+
+
+GAIN_COHERENCE: Final = 0.98
+"""A gain is learned only where the observer follows the laser that well: noise in the observer makes it look too
+large."""
 
 
 class Comparison(msgspec.Struct, frozen=True):
@@ -92,12 +99,18 @@ class LeadTracker:
     def __init__(self, params: Params) -> None:
         self._params = params
         self.learned_s = 0.0
+        self.gain = 1.0
         self.updates = 0
+        self._gains = 0
         self.last: Comparison | None = None
         self._weight = 1.0 - exp(-params.refresh_s / params.time_constant_s) if params.time_constant_s > 0.0 else 1.0
 
-    def update(self, comparison: Comparison | None, design_lead_s: float) -> bool:
-        """Take a comparison of the unshifted observer; False when it is not good enough to learn from."""
+    def update(self, comparison: Comparison | None, design_lead_s: float, *, has_true_gain: bool = False) -> bool:
+        """Take a comparison of the unshifted observer; False when it is not good enough to learn from.
+
+        has_true_gain: the observer's amplitude is that of its sensor, so that a gain which the laser shows is the
+        sensor's. (The harmonic observer has a gain of its own.)
+        """
         p = self._params
         self.last = comparison
         if comparison is None or comparison.coherence < p.min_coherence or comparison.lead_std_s > p.max_std_s:
@@ -108,9 +121,15 @@ class LeadTracker:
         weight = max(self._weight, 1.0 / (1.0 + self.updates))
         self.learned_s += weight * (measured - self.learned_s)
         self.updates += 1
+        if has_true_gain and comparison.coherence > GAIN_COHERENCE and p.gain_limit > 0.0:
+            shown = min(max(comparison.gain, 1.0 - p.gain_limit), 1.0 + p.gain_limit)
+            self.gain += max(self._weight, 1.0 / (1.0 + self._gains)) * (shown - self.gain)
+            self._gains += 1
         return True
 
-    def restore(self, learned_s: float) -> None:
+    def restore(self, learned_s: float, gain: float = 1.0) -> None:
         """Start from what an earlier run has learned; the next comparison outweighs half of it."""
-        self.learned_s = min(max(learned_s, -self._params.limit_s), self._params.limit_s)
-        self.updates = 1
+        p = self._params
+        self.learned_s = min(max(learned_s, -p.limit_s), p.limit_s)
+        self.gain = min(max(gain, 1.0 - p.gain_limit), 1.0 + p.gain_limit)
+        self.updates = self._gains = 1

@@ -19,6 +19,8 @@ SMALL_M: Final = 0.01
 """Errors below this are well whatever the sea: a still ship has no heave to compare with."""
 DISAGREEMENT: Final = 3.0
 """The laser shows this many times the modelled error."""
+MANY_MISSING: Final = 0.25
+"""Share of lost samples from which the line, not the sea, is what to look at."""
 
 
 class Facts(msgspec.Struct, frozen=True, kw_only=True):
@@ -35,6 +37,12 @@ class Facts(msgspec.Struct, frozen=True, kw_only=True):
     """Length from which it counts as settled."""
     error_std_m: float
     heave_std_m: float
+    missing: float
+    """Share of the samples that were lost in the last minute."""
+    doubts: tuple[str, ...]
+    """What the observer itself holds against its output."""
+    notes: tuple[str, ...]
+    """What people should know, and no reason to trust it less."""
     tilt_removed: bool
     std_scale: float
     laser_fault: Fault
@@ -64,11 +72,14 @@ def judge(facts: Facts) -> tuple[HeaveState, tuple[str, ...]]:
         degraded.append(f"imu: {what}, extrapolated")
     if not f.tilt_removed:
         degraded.append("no attitude or no horizontal acceleration: tilt not removed")
+    if f.missing > MANY_MISSING:
+        degraded.append(f"imu: {100.0 * f.missing:.0f} % of the samples missing")
+    degraded += f.doubts
     limit_m = max(BROAD_SEA * f.heave_std_m, SMALL_M)
     if f.error_std_m > limit_m * max(f.std_scale, 1.0):
-        degraded.append("sea broader than the harmonic model")
+        degraded.append("error above a fifth of the heave: the model does not fit this sea")
     elif f.error_std_m > limit_m or f.std_scale > DISAGREEMENT:
         degraded.append("laser and observer disagree")
     if degraded and state is HeaveState.VALID:
         state = HeaveState.DEGRADED
-    return state, (*degraded, *reasons)
+    return state, (*degraded, *f.notes, *reasons)

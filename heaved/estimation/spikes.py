@@ -1,4 +1,4 @@
-"""A gate for wild readings of the accelerometer, before they are integrated twice."""
+"""Gates for readings of the accelerometer that cannot be true: wild ones, and ones that no longer change."""
 
 from __future__ import annotations
 
@@ -49,3 +49,23 @@ class SpikeGate:
         self._mean_square += weight * (min(step * step, 4.0 * limit * limit) - self._mean_square)
         self._t_s, self._value = t_s, value
         return value
+
+
+STUCK_S: Final = 5.0
+"""The very same reading for this long is no measurement. A ship in dock shakes a sensor more than that; a device that
+knows its own resolution says so sooner (``stuck_after_s``)."""
+
+
+class StuckGate:
+    """Tells when the readings have been one and the same for STUCK_S."""
+
+    def __init__(self) -> None:
+        self._value = self._since_s = nan
+        self.is_stuck = False
+
+    def __call__(self, t_s: float, value: float) -> bool:
+        """Whether ``value`` is a repetition that must not be used any more."""
+        if value != self._value:
+            self._value, self._since_s = value, t_s
+        self.is_stuck = t_s - self._since_s >= STUCK_S
+        return self.is_stuck

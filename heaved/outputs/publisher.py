@@ -115,6 +115,10 @@ class Publisher:
         line = head + wire.motion_tail(self.clock() - frame.t_s, 0)
         self.metrics.count_sent(sum([client.send_motion(line, head, frame.t_s) for client in watching]))
 
+    def is_watched(self, name: str) -> bool:
+        """Whether any client watches the class ``name``: whether there is a record to make at all."""
+        return any(name in client.classes for client in self._served)
+
     def publish_record(self, record: msgspec.Struct) -> None:
         """Hand a record of another class (SEA, STATUS, ...; the class is its tag) to the clients that watch it."""
         watching = [client for client in self._served if record.__struct_config__.tag in client.classes]

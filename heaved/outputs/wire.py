@@ -16,10 +16,20 @@ from typing import Any, Final, Literal, get_args
 
 import msgspec
 
-from heaved.samples import CorrectionState, HeaveForecast, HeaveState, LaserState, MotionFrame, RockPrediction
+from heaved.samples import (
+    CorrectionState,
+    DelayedHeave,
+    HeaveForecast,
+    HeaveState,
+    LaserState,
+    MotionFrame,
+    PointMotion,
+    RockPrediction,
+    SeaState,
+)
 
 PROTO_MAJOR: Final = 1
-PROTO_MINOR: Final = 0
+PROTO_MINOR: Final = 1
 MAX_REQUEST_BYTES: Final = 512
 """Longest line that a client may send, its line end included."""
 
@@ -81,6 +91,14 @@ class ForecastRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_d
     std_m: float | None = None
 
 
+class PointRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_defaults=True):
+    """A monitoring point, as configured."""
+
+    name: str
+    heave_m: float | None = None
+    heave_velocity_mps: float | None = None
+
+
 class MotionRecord(
     msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_defaults=True, tag_field="class", tag="MOTION"
 ):
@@ -103,6 +121,9 @@ class MotionRecord(
     roll_deg: float | None = None
     pitch_deg: float | None = None
     yaw_deg: float | None = None
+    compensation_lead_s: float | None = None
+    """Heave, its standard deviation and velocity, and the points are for this long after ``time``; absent: 0."""
+    points: tuple[PointRecord, ...] = ()
     rock: tuple[RockRecord, ...] = ()
     forecast: tuple[ForecastRecord, ...] = ()
     quality: QualityRecord
@@ -110,6 +131,43 @@ class MotionRecord(
     """From validity to the moment the line was given to the socket."""
     dropped: int | None = None
     """Frames that this client lost just before this one, because it did not keep up."""
+
+
+class WaveSystemRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """One peak of the heave spectrum."""
+
+    kind: str
+    significant_height_m: float
+    peak_period_s: float
+
+
+class SeaRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class", tag="SEA"):
+    """The sea as the heave shows it, with each refit."""
+
+    time: str
+    """UTC of the end of the record that it comes from."""
+    significant_height_m: float
+    peak_period_s: float
+    mean_period_s: float
+    is_still: bool
+    systems: tuple[WaveSystemRecord, ...]
+    """Swell and wind sea, longest waves first."""
+    frequencies_hz: tuple[float, ...]
+    spectrum_m2phz: tuple[float, ...]
+    """One-sided heave spectrum."""
+    model: str
+    window_s: float
+    """Length of the record that it was fitted to."""
+
+
+class DelayedRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class", tag="DELAYED"):
+    """Delayed heave: exact, and old."""
+
+    time: str
+    """UTC of validity."""
+    mono_s: float
+    heave_m: float
+    std_m: float
 
 
 class HeaveStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -242,6 +300,8 @@ def motion_head(frame: MotionFrame, *, seq: int, utc_s: float) -> bytes:
         roll_deg=degrees(frame.roll_rad),
         pitch_deg=degrees(frame.pitch_rad),
         yaw_deg=degrees(frame.yaw_rad),
+        compensation_lead_s=frame.compensation_lead_s or None,
+        points=tuple([_point(point) for point in frame.points]),
         rock=tuple([_rock(prediction) for prediction in frame.rock]),
         forecast=tuple([_forecast(forecast) for forecast in frame.forecast]),
         quality=QualityRecord(
@@ -265,6 +325,45 @@ def _rock(prediction: RockPrediction) -> RockRecord:
         roll_std_deg=degrees(prediction.roll_std_rad),
         pitch_std_deg=degrees(prediction.pitch_std_rad),
         yaw_std_deg=degrees(prediction.yaw_std_rad),
+    )
+
+
+def _point(point: PointMotion) -> PointRecord:
+    return PointRecord(
+        name=point.name, heave_m=finite(point.heave_m), heave_velocity_mps=finite(point.heave_velocity_mps)
+    )
+
+
+def sea_record(sea: SeaState, utc_s: float) -> SeaRecord:
+    """``utc_s``: of ``sea.t_s``, seconds since 1970."""
+    return SeaRecord(
+        time=iso_time(utc_s),
+        significant_height_m=round(sea.significant_height_m, 4),
+        peak_period_s=round(sea.peak_period_s, 3),
+        mean_period_s=round(sea.mean_period_s, 3),
+        is_still=sea.is_still,
+        systems=tuple(
+            WaveSystemRecord(
+                kind=system.kind,
+                significant_height_m=round(system.significant_height_m, 4),
+                peak_period_s=round(system.peak_period_s, 3),
+            )
+            for system in sea.systems
+        ),
+        frequencies_hz=tuple(round(f, 5) for f in sea.frequencies_hz),
+        spectrum_m2phz=tuple(float(f"{s:.4g}") for s in sea.spectrum_m2phz),
+        model=sea.model,
+        window_s=round(sea.window_s, 3),
+    )
+
+
+def delayed_record(delayed: DelayedHeave, utc_s: float) -> DelayedRecord:
+    """``utc_s``: of its own validity, seconds since 1970."""
+    return DelayedRecord(
+        time=iso_time(utc_s),
+        mono_s=round(delayed.t_s * 1e6) / 1e6,
+        heave_m=round(delayed.heave_m, 6),
+        std_m=round(delayed.std_m, 6),
     )
 
 

@@ -2,7 +2,9 @@
 
 import sys
 
-from heaved.training.worker import main
+from heaved.samples import TrainingWindow
+from heaved.training.fit import fit
+from heaved.training.worker import serve
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(serve("trainer", TrainingWindow, fit))

@@ -1,6 +1,6 @@
-"""The daemon's side of the trainer process. No torch here: importing it stalls an event loop for 0.2 s.
+"""The daemon's side of a worker process: training, and fitting the sea. No torch here: importing it stalls a loop.
 
-``Trainer`` serves the running daemon and never blocks it; ``BlockingTrainer`` serves replay, which waits for results.
+``Worker`` serves the running daemon and never blocks it; ``BlockingTrainer`` serves replay, which waits for results.
 """
 
 from __future__ import annotations
@@ -15,12 +15,16 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from threading import Timer
 from types import TracebackType
+from typing import Generic, Protocol, TypeVar, cast
+
+import msgspec
 
 from heaved.samples import TrainedNetwork, TrainingWindow
 from heaved.training import protocol
 
-WORKER = (sys.executable, "-m", "heaved.training")
-LONGEST_TRAINING_S = 60.0
+TRAINER = (sys.executable, "-m", "heaved.training")
+FITTER = (sys.executable, "-m", "heaved.training.fitter")
+LONGEST_JOB_S = 60.0
 LONGEST_BACKOFF_S = 60.0
 GRACE_S = 0.5
 """How long a process may take to end by itself once its stdin is closed."""
@@ -28,55 +32,70 @@ STDERR_KEPT_BYTES = 2000
 
 
 class WorkerFailed(Exception):
-    """The trainer process died, hung or talked nonsense; the message says which."""
+    """The worker process died, hung or talked nonsense; the message says which."""
 
 
-class Trainer:
-    """One trainer process, started again with back-off (1, 2, 4 .. 60 s) whenever it fails.
+class Job(Protocol):
+    """What is sent to a worker, and what comes back: both carry the number of the job."""
 
-    At most one window is under way and one waits; a newer window replaces the waiting one. The window under way when
-    the process fails is dropped: the next one is seconds away, and the failure may be its fault.
+    @property
+    def number(self) -> int: ...
+
+
+Result = TypeVar("Result", bound=msgspec.Struct)
+
+
+class Worker(Generic[Result]):
+    """One worker process, started again with back-off (1, 2, 4 .. 60 s) whenever it fails.
+
+    At most one job is under way and one waits; a newer job replaces the waiting one. The job under way when the process
+    fails is dropped: the next one is seconds away, and the failure may be its fault.
     """
 
     def __init__(
         self,
-        on_result: Callable[[TrainedNetwork], None],
+        name: str,
+        kind: type[Result],
+        on_result: Callable[[Result], None],
         on_failure: Callable[[str], None],
         *,
-        command: Sequence[str] = WORKER,
-        longest_training_s: float = LONGEST_TRAINING_S,
+        command: Sequence[str],
+        longest_s: float = LONGEST_JOB_S,
         first_backoff_s: float = 1.0,
     ) -> None:
-        """Both callbacks run on the loop. on_failure gets the reason and the last words of the process."""
+        """``kind``: the record of an answer. Both callbacks run on the loop; on_failure gets the reason and the last
+        words of the process."""
+        self._name = name
+        self._kind = kind
         self._on_result = on_result
         self._on_failure = on_failure
         self._command = command
-        self._longest_training_s = longest_training_s
+        self._longest_s = longest_s
         self._first_backoff_s = first_backoff_s
         self._backoff_s = first_backoff_s
         self._waiting: asyncio.Queue[tuple[int, bytes]] = asyncio.Queue(maxsize=1)
-        """Number of a window, and its frame."""
+        """Number of a job, and its frame."""
         self._task: asyncio.Task[None] | None = None
         self.failures = 0
         """Times the process died, hung or talked nonsense."""
         self.replaced = 0
-        """Windows that a newer one replaced before their training began."""
+        """Jobs that a newer one replaced before they were begun."""
 
     async def start(self) -> None:
         """Start the process and its supervision."""
-        self._task = asyncio.create_task(self._supervise(), name="trainer")
+        self._task = asyncio.create_task(self._supervise(), name=self._name)
 
-    def submit(self, window: TrainingWindow) -> None:
-        """Train on this window as soon as the process is free. Never blocks.
+    def submit(self, job: Job) -> None:
+        """Send this job as soon as the process is free. Never blocks.
 
         Raises:
-            FrameError: the window is too large to be sent.
+            FrameError: the job is too large to be sent.
         """
-        frame = protocol.encode(window)
+        frame = protocol.encode(cast(msgspec.Struct, job))
         if self._waiting.full():
             self._waiting.get_nowait()
             self.replaced += 1
-        self._waiting.put_nowait((window.number, frame))
+        self._waiting.put_nowait((job.number, frame))
 
     async def stop(self) -> None:
         """End the process within a second, whatever it is doing.
@@ -96,7 +115,7 @@ class Trainer:
         while True:
             reason = await self._one_life()
             self.failures += 1
-            self._on_failure(f"trainer: {reason}; starting it again in {self._backoff_s:g} s")
+            self._on_failure(f"{self._name}: {reason}; starting it again in {self._backoff_s:g} s")
             await asyncio.sleep(self._backoff_s)
             self._backoff_s = min(LONGEST_BACKOFF_S, 2.0 * self._backoff_s)
 
@@ -121,8 +140,8 @@ class Trainer:
         return f"{reason} (exit code {process.returncode})" + (f": {words}" if words else "")
 
     async def _serve(self, process: Process) -> None:
-        """Hand over windows and deliver results until the process fails."""
-        answer = asyncio.create_task(_answer(process), name="answer")
+        """Hand over jobs and deliver results until the process fails."""
+        answer = asyncio.create_task(_answer(process, self._kind), name="answer")
         try:
             while True:
                 submitted = asyncio.create_task(self._waiting.get())
@@ -135,24 +154,25 @@ class Trainer:
                     raise WorkerFailed("it answered without being asked")
                 self._on_result(await self._exchange(process, *submitted.result(), answer))
                 self._backoff_s = self._first_backoff_s
-                answer = asyncio.create_task(_answer(process), name="answer")
+                answer = asyncio.create_task(_answer(process, self._kind), name="answer")
         finally:
             answer.cancel()
 
     async def _exchange(
-        self, process: Process, number: int, frame: bytes, answer: asyncio.Task[TrainedNetwork]
-    ) -> TrainedNetwork:
+        self, process: Process, number: int, frame: bytes, answer: asyncio.Task[Result]
+    ) -> Result:
         assert process.stdin is not None
         try:
-            async with asyncio.timeout(self._longest_training_s):
+            async with asyncio.timeout(self._longest_s):
                 process.stdin.write(frame)
                 with suppress(ConnectionError):  # it died; the answer knows more
                     await process.stdin.drain()
                 result = await answer
         except TimeoutError:
-            raise WorkerFailed(f"a training took longer than {self._longest_training_s:g} s") from None
-        if result.number != number:
-            raise WorkerFailed(f"it answered window {result.number} instead of {number}")
+            raise WorkerFailed(f"a job took longer than {self._longest_s:g} s") from None
+        answered = cast(Job, result).number
+        if answered != number:
+            raise WorkerFailed(f"it answered job {answered} instead of {number}")
         return result
 
 
@@ -162,7 +182,7 @@ class BlockingTrainer:
     A context manager; the process starts with the first window, and again after a failure.
     """
 
-    def __init__(self, *, command: Sequence[str] = WORKER, longest_training_s: float = LONGEST_TRAINING_S) -> None:
+    def __init__(self, *, command: Sequence[str] = TRAINER, longest_training_s: float = LONGEST_JOB_S) -> None:
         self._command = command
         self._longest_training_s = longest_training_s
         self._process: subprocess.Popen[bytes] | None = None
@@ -233,12 +253,12 @@ def _environment() -> dict[str, str]:
     return os.environ | {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
-async def _answer(process: Process) -> TrainedNetwork:
+async def _answer(process: Process, kind: type[Result]) -> Result:
     assert process.stdout is not None
     try:
         header = await process.stdout.readexactly(protocol.HEADER.size)
         body = await process.stdout.readexactly(protocol.body_length(header))
-        return protocol.decode(body, TrainedNetwork)
+        return protocol.decode(body, kind)
     except asyncio.IncompleteReadError:
         raise WorkerFailed("the process ended") from None
     except protocol.FrameError as error:

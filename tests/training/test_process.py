@@ -13,7 +13,7 @@ import pytest
 from training_windows import RAMP, window
 
 from heaved.samples import TrainedNetwork, TrainingWindow
-from heaved.training.process import BlockingTrainer, Trainer
+from heaved.training.process import BlockingTrainer, Worker
 from heaved.training.protocol import FrameError
 
 PREAMBLE = """
@@ -59,9 +59,11 @@ class Watcher:
 
 
 @asynccontextmanager
-async def training(script: str, **options: float) -> AsyncIterator[tuple[Trainer, Watcher]]:
+async def training(script: str, **options: float) -> AsyncIterator[tuple[Worker[TrainedNetwork], Watcher]]:
     watcher = Watcher()
-    trainer = Trainer(
+    trainer = Worker(
+        "trainer",
+        TrainedNetwork,
         watcher.results.put_nowait,
         watcher.failures.put_nowait,
         command=command(script),
@@ -98,7 +100,7 @@ async def test_a_misbehaving_process_is_replaced_and_named(script: str, reason: 
     mark = tmp_path / "second"
     both = f"second = os.path.exists({str(mark)!r}); open({str(mark)!r}, 'w').close()\n"
     both += f"exec({ECHO!r}) if second else exec({script!r})"
-    async with training(both, longest_training_s=0.3 if script is HANGS else 30.0) as (trainer, watcher):
+    async with training(both, longest_s=0.3 if script is HANGS else 30.0) as (trainer, watcher):
         trainer.submit(asking(1))
         assert reason in await watcher.failures.get()
         trainer.submit(asking(2))
@@ -122,7 +124,7 @@ async def test_the_back_off_doubles_while_nothing_succeeds() -> None:
 
 async def test_a_command_that_does_not_exist_is_a_message() -> None:
     failures: asyncio.Queue[str] = asyncio.Queue()
-    trainer = Trainer(lambda _: None, failures.put_nowait, command=["/nonexistent/python"])
+    trainer = Worker("trainer", TrainedNetwork, lambda _: None, failures.put_nowait, command=["/nonexistent/python"])
     await trainer.start()
     assert "cannot start /nonexistent/python" in await failures.get()
     await trainer.stop()
@@ -166,7 +168,7 @@ async def test_stopping_while_a_failed_child_takes_its_time_ends_it() -> None:
 
 
 async def test_stop_without_start_and_twice() -> None:
-    trainer = Trainer(lambda _: None, lambda _: None, command=command(ECHO))
+    trainer = Worker("trainer", TrainedNetwork, lambda _: None, lambda _: None, command=command(ECHO))
     await trainer.stop()
     await trainer.start()
     await trainer.stop()
@@ -178,7 +180,7 @@ async def test_a_bug_in_a_callback_is_not_lost() -> None:
     def bug(_: TrainedNetwork) -> None:
         raise ZeroDivisionError
 
-    trainer = Trainer(bug, lambda _: None, command=command(ECHO))
+    trainer = Worker("trainer", TrainedNetwork, bug, lambda _: None, command=command(ECHO))
     await trainer.start()
     trainer.submit(asking(1))
     await asyncio.wait(tasks("trainer"))
@@ -188,7 +190,7 @@ async def test_a_bug_in_a_callback_is_not_lost() -> None:
 
 
 async def test_a_window_too_large_to_send_is_refused() -> None:
-    trainer = Trainer(lambda _: None, lambda _: None, command=command(ECHO))
+    trainer = Worker("trainer", TrainedNetwork, lambda _: None, lambda _: None, command=command(ECHO))
     with pytest.raises(FrameError, match="shorten"):
         trainer.submit(window(RAMP, RAMP[:, 0], inputs=bytes(65 * 1024 * 1024)))
 

@@ -1,0 +1,79 @@
+"""Where the state leads: heave, velocity and their uncertainty at any moment near the last sample, F^m X.
+
+Everything that is published is the state moved in time: by the age of the last measurement, by the lead or lag of the
+sensor chain, by the reaction time of a compensator, by the horizon of a forecast. The rows that do it, heave expm(A
+tau), are kept on a grid of tau, with the derivatives that reach from there to any tau: d/dtau is a multiplication by A.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heaved.estimation.sea_model import SeaSystem
+
+Array = NDArray[np.float64]
+
+STEP_S: Final = 0.05
+BACK_S: Final = 3.0
+"""How far back the rows reach: the most that a sensor may be late, twice over."""
+ORDER: Final = 6
+"""Derivatives used: at 0.1 s and 0.6 Hz the next one is 1e-7."""
+
+
+class Outlook:
+    """Rows of one model over tau from -BACK_S to ``ahead_s``."""
+
+    def __init__(self, system: SeaSystem, ahead_s: float) -> None:
+        self._A = system.A
+        count = round((BACK_S + ahead_s) / STEP_S) + 1
+        self._first_s = -BACK_S
+        F = system.moved(STEP_S)
+        self._rows = np.empty((count, len(system.H)))
+        self._rows[0] = system.heave @ system.moved(-BACK_S)
+        for j in range(1, count):
+            self._rows[j] = self._rows[j - 1] @ F
+        # Variance that the waves to come add: integral of (row(s) g)^2 from 0 to tau.
+        density = self._rows**2 @ system.diffusion
+        zero = round(BACK_S / STEP_S)
+        self._added = np.zeros(count)
+        self._added[zero + 1 :] = np.cumsum(0.5 * STEP_S * (density[zero + 1 :] + density[zero:-1]))
+
+    def derivatives(self, taus_s: Sequence[float]) -> Array:
+        """(len(taus), ORDER, n): heave at each tau and its derivatives over factorials, as rows on the state."""
+        out = np.empty((len(taus_s), ORDER, self._rows.shape[1]))
+        for i, tau in enumerate(taus_s):
+            j = min(max(round((tau - self._first_s) / STEP_S), 0), len(self._rows) - 1)
+            rest = tau - self._first_s - j * STEP_S
+            chain = [self._rows[j]]
+            for _ in range(ORDER + 5):
+                chain.append(chain[-1] @ self._A)
+            # Taylor from the grid to tau, for each derivative.
+            factorial = 1.0
+            for order in range(ORDER):
+                factorial *= max(order, 1)
+                total, scale = np.zeros_like(chain[0]), 1.0
+                for k in range(6):
+                    total = total + scale * chain[order + k]
+                    scale *= rest / (k + 1)
+                out[i, order] = total / factorial
+        return out
+
+    def stds(self, P: Array) -> Array:
+        """Standard deviation of the heave error at every tau of the grid, for a state of covariance ``P`` (n, n)."""
+        variances = np.einsum("ji,ji->j", self._rows @ P, self._rows) + self._added
+        return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
+
+    def index(self, tau_s: float) -> float:
+        """Place of ``tau_s`` in :meth:`stds`, within its ends."""
+        return min(max((tau_s - self._first_s) / STEP_S, 0.0), len(self._rows) - 1.0)
+
+
+def at_index(values: Array, place: float) -> float:
+    """``values`` (n,) at a place between its elements, linear."""
+    i = min(int(place), len(values) - 2)
+    share = place - i
+    return float((1.0 - share) * values[i] + share * values[i + 1])

@@ -1,0 +1,126 @@
+"""The live filter of the sea model: one measurement of the vertical acceleration at a time.
+
+A Kalman filter (on this linear model every set of sigma points reproduces it to rounding: the tests say so). While
+samples come in their usual interval and the covariance has converged to that of the steady filter, within STEADY of
+each variance, the steady gain is used: the estimate then differs by less than 1e-9 of the heave from the full one. A
+missing sample, a rejected one or a gap brings the covariance back, and it grows as it should.
+
+Jitter of the sampling times is taken in exactly by the mean (F(T) times a Taylor series of the rest); the covariance
+takes the usual interval for any within half of it, which changes the gain by less than a thousandth of the jitter.
+"""
+
+from __future__ import annotations
+
+from math import isfinite, sqrt
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heaved.estimation.sea_model import SeaSystem, Steady, measurement_variance
+
+Array = NDArray[np.float64]
+
+STEADY: Final = 1e-9
+"""Relative difference of every variance below which the covariance counts as converged."""
+GATE: Final = 10.0
+"""Innovations beyond this many standard deviations are not of the sea."""
+GATE_MEMORY: Final = 0.02
+"""Weight of one innovation in the variance that opens the gate for a sea that grows."""
+GATE_LASTS: Final = 10
+"""What is outside for that many samples on end is no outlier."""
+EXACT_DELTA_S: Final = 1e-7
+"""A shorter rest of the interval than this changes nothing."""
+
+
+class SeaFilter:
+    """State and covariance at the time of the last sample.
+
+    Attributes:
+        t_s: that time.
+        x: (n,) filtered state.
+        P: (n, n) its covariance; None: the steady one.
+        rejected: samples that the gate has kept out.
+    """
+
+    def __init__(self, system: SeaSystem, steady: Steady, t_s: float, x: Array, P: Array | None) -> None:
+        self.system, self.steady = system, steady
+        self.t_s, self.x, self.P = t_s, x, P
+        self.rejected = 0
+        self._R = measurement_variance(system.model.noise_psd, steady.dt_s)
+        self._steady_P = steady.P - np.outer(steady.K, steady.K) * steady.S
+        self._steady_variances = np.diag(self._steady_P).copy()
+        self._seen = steady.S
+        self._outside = 0
+
+    @property
+    def covariance(self) -> Array:
+        """(n, n) of x."""
+        return self._steady_P if self.P is None else self.P
+
+    @property
+    def is_steady(self) -> bool:
+        return self.P is None
+
+    def step(self, t_s: float, a_mps2: float) -> tuple[float, float]:
+        """Take a sample at ``t_s`` > the last one; (heave in m before it was taken in, innovation in m/s2 or 0)."""
+        dt = t_s - self.t_s
+        steady, H = self.steady, self.system.H
+        delta = dt - steady.dt_s
+        is_usual = abs(delta) <= 0.5 * steady.dt_s
+        x = self.x
+        if is_usual:
+            if abs(delta) > EXACT_DELTA_S:
+                x = self._nudged(x, delta)
+            x = steady.F.dot(x)
+            P = self.P if self.P is None else _symmetric(steady.F.dot(self.P).dot(steady.F.T) + steady.Q)
+        else:
+            F, Q = self.system.transition(dt)
+            x = F.dot(x)
+            P = _symmetric(F.dot(self.covariance).dot(F.T) + Q)
+        self.t_s = t_s
+        predicted_m = float(self.system.heave.dot(x))
+        y = a_mps2 - float(H.dot(x))
+        PH = None if P is None else P.dot(H)
+        S = steady.S if PH is None else float(H.dot(PH)) + self._R
+        if self._is_outlier(y, S):
+            self.rejected += 1
+            self.x, self.P = x, steady.P if P is None else P
+            return predicted_m, 0.0
+        if P is None or PH is None:
+            self.x = x + steady.K * y
+        else:
+            self.x, self.P = x + PH * (y / S), P - np.outer(PH, PH) / S
+            self._settle()
+        return predicted_m, y
+
+    def is_sound(self) -> bool:
+        """Whether state and covariance are still finite numbers and variances positive."""
+        return isfinite(float(self.x.dot(self.x))) and (self.P is None or bool(np.all(np.diag(self.P) > 0.0)))
+
+    def _nudged(self, x: Array, delta_s: float) -> Array:
+        """expm(A delta) x, for a delta far below the periods of the model."""
+        term = total = x
+        for i in range(1, 5):
+            term = self.system.A.dot(term) * (delta_s / i)
+            total = total + term
+        return total
+
+    def _is_outlier(self, y: float, S: float) -> bool:
+        limit = GATE * sqrt(max(S, self._seen))
+        self._seen += GATE_MEMORY * (min(y * y, limit * limit) - self._seen)
+        if abs(y) <= limit or self._outside >= GATE_LASTS:
+            if abs(y) <= limit:
+                self._outside = 0
+            return not isfinite(y)
+        self._outside += 1
+        return True
+
+    def _settle(self) -> None:
+        assert self.P is not None
+        if float(np.max(np.abs(np.diag(self.P) / self._steady_variances - 1.0))) < STEADY:
+            self.P = None
+
+
+def _symmetric(P: Array) -> Array:
+    return np.asarray(0.5 * (P + P.T))

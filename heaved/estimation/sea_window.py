@@ -1,0 +1,193 @@
+"""One look at the recent past: which model the sea has now, and the state of its filter. Runs beside the event loop.
+
+Several lengths of the past are fitted side by side. Long ones are exact in a steady sea, short ones follow a change;
+which serves best is decided by what each *foretold*: the models of the last look are run over the samples that came
+since, and the likelihood of their innovations, with a memory of a few looks, picks the length whose new model is used.
+"""
+
+from __future__ import annotations
+
+from math import log, sqrt
+from typing import Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from heaved.estimation import sea_fit, sea_run
+from heaved.estimation.sea_model import SeaModel, SeaSystem, Steady
+from heaved.estimation.sea_state import sea_state
+from heaved.samples import SeaState
+
+Array = NDArray[np.float64]
+
+SCORE_MEMORY: Final = 0.7
+"""Share of the score of a length that is kept from look to look."""
+FEW_COMPONENTS_BELOW_S: Final = 120.0
+"""A shorter record does not bear more than two components."""
+SETTLE_S: Final = 120.0
+"""Before the samples that a model is judged on, its filter runs this long."""
+WHITENESS_S: Final = 2.0
+"""Innovations are averaged over this: engines and slams cancel, what a wrong sea leaves stays."""
+WHITENESS_OVER_S: Final = 60.0
+MIN_RECORD_S: Final = 20.0
+
+
+class Candidate(msgspec.Struct, frozen=True, kw_only=True):
+    """The model of one length of the past."""
+
+    window_s: float
+    model: SeaModel
+    score: float = 0.0
+    """Log-likelihood of what came after its predecessors, less that of the best length; forgotten slowly."""
+
+
+class SeaWindow(msgspec.Struct, frozen=True, kw_only=True, tag="sea"):
+    """A request: the past, and what the last look made of it. Arrays travel as float64 bytes."""
+
+    number: int
+    t_s: bytes
+    """(n,) times of the samples, increasing."""
+    a_mps2: bytes
+    """(n,) vertical acceleration."""
+    stages: int
+    components: int
+    windows_s: tuple[float, ...]
+    bias_walk_psd: float
+    delay_s: float
+    """Lag of the smoother."""
+    looked_s: float
+    """End of the past at the last look; nan: there was none."""
+    candidates: tuple[Candidate, ...] = ()
+    """Of the last look."""
+
+
+class SeaFit(msgspec.Struct, frozen=True, kw_only=True):
+    """The answer. ``message`` is empty when well, and only then the rest is there."""
+
+    number: int
+    message: str = ""
+    candidates: tuple[Candidate, ...] = ()
+    window_s: float = 0.0
+    """Length of the past that the model in use was fitted to."""
+    record_s: float = 0.0
+    """Seconds of samples that there were."""
+    model: SeaModel | None = None
+    sea: SeaState | None = None
+    t_s: float = 0.0
+    """Time of the last sample, and of the state."""
+    dt_s: float = 0.0
+    """Usual interval of the samples."""
+    x: bytes = b""
+    """(n,) filtered state."""
+    P: bytes = b""
+    """(n, n) its covariance; empty: the steady one."""
+    steady_P: bytes = b""
+    """(n, n) of the steady filter, before a sample is taken in."""
+    predicted_m: bytes = b""
+    """(k,) heave before each of the last samples, for the smoother; one every ``dt_s`` up to ``t_s``."""
+    innovation: bytes = b""
+    """(k,) m/s2"""
+    whiteness: float = 1.0
+    """Variance of the averaged innovations over the last minute, over what the model has for it; 1 when it is right."""
+    heave_std_m: float = 0.0
+    """Of the heave that the model describes."""
+    waves: float = 0.0
+    """How much likelier the record is with waves than with noise alone (log-likelihood)."""
+
+
+def look(window: SeaWindow) -> SeaFit:
+    """Fit, judge, run. Never raises for what the samples may be: what is wrong is the message."""
+    t, a = np.frombuffer(window.t_s), np.frombuffer(window.a_mps2)
+    if len(t) < 8 or not t[-1] - t[0] >= MIN_RECORD_S:
+        return SeaFit(number=window.number, message="the record is too short")
+    if not (np.isfinite(a).all() and np.isfinite(t).all() and bool(np.all(np.diff(t) > 0.0))):
+        return SeaFit(number=window.number, message="the record has gaps in its numbers")
+    if float(np.ptp(a)) <= 0.0:
+        return SeaFit(number=window.number, message="the record is constant")
+    record = sea_run.even(t, a)
+    scores = _scores(window, record)
+    candidates, waves = _fit_all(window, record, scores)
+    best = max(candidates, key=lambda candidate: candidate.score)
+    system = SeaSystem(best.model)
+    steady = system.steady(record.dt_s)
+    if steady is None:
+        return SeaFit(number=window.number, message="the filter of the fitted model does not converge")
+    done = sea_run.run(system, steady, record)
+    kept = round(window.delay_s / record.dt_s) + round(30.0 / record.dt_s)
+    if not np.isfinite(done.x).all():
+        return SeaFit(number=window.number, message="the filter of the fitted model left the finite numbers")
+    return SeaFit(
+        number=window.number,
+        candidates=candidates,
+        window_s=best.window_s,
+        record_s=len(record.a_mps2) * record.dt_s,
+        model=best.model,
+        sea=sea_state(best.model),
+        t_s=record.end_s,
+        dt_s=record.dt_s,
+        x=done.x.tobytes(),
+        P=b"" if done.P is None else done.P.tobytes(),
+        steady_P=steady.P.tobytes(),
+        predicted_m=done.predicted_m[-kept:].tobytes(),
+        innovation=done.innovation[-kept:].tobytes(),
+        whiteness=whiteness(done.innovation, steady),
+        heave_std_m=sqrt(float(system.heave @ system.stationary @ system.heave)),
+        waves=waves,
+    )
+
+
+def _scores(window: SeaWindow, record: sea_run.Record) -> dict[float, float]:
+    """Each length's score with what came since the last look."""
+    fresh = min(len(record.a_mps2), round((record.end_s - window.looked_s) / record.dt_s)) if window.candidates else 0
+    if fresh < 2:
+        return {candidate.window_s: candidate.score for candidate in window.candidates}
+    span = min(len(record.a_mps2), fresh + round(SETTLE_S / record.dt_s))
+    recent = sea_run.Record(record.end_s, record.dt_s, record.a_mps2[-span:], record.is_known[-span:])
+    found: dict[float, float] = {}
+    for candidate in window.candidates:
+        system = SeaSystem(candidate.model)
+        steady = system.steady(record.dt_s)
+        if steady is None:
+            continue
+        y = sea_run.run(system, steady, recent, careful=False).innovation[-fresh:]
+        y = y[recent.is_known[-fresh:]]
+        likelihood = -0.5 * float(np.sum(log(steady.S) + y * y / steady.S))
+        found[candidate.window_s] = SCORE_MEMORY * candidate.score + (likelihood if np.isfinite(likelihood) else -1e9)
+    best = max(found.values(), default=0.0)
+    return {window_s: score - best for window_s, score in found.items()}
+
+
+def _fit_all(
+    window: SeaWindow, record: sea_run.Record, scores: dict[float, float]
+) -> tuple[tuple[Candidate, ...], float]:
+    """A model for each length that the record reaches; the longest that it does not reach gets all there is."""
+    rate, seconds = 1.0 / record.dt_s, len(record.a_mps2) * record.dt_s
+    earlier = {candidate.window_s: candidate.model for candidate in window.candidates}
+    known = list(scores)
+    candidates: list[Candidate] = []
+    waves = 0.0
+    for length in sorted(window.windows_s):
+        span = min(length, seconds)
+        sp = sea_fit.spectrum(record.a_mps2[-round(span * rate) :], rate)
+        components = window.components if span >= FEW_COMPONENTS_BELOW_S else min(2, window.components)
+        warm = earlier.get(length)
+        fitted = sea_fit.fit(sp, window.stages, components, window.bias_walk_psd, warm)
+        if not candidates:
+            waves = sea_fit.noise_cost(sp, window.bias_walk_psd) - fitted.cost
+        # A length that is new starts as well as the longest one before it.
+        score = scores.get(length, scores[known[-1]] if known else 0.0)
+        candidates.append(Candidate(window_s=length, model=fitted.model, score=score))
+        if span < length:
+            break
+    return tuple(candidates), waves
+
+
+def whiteness(innovation: Array, steady: Steady) -> float:
+    """Variance of innovations averaged over WHITENESS_S, in the last minute, over that of the model: 1 when it fits."""
+    each = max(1, round(WHITENESS_S / steady.dt_s))
+    count = min(round(WHITENESS_OVER_S / WHITENESS_S), int(np.count_nonzero(np.isfinite(innovation))) // each)
+    if count < 1:
+        return 1.0
+    means = innovation[-count * each :].reshape(count, each).mean(axis=1)
+    return float(np.mean(means**2)) * each / steady.S
