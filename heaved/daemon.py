@@ -231,8 +231,8 @@ class Daemon:
     async def _beat(self) -> None:
         with PeriodicTimer(self.acquisition.period_s) as timer:
             while True:
-                await timer.tick()
-                self.acquisition.heartbeat()
+                tick = await timer.tick()
+                self.acquisition.heartbeat(tick.lateness_s)
                 self._feed_watchdog()
 
     def _feed_watchdog(self) -> None:
