@@ -92,7 +92,8 @@ class Daemon:
         self.memory = Memory(
             StateFile(state_directory(config.state.directory), PipelineState),
             lambda: self.acquisition.pipeline.state(),
-            count=lambda result: self.metrics.state_saves.labels(result).inc(),
+            count_save=lambda result: self.metrics.state_saves.labels(result).inc(),
+            count_load=lambda result: self.metrics.state_loads.labels(result).inc(),
         )
         self._config_path = config_path
         self._notifier = notifier or Notifier({})

@@ -246,6 +246,7 @@ async def test_a_corrupt_state(tmp_path):
     with capture_logs() as logs:
         async with running(config) as daemon:
             await until(daemon, lambda record: True)
+            assert metric(daemon, 'heaved_state_loads_total{result="refused"}') == 1
     line = next(line for line in logs if line["log_level"] == "warning")
     assert line["kept"] == str(tmp_path / "state" / "state.corrupt")
     assert (tmp_path / "state" / "state.corrupt").read_text() == '{"version":1,"sha'
