@@ -64,7 +64,7 @@ class _BoundedServer(web.Server):
         super().connection_made(handler, transport)
         if len(self.connections) > _MAX_CONNECTIONS:
             self._turned_away()
-            transport.abort()
+            asyncio.get_running_loop().call_soon(transport.abort)  # The handler's task wants to have begun by then.
 
 
 class HttpServer:

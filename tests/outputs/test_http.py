@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import itertools
 import json
 from collections import Counter
@@ -69,7 +70,9 @@ async def test_metrics(server: tuple[str, int]) -> None:
     )  # fmt: skip
 
 
-async def test_no_more_connections_than_the_process_can_spare(server: tuple[str, int], health: Health) -> None:
+async def test_no_more_connections_than_the_process_can_spare(
+    server: tuple[str, int], health: Health, caplog: pytest.LogCaptureFixture
+) -> None:
     """Whoever opens many and asks nothing costs the others nothing, and room is made when they go."""
     idle = [await asyncio.open_connection(*server) for _ in range(http_module._MAX_CONNECTIONS + 20)]
     closed = 0
@@ -87,6 +90,8 @@ async def test_no_more_connections_than_the_process_can_spare(server: tuple[str,
             break
         except aiohttp.ClientError:
             assert attempt < 1000
+    gc.collect()
+    assert [record.getMessage() for record in caplog.records] == []
 
 
 async def test_health(server: tuple[str, int], health: Health) -> None:
