@@ -20,6 +20,10 @@ IDLE_RATE_HZ = 10.0
 """Frames a second without any IMU: a consumer then still sees that the daemon is alive and the heave is not."""
 _MISSING_PERIODS = 1.5
 """A frame that is so late is replaced by an extrapolated one; ordinary jitter stays far below half a period."""
+_HELD_UP_PERIODS = 0.5
+"""A heartbeat that is so late itself shows that the loop was held up, and the poll with it: its sample follows."""
+_EXCUSED_PERIODS = 10.0
+"""Silence for which that is an excuse, and no longer: the stream runs on a machine that is always late, too."""
 
 _log = structlog.get_logger(__name__)
 
@@ -72,6 +76,8 @@ class Acquisition:
         """Validity of the last frame."""
         self._live_s = -inf
         """When the IMU last gave a sample."""
+        self._held_up_s = -inf
+        """When a heartbeat was last late itself."""
         self._lag_s = 0.0
         """From the validity of an IMU sample to its arrival, so that replacements fall where the frames would."""
         self._bugs: set[str] = set()
@@ -108,10 +114,18 @@ class Acquisition:
         self._account(result)
         self._offer_work()
 
-    def heartbeat(self) -> bool:
-        """Called once a period: publish an extrapolated frame if the IMU's is missing. Returns whether it did."""
+    def heartbeat(self, lateness_s: float = 0.0) -> bool:
+        """Called once a period: publish an extrapolated frame if the IMU's is missing. Returns whether it did.
+
+        ``lateness_s``: of this call. Within a period of a late one nothing is missing: its sample would follow at once,
+        and two frames for one period are no help to a machine that is busy.
+        """
         started_s = self._clock()
-        if started_s - self._live_s < _MISSING_PERIODS * self.period_s:
+        silent_periods = (started_s - self._live_s) / self.period_s
+        if lateness_s > _HELD_UP_PERIODS * self.period_s:
+            self._held_up_s = started_s
+        is_excused = started_s - self._held_up_s < self.period_s and silent_periods < _EXCUSED_PERIODS
+        if silent_periods < _MISSING_PERIODS or is_excused:
             return False
         frame = self._coast(started_s - self._lag_s)
         now_s = self._clock()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ipaddress
 import tomllib
 import types
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from importlib import resources
 from math import isfinite
@@ -128,7 +128,7 @@ def parse(document: Mapping[str, Any], *, file: str, directory: Path) -> Config:
         ]
     _check(Config, tree, "", faults)
     sound, tables = _sound_parts(tree)
-    faults += _cross_checks(sound, tables)
+    faults += _cross_checks(tree.get("device"), sound, tables, [fault.partition(":")[0] for fault in faults])
     if faults:
         # Alone, a rate beyond the line is no reason to refuse a file; beside others it shall not wait for its turn.
         faults += _overload_faults(tuple(sound.values()))
@@ -276,8 +276,8 @@ def _join(path: str, key: str) -> str:
 
 
 def _sound_parts(tree: Mapping[str, Any]) -> tuple[dict[int, DeviceSpec], Config]:
-    """The devices (by index) and tables that are right in themselves, with defaults for the others: enough to check
-    them against each other although something else is wrong."""
+    """What is right in itself: whole devices (by index), and tables with defaults in place of wrong keys. Enough to
+    check the rest against each other although something else is wrong."""
     devices: dict[int, DeviceSpec] = {}
     listed = tree.get("device")
     for i, device in enumerate(listed if isinstance(listed, list) else ()):
@@ -287,17 +287,38 @@ def _sound_parts(tree: Mapping[str, Any]) -> tuple[dict[int, DeviceSpec], Config
     for field in msgspec.structs.fields(Config):
         if field.name in tree and field.name != "device":
             with suppress(msgspec.ValidationError):
-                tables[field.name] = msgspec.convert(tree[field.name], field.type)
+                tables[field.name] = msgspec.convert(_sound_keys(field.type, tree[field.name]), field.type)
     return devices, Config(**tables)
 
 
-def _cross_checks(devices: Mapping[int, DeviceSpec], config: Config) -> list[str]:
-    """What no single key can get wrong alone; ``config`` is looked at for all but the devices."""
+def _sound_keys(kind: Any, table: Any) -> dict[str, Any]:
+    """The keys of a table that have no fault of their own, tables within it likewise."""
+    sound: dict[str, Any] = {}
+    for name, hint in get_type_hints(_table_of(kind), include_extras=True).items():
+        if isinstance(table, dict) and name in table:
+            value = _sound_keys(hint, table[name]) if _table_of(hint) is not None else table[name]
+            faults: list[str] = []
+            _check(hint, value, name, faults)
+            if not faults:
+                sound[name] = value
+    return sound
+
+
+def _cross_checks(
+    listed: Any, devices: Mapping[int, DeviceSpec], config: Config, wrong: Collection[str]
+) -> list[str]:
+    """What no single key can get wrong alone. ``listed``: the devices as written; ``devices`` and ``config``: what is
+    sound of the file; ``wrong``: the paths that have a fault already."""
     faults = [fault for i, device in devices.items() for fault in _device_faults(f"device[{i}]", device)]
+    for i, device in enumerate(listed if isinstance(listed, list) else ()):
+        if i not in devices and isinstance(device, dict) and isinstance(device.get("link"), str):
+            faults += _link_faults(f"device[{i}]", device["link"])
     for key in ("name", "role"):
         seen: dict[str, int] = {}
-        for i, device in devices.items():
-            value = getattr(device, key)
+        for i, device in enumerate(listed if isinstance(listed, list) else ()):
+            value = device.get(key) if isinstance(device, dict) else None
+            if not isinstance(value, str) or f"device[{i}].{key}" in wrong:
+                continue
             if value in seen:
                 faults.append(f"device[{i}].{key}: {value!r} is already the {key} of device[{seen[value]}]")
             seen.setdefault(value, i)
@@ -320,7 +341,7 @@ def _cross_checks(devices: Mapping[int, DeviceSpec], config: Config) -> list[str
     for name, table in (("stream", config.stream), ("http", config.http)):
         faults += _listen_faults(name, table.host, table.allow)
     same = config.stream.port == config.http.port != 0 and config.stream.host == config.http.host
-    if config.http.enabled and same:
+    if config.http.enabled and same and not {"stream.port", "http.port"} & set(wrong):
         faults.append(f"http.port: {config.http.port} is also stream.port")
     return faults
 
@@ -334,17 +355,21 @@ def _overload_faults(devices: tuple[DeviceSpec, ...]) -> list[str]:
 
 
 def _device_faults(path: str, device: DeviceSpec) -> list[str]:
-    faults = []
-    try:
-        parse_link(device.link)
-    except ValueError as error:
-        faults.append(f"{path}.link: {error}")
+    faults = _link_faults(path, device.link)
     faults += [f"{path}.profile: {fault}" for fault in profile_faults(device.profile)]
     quantities = {field.quantity for block in device.profile.blocks for field in block.fields}
     needed = {"imu": "az_mps2", "laser": "laser_m"}[device.role]
     if needed not in quantities:
         faults.append(f"{path}.profile: {device.profile.name!r} has no {needed}, which role {device.role!r} needs")
     return faults
+
+
+def _link_faults(path: str, link: str) -> list[str]:
+    try:
+        parse_link(link)
+    except ValueError as error:
+        return [f"{path}.link: {error}"]
+    return []
 
 
 def _listen_faults(table: str, host: str, allow: tuple[str, ...]) -> list[str]:

@@ -99,7 +99,8 @@ class Daemon:
         self.memory = Memory(
             StateFile(state_directory(config.state.directory), PipelineState),
             lambda: self.acquisition.pipeline.state(),
-            count=lambda result: self.metrics.state_saves.labels(result).inc(),
+            count_save=lambda result: self.metrics.state_saves.labels(result).inc(),
+            count_load=lambda result: self.metrics.state_loads.labels(result).inc(),
         )
         self._config_path = config_path
         self._notifier = notifier or Notifier({})
@@ -255,8 +256,8 @@ class Daemon:
     async def _beat(self) -> None:
         with PeriodicTimer(self.acquisition.period_s) as timer:
             while True:
-                await timer.tick()
-                self.acquisition.heartbeat()
+                tick = await timer.tick()
+                self.acquisition.heartbeat(tick.lateness_s)
                 self._feed_watchdog()
 
     def _feed_watchdog(self) -> None:

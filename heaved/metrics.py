@@ -128,19 +128,25 @@ class Metrics:
         self.state_saves = Counter(
             "heaved_state_saves_total", "Saves of the state file by result.", ["result"], registry=registry
         )
+        self.state_loads = Counter(
+            "heaved_state_loads_total", "Restorings of the saved state by result.", ["result"], registry=registry
+        )
         self.config_reloads = Counter(
             "heaved_config_reloads_total", "Reloads of the configuration by result.", ["result"], registry=registry
         )
 
         # Series that exist from the start: a rate over a counter that appears with its first event misses that event.
-        for counter, results in (
+        for counter, values in (
             (self.training_runs, ("accepted", "rejected", "failed")),
             (self.sea_fits, ("accepted", "rejected", "failed")),
             (self.state_saves, ("saved", "failed")),
+            (self.state_loads, ("restored", "absent", "refused")),
             (self.config_reloads, ("applied", "refused")),
+            (self.frames_dropped, ("slow_client",)),
+            (self.client_errors, ("bad_request", "line_too_long", "not_allowed", "stuck", "too_many_clients")),
         ):
-            for result in results:
-                counter.labels(result)
+            for value in values:
+                counter.labels(value)
 
         self._quality_states = {state: self.quality.labels(state.value) for state in HeaveState}
         self._quality: HeaveState | None = None

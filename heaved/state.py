@@ -135,28 +135,40 @@ class StateFile(Generic[T]):
 class Memory(Generic[T]):
     """When and how the state is saved and restored; what goes wrong is said once, and nothing is raised."""
 
-    def __init__(self, file: StateFile[T], state: Callable[[], T], *, count: Callable[[str], None]) -> None:
-        """``state``: what there is to remember now. ``count`` is told ``saved`` or ``failed`` for each save."""
+    def __init__(
+        self,
+        file: StateFile[T],
+        state: Callable[[], T],
+        *,
+        count_save: Callable[[str], None],
+        count_load: Callable[[str], None],
+    ) -> None:
+        """``state``: what there is to remember now. ``count_save`` is told ``saved`` or ``failed`` for each save,
+        ``count_load`` what came of the restoring: ``restored``, ``absent`` or ``refused``."""
         self.file = file
         self._state = state
-        self._count = count
+        self._count_save = count_save
+        self._count_load = count_load
         self._disk = ThreadPoolExecutor(max_workers=1, thread_name_prefix="state")
         self._fails = False
 
     def restore(self, take: Callable[[T], None]) -> None:
         """Hand the remembered state, if there is a sound one, to ``take``, which may refuse it with ValueError."""
-        path = str(self.file.path)
         try:
             self.file.prepare()
         except OSError as error:
             self._say_failed(error)
+        self._count_load(self._restore(take, str(self.file.path)))
+
+    def _restore(self, take: Callable[[T], None], path: str) -> str:
         try:
             state = self.file.read()
             if state is None:
                 _log.info("no saved state: starting cold", file=path)
-                return
+                return "absent"
             take(state)
             _log.info("state restored", file=path)
+            return "restored"
         except StateError as error:
             _log.warning("saved state of no use: starting cold", file=path, reason=str(error), kept=self._kept())
         except ValueError as error:
@@ -164,6 +176,7 @@ class Memory(Generic[T]):
             _log.warning("saved state of no use: starting cold", file=path, reason=reason, kept=self._kept())
         except OSError as error:
             _log.warning("saved state cannot be read: starting cold", file=path, reason=error.strerror)
+        return "refused"
 
     async def save(self) -> None:
         """Save now. The disk is waited for in a thread, so that a slow one delays nothing else."""
@@ -171,10 +184,10 @@ class Memory(Generic[T]):
         try:
             await asyncio.get_running_loop().run_in_executor(self._disk, self.file.write, content)
         except OSError as error:
-            self._count("failed")
+            self._count_save("failed")
             self._say_failed(error)
             return
-        self._count("saved")
+        self._count_save("saved")
         if self._fails:
             self._fails = False
             _log.info("the state is saved again", file=str(self.file.path))

@@ -1,6 +1,8 @@
 """A daemon and its simulated plant within one test, on ephemeral loopback ports."""
 
 import asyncio
+import itertools
+import statistics
 from contextlib import asynccontextmanager
 
 import msgspec
@@ -30,8 +32,11 @@ def demo_config(directory, **changes):
 
 @asynccontextmanager
 async def plant_of(config, *, sea="T2", seed=1):
-    """Simulated slaves for the devices of ``config``: (plant, ``config`` with the links where they are)."""
-    plant = SimulatedPlant(config.device, Instruments(seaway(sea, seed), seed=seed), any_port=True, seed=seed)
+    """Simulated slaves for the devices of ``config``: (plant, ``config`` with the links where they are).
+
+    ``sea``: a name, or what moves the ship."""
+    moves = seaway(sea, seed) if isinstance(sea, str) else sea
+    plant = SimulatedPlant(config.device, Instruments(moves, seed=seed), any_port=True, seed=seed)
     await plant.start()
     try:
         yield plant, msgspec.structs.replace(config, device=plant.devices)
@@ -62,6 +67,23 @@ async def stream_of(daemon):
         yield records()
     finally:
         writer.close()
+
+
+async def frames_of(daemon, count):
+    """The next ``count`` MOTION records."""
+    frames = []
+    async with asyncio.timeout(PATIENCE_S), stream_of(daemon) as records:
+        async for record in records:
+            if record["class"] == "MOTION":
+                frames.append(record)
+            if len(frames) == count:
+                return frames
+    raise AssertionError("the stream has ended")
+
+
+def median_period_s(frames):
+    """Between times of validity. Half of them must be right: a busy machine makes some frames late or skips them."""
+    return statistics.median(after["mono_s"] - before["mono_s"] for before, after in itertools.pairwise(frames))
 
 
 async def until(daemon, condition):

@@ -159,6 +159,31 @@ def test_ordinary_jitter_makes_no_double_frames(rig, answer, tick_offset_s):
     assert all(frame.heave_m == 1.0 for frame in rig.frames)
 
 
+def test_a_loop_that_was_held_up_makes_no_double_frames(rig):
+    """For 40 ms nothing ran: heartbeat and poll are both late, and the sample follows."""
+    rig.run(1.0, well)
+    rig.frames.clear()
+    rig.now_s += 0.040
+    assert not rig.acquisition.heartbeat(0.040)  # What was due at the beginning of the stall ...
+    assert not rig.acquisition.heartbeat(0.004)  # ... and what was due at its end, at once after it.
+    rig.now_s += 0.002
+    rig.poll(rig.now_s - 0.002)
+    assert [frame.heave_m for frame in rig.frames] == [1.0]
+    # A sample that does not follow is missing.
+    rig.now_s += 2.0 * PERIOD_S
+    assert rig.acquisition.heartbeat(0.001)
+
+
+def test_the_stream_runs_on_a_machine_that_is_always_late(rig):
+    rig.run(1.0, well)
+    rig.frames.clear()
+    for _ in range(200):
+        rig.now_s += PERIOD_S
+        rig.acquisition.heartbeat(0.8 * PERIOD_S)
+    assert len(rig.frames) >= 190
+    check_increasing(rig.frames)
+
+
 def test_without_any_imu_the_stream_runs_all_the_same(rig):
     rig.run(2.0, lambda number: None)
     assert len(rig.frames) == 200

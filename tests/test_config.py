@@ -149,6 +149,35 @@ def test_every_fault_is_reported_in_one_go() -> None:
         assert sum(fault.startswith(path + ":") for fault in found) == 1, (path, found)
 
 
+def test_a_wrong_key_hides_no_other_fault_of_its_table() -> None:
+    """Keys that are wrong only beside each other are found although a third is wrong in itself."""
+    text = f"""
+    [heave]
+    windows = 3
+    band_hz = [0.6, 0.04]
+    [heave.lead]
+    limit_s = -1
+    [rock]
+    points = "many"
+    horizons_s = [0.1, 0.1]
+    [stream]
+    port = 70000
+    host = "0.0.0.0"
+    [http]
+    port = 5570
+    allow = ["10.0.0.0/33", 3]
+    {(IMU + IMU_PROFILE).replace("tcp:", "udp:")}
+    {LASER.replace('"laser"', '"imu"', 1).replace('role = "laser"', 'role = "imu"').replace("rate_hz = 20", "")}
+    {LASER.replace('"laser"', '"imu"', 1).replace("tcp:", "serial:").replace("rate_hz = 20", "rate_hz = -1")}
+    """
+    assert sorted({fault.split(":")[0] for fault in faults_of(text)}) == sorted((
+        "heave.windows", "heave.band_hz", "heave.lead.limit_s", "rock.points", "rock.horizons_s",
+        "stream.port", "stream.host", "http.allow", "device[0].link",
+        "device[1].name", "device[1].role", "device[1].rate_hz",
+        "device[2].name", "device[2].link", "device[2].rate_hz",
+    ))  # fmt: skip
+
+
 def test_a_rate_beyond_the_line_is_reported_beside_other_faults() -> None:
     found = faults_of((IMU + IMU_PROFILE).replace("tcp://127.0.0.1:15020", "rtu:///dev/ttyS0") + "[haeve]")
     assert [fault.split(":")[0] for fault in found] == ["haeve", "line /dev/ttyS0 (9600 8N1)"]

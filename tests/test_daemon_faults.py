@@ -16,6 +16,7 @@ import structlog
 from running import PATIENCE_S, demo_config, metric, plant_of, running, stream_of, until
 from structlog.testing import capture_logs
 
+from heaved import daemon as daemon_module
 from heaved.config import HttpParams, StreamParams
 from heaved.daemon import Daemon, run
 from heaved.outputs.access import ListenError
@@ -206,7 +207,7 @@ async def test_a_clock_step_of_an_hour_changes_no_estimate(tmp_path):
         assert metric(daemon, "heaved_clock_steps_total") == 1
         assert [line["step_s"] for line in logs] == [pytest.approx(3600.0, abs=0.01)]
         mono_s = after["mono_s"] - before["mono_s"]
-        assert mono_s == pytest.approx(0.01 * (after["seq"] - before["seq"]), abs=0.2)
+        assert 0.0 < mono_s < PATIENCE_S
         assert utc_s(after) - utc_s(before) == pytest.approx(mono_s + 3600.0, abs=0.01)
         assert metric(daemon, "heaved_filter_resets_total") == 0
         assert daemon.status().clock.steps == 1
@@ -245,6 +246,7 @@ async def test_a_corrupt_state(tmp_path):
     with capture_logs() as logs:
         async with running(config) as daemon:
             await until(daemon, lambda record: True)
+            assert metric(daemon, 'heaved_state_loads_total{result="refused"}') == 1
     line = next(line for line in logs if line["log_level"] == "warning")
     assert line["kept"] == str(tmp_path / "state" / "state.corrupt")
     assert (tmp_path / "state" / "state.corrupt").read_text() == '{"version":1,"sha'
@@ -303,20 +305,26 @@ async def test_a_bad_file_at_reload_changes_nothing(tmp_path):
 # ---- process ---------------------------------------------------------------------------------------------------------
 
 PROGRAM = """
-import sys
+import sys, time
 from pathlib import Path
+from heaved import daemon, state
 from heaved.config import load
-from heaved.daemon import run
 path = Path(sys.argv[1])
-sys.exit(run(load(path), path, log_format="json"))
+daemon._EXIT_S = float(sys.argv[2])
+if sys.argv[3] == "disk hangs":
+    state.os.fsync = lambda fd: time.sleep(3600)
+sys.exit(daemon.run(load(path), path, log_format="json"))
 """
 
 
 @asynccontextmanager
-async def process(path):
-    """The daemon as a process; killed at the end, if it is still there."""
+async def process(path, exit_s=PATIENCE_S, disk=""):
+    """The daemon as a process; killed at the end, if it is still there. ``exit_s``: in place of the 1.8 s after which
+    the process ends whatever hangs, so that a slow machine does not need that."""
     daemon = await asyncio.create_subprocess_exec(
-        sys.executable, "-c", PROGRAM, str(path), stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
+        *(sys.executable, "-c", PROGRAM, str(path), str(exit_s), disk),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
     )
     try:
         yield daemon
@@ -366,14 +374,29 @@ async def test_signals_end_it_in_time_whatever_hangs(tmp_path, number):
                 client.connect(addresses["stream"])
                 await frames_dropped(addresses["stream"])
                 with closing(socket.create_connection(addresses["http"])):
-                    begun_s = asyncio.get_running_loop().time()
                     daemon.send_signal(number)
-                    output, errors = await asyncio.wait_for(daemon.communicate(), 30)
-                    took_s = asyncio.get_running_loop().time() - begun_s
+                    output, errors = await asyncio.wait_for(daemon.communicate(), PATIENCE_S)
         assert daemon.returncode == 0, errors.decode()
-        assert took_s < 2.5  # Of which the process itself takes 1.8 at most.
+        # It went by itself, and was not ended by the deadline that is there for what hangs.
+        assert msgspec.json.decode(errors.splitlines()[-1])["event"] == "stopped"
         assert output == b""
         assert (tmp_path / "state" / "state.json").is_file()
+
+
+async def test_a_disk_that_hangs_does_not_hold_the_process(tmp_path):
+    path = tmp_path / "heaved.toml"
+    path.write_text(f'[stream]\nport = 0\n[http]\nport = 0\n[state]\ndirectory = "{tmp_path}/state"\n')
+    async with process(path, exit_s=0.5, disk="disk hangs") as daemon:
+        await listening(daemon)
+        daemon.send_signal(signal.SIGTERM)
+        await asyncio.wait_for(daemon.communicate(), PATIENCE_S)
+    assert daemon.returncode == 0
+    assert not (tmp_path / "state" / "state.json").exists()
+
+
+def test_the_process_is_gone_within_two_seconds():
+    assert daemon_module._EXIT_S < 2.0
+    assert 2.0 * daemon_module._CANCEL_S + daemon_module._STOP_S < daemon_module._EXIT_S
 
 
 async def frames_dropped(address):

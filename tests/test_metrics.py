@@ -35,6 +35,7 @@ CONTRACT = {
     ("heaved_tick_lateness_seconds", "histogram", ()),
     ("heaved_clock_steps", "counter", ()),
     ("heaved_state_saves", "counter", ("result",)),
+    ("heaved_state_loads", "counter", ("result",)),
     ("heaved_client_errors", "counter", ("reason",)),
     ("heaved_config_reloads", "counter", ("result",)),
 }
@@ -78,6 +79,7 @@ def exercise(metrics: Metrics) -> None:
     metrics.count_client_error("bad_request")
     metrics.clock_steps.inc()
     metrics.state_saves.labels("saved").inc()
+    metrics.state_loads.labels("restored").inc()
     metrics.config_reloads.labels("applied").inc()
 
 
@@ -91,6 +93,22 @@ def test_names_types_and_labels_are_the_contract() -> None:
     found = {(family.name, family.type, own_labels(family.samples)) for family in families(metrics).values()}
     assert found == CONTRACT
     assert all(family.documentation for family in families(metrics).values())
+
+
+def test_what_can_go_wrong_is_counted_from_zero() -> None:
+    """A rate over a series that appears with its first event misses that event."""
+    metrics = Metrics("1.2.3")
+    for name, label, first in (
+        ("heaved_training_runs_total", "result", "failed"),
+        ("heaved_state_saves_total", "result", "failed"),
+        ("heaved_state_loads_total", "result", "refused"),
+        ("heaved_config_reloads_total", "result", "refused"),
+        ("heaved_frames_dropped_total", "reason", "slow_client"),
+        ("heaved_client_errors_total", "reason", "too_many_clients"),
+        ("heaved_client_errors_total", "reason", "line_too_long"),
+        ("heaved_client_errors_total", "reason", "stuck"),
+    ):
+        assert value(metrics, name, **{label: first}) == 0.0
 
 
 def test_values() -> None:

@@ -144,7 +144,7 @@ def counted():
 
 @pytest.fixture
 def memory(file, counted):
-    memory = Memory(file, lambda: LEARNED, count=counted.append)
+    memory = Memory(file, lambda: LEARNED, count_save=counted.append, count_load=counted.append)
     yield memory
     memory.close()
 
@@ -156,11 +156,11 @@ async def test_saved_and_restored(memory, counted):
     await memory.save()
     memory.restore(taken.append)
     assert taken == [LEARNED]
-    assert counted == ["saved"]
+    assert counted == ["absent", "saved", "restored"]
 
 
 @pytest.mark.parametrize("content", [b"{", b'{"version":7}', b"\0" * 50])
-def test_a_useless_file_is_set_aside_and_named(memory, content):
+def test_a_useless_file_is_set_aside_counted_and_named(memory, counted, content):
     memory.file.prepare()
     memory.file.path.write_bytes(content)
     taken = []
@@ -173,10 +173,11 @@ def test_a_useless_file_is_set_aside_and_named(memory, content):
     kept = memory.file.path.with_suffix(".corrupt")
     assert line["kept"] == str(kept)
     assert kept.read_bytes() == content
+    assert counted == ["refused"]
     assert memory.file.read() is None
 
 
-def test_a_state_that_does_not_fit_is_set_aside(memory):
+def test_a_state_that_does_not_fit_is_set_aside(memory, counted):
     memory.file.write(memory.file.encode(NEWER))
 
     def refuse(state):
@@ -185,6 +186,7 @@ def test_a_state_that_does_not_fit_is_set_aside(memory):
     with capture_logs() as logs:
         memory.restore(refuse)
     assert "this network has 511" in logs[0]["reason"]
+    assert counted == ["refused"]
     assert memory.file.path.with_suffix(".corrupt").is_file()
 
 
@@ -206,14 +208,15 @@ async def test_a_full_disk_is_said_once_and_again_when_it_is_well(memory, counte
 
 async def test_a_directory_that_cannot_be_is_said_at_the_start(tmp_path, counted):
     (tmp_path / "a_file").write_text("")
-    memory = Memory(StateFile(tmp_path / "a_file" / "heaved", Learned), lambda: LEARNED, count=counted.append)
+    file = StateFile(tmp_path / "a_file" / "heaved", Learned)
+    memory = Memory(file, lambda: LEARNED, count_save=counted.append, count_load=counted.append)
     with capture_logs() as logs:
         memory.restore(lambda state: None)
         await memory.save()
         await memory.save()
     memory.close()
     assert [line["event"] for line in logs if line["log_level"] == "warning"].count("the state cannot be saved") == 1
-    assert counted == ["failed", "failed"]
+    assert counted == ["refused", "failed", "failed"]
 
 
 async def test_a_slow_disk_does_not_hold_the_loop(memory, monkeypatch):

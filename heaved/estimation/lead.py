@@ -19,6 +19,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+STILL: Final = 1e-9
+"""Share of a reading below which its variation is the rounding of a constant: no laser resolves 12 nm at 12 m."""
+
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[heave.lead]``: the comparison of the observer with the laser."""
@@ -63,7 +66,7 @@ def compare(t_s: Array, heave_m: Array, velocity_mps: Array, laser_m: Array, ome
 
     With laser = A heave + B velocity the gain is |A - j B omega| and the lead its phase over omega. The standard error
     counts one independent sample per half period, not one per reading: the residual is as narrow-banded as the sea.
-    None: fewer than 8 readings, or a window that carries no motion.
+    None: fewer than 8 readings, or a window in which the estimate or the laser carries no motion.
     """
     n = len(t_s)
     if n < 8:
@@ -79,7 +82,7 @@ def compare(t_s: Array, heave_m: Array, velocity_mps: Array, laser_m: Array, ome
     background = columns[:, 2:]
     still = laser_m - background @ np.linalg.lstsq(background, laser_m, rcond=None)[0]
     total = float(still @ still)
-    if total <= 0.0:
+    if total <= n * (STILL * float(np.max(np.abs(laser_m)))) ** 2:
         return None
     A, B = float(coefficients[0]), float(coefficients[1])
     independent = max(2.0, span * omega_radps / pi)

@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 GRID_HZ: Final = 10.0
 """Rate to which records are brought for an FFT; waves end an order of magnitude below its Nyquist frequency."""
 SILENCE_MPS2: Final = 1e-9
-"""Less than this is the rounding of a constant, not motion."""
+"""Less than this is the rounding of a constant, not motion: no lead or gain may be fitted to it."""
 PADDING: Final = 4
 """Zero padding: four points within each bin of the window, which the parabola through a peak then refines."""
 
@@ -39,7 +39,7 @@ def dominant_frequencies(
     """
     x = _detrended(resample(t_s, a_mps2))
     n = len(x)
-    if n < 8 or float(np.max(np.abs(x))) < SILENCE_MPS2:
+    if n < 8 or not x.any():
         return np.empty(0)
     f = np.fft.rfftfreq(PADDING * n, 1.0 / GRID_HZ)
     line = np.abs(np.fft.rfft(x * np.hanning(n), PADDING * n))
@@ -81,9 +81,10 @@ def heave_spectrum(t_s: Array, a_mps2: Array, band_hz: tuple[float, float], segm
 
 
 def _detrended(x: Array) -> Array:
-    """x (n,) less its straight line."""
+    """x (n,) less its straight line; all zero where only the rounding of that line is left."""
     n = len(x)
     if n < 3:
         return x - np.mean(x) if n else x
     ramp = np.arange(n) - (n - 1) / 2.0
-    return np.asarray(x - np.mean(x) - ramp * (ramp.dot(x) / ramp.dot(ramp)))
+    rest = x - np.mean(x) - ramp * (ramp.dot(x) / ramp.dot(ramp))
+    return np.zeros(n) if float(np.max(np.abs(rest))) < SILENCE_MPS2 else np.asarray(rest)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from math import isfinite
 from typing import Any, Final
@@ -15,6 +16,10 @@ from heaved.samples import HeaveState, MotionFrame
 _METRICS_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
 _SHUTDOWN_S: Final = 0.2
 """Open requests are given this long at the end; ten times what any answer takes."""
+_MAX_CONNECTIONS: Final = 32
+"""More are closed at once. Without a limit whoever opens many leaves no file descriptor for a client of the stream or
+for a sensor that comes back. A connection that asks nothing is closed after :data:`_IDLE_S`."""
+_IDLE_S: Final = 15.0
 _PATHS: Final = ("/metrics", "/healthz", "/readyz")
 
 
@@ -48,6 +53,18 @@ def readiness(last_frame: MotionFrame | None, *, now_s: float, fresh_s: float = 
         reasons += ["no heave yet", *last_frame.quality.reasons]
     details = {"heave": last_frame.quality.heave.value, "age_s": round(age_s, 6)}
     return Verdict(reasons=tuple(reasons), details=details)
+
+
+class _BoundedServer(web.Server):
+    def __init__(self, *arguments: Any, turned_away: Callable[[], None], **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._turned_away = turned_away
+
+    def connection_made(self, handler: web.RequestHandler, transport: asyncio.Transport) -> None:
+        super().connection_made(handler, transport)
+        if len(self.connections) > _MAX_CONNECTIONS:
+            self._turned_away()
+            asyncio.get_running_loop().call_soon(transport.abort)  # The handler's task wants to have begun by then.
 
 
 class HttpServer:
@@ -84,7 +101,12 @@ class HttpServer:
         Raises:
             ListenError: the address cannot be bound; says what to do.
         """
-        server = web.Server(self._answer, access_log=None, keepalive_timeout=15.0)
+        server = _BoundedServer(
+            self._answer,
+            turned_away=lambda: self._count_client_error("too_many_clients"),
+            access_log=None,
+            keepalive_timeout=_IDLE_S,
+        )
         runner = web.ServerRunner(server, shutdown_timeout=_SHUTDOWN_S)
         await runner.setup()
         try:

@@ -177,6 +177,6 @@ def counter_profile(registers: int = 3) -> Profile:
 def device(link: str, **changes: object) -> DeviceSpec:
     settings: dict[str, object] = {
         "name": "imu", "role": "imu", "link": link, "device_id": 80, "profile": counter_profile(),
-        "rate_hz": 200.0, "timeout_ms": 50.0,
+        "rate_hz": 200.0, "timeout_ms": 500.0,
     }  # fmt: skip
     return DeviceSpec(**{**settings, **changes})  # type: ignore[arg-type]

@@ -29,8 +29,9 @@ from modbus_slaves import (
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.pdu.register_message import ReadHoldingRegistersResponse
 
-from heaved.devices.modbus import Bus, PollResult
+from heaved.devices.modbus import CONNECT_TIMEOUT_S, RETRY_S, Bus, PollResult
 from heaved.devices.profile import Block, Field, Profile
+from heaved.devices.watch import PROBE_S
 from heaved.samples import Fault, ImuSample, LaserSample
 
 
@@ -225,7 +226,7 @@ async def test_one_register_device_rests_until_no_late_answer_can_come() -> None
     results = Results()
     spec = device(f"rtu://{slave.path}", profile=counter_profile(1), timeout_ms=20.0)
     async with running([spec], results):
-        await results.until(lambda result: well(result) and result.sample.az_mps2 == 4.0)  # type: ignore[union-attr]
+        await results.until(lambda result: well(result) and result.sample.az_mps2 >= 4.0)  # type: ignore[union-attr]
     slave.close()
     assert times[3] - times[2] >= 0.5
     resting = [result for result in results.all if result.fault is Fault.TIMEOUT and isnan(result.sent_s)]
@@ -294,6 +295,7 @@ async def test_no_late_answer_is_taken_from_an_erratic_slave(seed: int, register
     spec = device(f"rtu://{slave.path}", timeout_ms=20.0, rate_hz=100.0, profile=counter_profile(registers))
     task = asyncio.create_task(Bus([spec], note).run())
     await results.number(120)
+    await results.until(lambda result: sum(map(well, results.all)) >= 5)  # Or the test shows nothing.
     task.cancel()
     with contextlib.suppress(asyncio.CancelledError):
         await task
@@ -301,7 +303,6 @@ async def test_no_late_answer_is_taken_from_an_erratic_slave(seed: int, register
         handle.cancel()
     slave.close()
     assert wrong == []
-    assert sum(well(result) for result in results.all) >= 5
 
 
 async def test_late_tcp_answers_are_told_apart_by_their_number() -> None:
@@ -329,12 +330,12 @@ async def test_late_tcp_answers_are_told_apart_by_their_number() -> None:
         results(result)  # type: ignore[arg-type]
 
     task = asyncio.create_task(Bus([device(f"tcp://127.0.0.1:{slave.port}", timeout_ms=20.0)], note).run())
-    await results.number(15)
+    await results.until(lambda result: len(ages) >= 8)
     task.cancel()
     with contextlib.suppress(asyncio.CancelledError):
         await task
     await slave.stop()
-    assert len(ages) >= 8
+    assert Fault.TIMEOUT in {result.fault for result in results.all}
     assert set(ages) == {0}
 
 
@@ -503,6 +504,12 @@ async def test_tcp_server_that_is_not_there_at_first() -> None:
     assert not back.reconnected
 
 
+def test_a_line_that_is_back_is_open_within_a_second() -> None:
+    """At worst it returns just after an attempt has begun, which then waits in vain; the next one follows the pause."""
+    assert CONNECT_TIMEOUT_S + RETRY_S < 1.0
+    assert PROBE_S < 1.0  # And a silent one, whose line is open, is asked again by then.
+
+
 async def test_serial_port_vanishes_and_returns(tmp_path: Path) -> None:
     port = tmp_path / "ttyUSB0"
     slave = RtuSlave(CountingSlave())
@@ -613,7 +620,8 @@ async def test_slave_back_from_the_dead_is_polled_at_full_rate_again() -> None:
         start = len(results.all)
         await results.number(start + 20)
     slave.close()
-    assert all(well(result) for result in results.all[start:])
+    # Asked every time; whether the answer comes in time is the machine's affair.
+    assert not any(isnan(result.sent_s) for result in results.all[start:])
 
 
 # ---- the bus itself --------------------------------------------------------------------------------------------------

@@ -76,8 +76,18 @@ def test_too_few_readings_or_no_motion_give_no_comparison() -> None:
     assert compare(t[:7], heave[:7], velocity[:7], laser[:7], OMEGA) is None
     assert compare(t[:0], heave[:0], velocity[:0], laser[:0], OMEGA) is None
     assert compare(t, 0.0 * heave, 0.0 * velocity, laser, OMEGA) is None
-    shown = compare(t, heave, velocity, np.full(len(t), 12.0), OMEGA)
-    assert shown is None or shown.coherence < 0.1
+
+
+@pytest.mark.parametrize("distance_m", [0.0, 1e-3, 0.1, 12.0, 1803.7])
+@pytest.mark.parametrize("slope_mps", [0.0, 0.013])
+def test_the_rounding_of_a_laser_that_stands_still_is_no_motion(distance_m: float, slope_mps: float) -> None:
+    """Its own rounding can look as coherent as one likes; a laser that moves by less than it resolves can be real."""
+    t, heave, velocity, laser = readings(np.random.default_rng(5), 0.0, 1.0, 0.0)
+    still = distance_m + slope_mps * (t - 5000.0)
+    assert compare(t, heave, velocity, still, OMEGA) is None
+    shown = compare(t, heave, velocity, still + 1e-3 * (laser - 12.0), OMEGA)  # 40 µm
+    assert shown is not None
+    assert shown.coherence == pytest.approx(1.0, abs=1e-4)
 
 
 def comparison(lead_s: float, lead_std_s: float = 0.01, coherence: float = 0.95) -> Comparison:

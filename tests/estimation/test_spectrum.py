@@ -110,6 +110,14 @@ def test_heave_spectrum_follows_the_density_of_a_broad_sea() -> None:
     assert np.all((f >= BAND_HZ[0]) & (f <= BAND_HZ[1]))
 
 
+@pytest.mark.parametrize("constant", [0.0, 0.7, -9.80665])
+def test_the_rounding_of_a_straight_line_has_a_spectrum_of_zero(constant: float) -> None:
+    t = 1000.0 + np.arange(0.0, 120.0, 0.05)
+    f, S = heave_spectrum(t, constant + 1e-4 * (t - 1000.0), BAND_HZ, 60.0)
+    assert len(f) > 20
+    assert np.all(S == 0.0)
+
+
 def test_too_short_a_record_has_no_spectrum() -> None:
     f, S = heave_spectrum(np.arange(5) * 0.1, np.ones(5), BAND_HZ, 60.0)
     assert len(f) == len(S) == 0

@@ -96,7 +96,7 @@ async def test_status_of_a_daemon(serve: Serve) -> None:
 
 async def test_status_when_no_frame_flows(serve: Serve) -> None:
     served = await serve()
-    snapshot = await asyncio.to_thread(fetch_status, served.host, served.port, 0.2)
+    snapshot = await asyncio.to_thread(fetch_status, served.host, served.port, 1.0)
     assert snapshot.status == make_status()
     assert snapshot.motion is None
 

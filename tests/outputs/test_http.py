@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
+import gc
+import itertools
 import json
 from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -64,6 +68,30 @@ async def test_metrics(server: tuple[str, int]) -> None:
     assert await fetch(server, "/metrics") == (
         200, "text/plain; version=0.0.4; charset=utf-8", "heaved_clients 3.0\n"
     )  # fmt: skip
+
+
+async def test_no_more_connections_than_the_process_can_spare(
+    server: tuple[str, int], health: Health, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Whoever opens many and asks nothing costs the others nothing, and room is made when they go."""
+    idle = [await asyncio.open_connection(*server) for _ in range(http_module._MAX_CONNECTIONS + 20)]
+    closed = 0
+    async with asyncio.timeout(20.0):
+        for reader, _ in idle[http_module._MAX_CONNECTIONS :]:
+            with contextlib.suppress(ConnectionResetError):
+                assert await reader.read() == b""
+            closed += 1
+    assert closed == health.errors["too_many_clients"] == 20
+    for _, writer in idle:
+        writer.transport.abort()
+    for attempt in itertools.count():  # That they have gone shows to the server a little later.
+        try:
+            assert (await fetch(server, "/healthz"))[0] == 200
+            break
+        except aiohttp.ClientError:
+            assert attempt < 1000
+    gc.collect()
+    assert [record.getMessage() for record in caplog.records] == []
 
 
 async def test_health(server: tuple[str, int], health: Health) -> None:
