@@ -140,7 +140,8 @@ class Compensator:
         if update.quality.heave not in (HeaveState.VALID, HeaveState.DEGRADED):
             return False
         if self._source is Source.FORECAST:
-            return sum(ahead.heave_m is not None for ahead in update.forecast) >= _FEWEST_NODES
+            known = sum(ahead.heave_m is not None for ahead in update.forecast)
+            return update.heave_m is not None and known >= _FEWEST_NODES
         return update.heave_m is not None and update.heave_velocity_mps is not None
 
     @property
@@ -176,15 +177,17 @@ class Compensator:
         return middle_m
 
     def _aimed(self, update: Update, age_s: float) -> Aim:
-        ahead_s = age_s + self._ahead_s
+        ahead_s, published_ahead_s = age_s + self._ahead_s, update.compensation_lead_s or 0.0
+        heave, velocity = update.heave_m or 0.0, update.heave_velocity_mps or 0.0
         if self._source is Source.FORECAST:
             points = [(a.horizon_s, a.heave_m) for a in update.forecast if a.heave_m is not None]
             ahead_s = min(ahead_s, max(horizon_s for horizon_s, _ in points))
-            heave, slope, bend = curve(points, ahead_s)
-            return Aim(heave, slope + self._winch.lag_s * bend)
-        heave, velocity = update.heave_m or 0.0, update.heave_velocity_mps or 0.0
+            expected, slope, bend = curve(points, ahead_s)
+            # What the published heave has beyond the forecasts, such as a learned correction, is held.
+            held = heave - curve(points, published_ahead_s)[0]
+            return Aim(expected + held, slope + self._winch.lag_s * bend)
         if self._source is Source.SHIFTED:
-            heave += velocity * (ahead_s - (update.compensation_lead_s or 0.0))
+            heave += velocity * (ahead_s - published_ahead_s)
         return Aim(heave, velocity)
 
 

@@ -114,7 +114,7 @@ class Trial(msgspec.Struct, frozen=True, kw_only=True):
     asked_error_m: dict[str, Array]
     authority: dict[str, Array]
     ages_s: Array
-    """Age of each line at the compensator."""
+    """Age of each line at the compensator, while scored."""
 
     @property
     def scored(self) -> NDArray[np.bool_]:
@@ -254,8 +254,8 @@ async def _live(name: str, setting: Setting, folder: Path) -> Trial:
     epochs_s: dict[Stream, float] = {}
     ages_s: list[float] = []
     devices = load(data_directory() / "demo.toml").device
-    async with AsyncExitStack() as stack, asyncio.TaskGroup() as tasks:
-        listeners = []
+    async with AsyncExitStack() as stack:
+        ports: dict[Stream, int] = {}
         for number, stream in enumerate(dict.fromkeys(controller.stream for controller in made)):
             # Each daemon has sensors of its own, as noisy as the other's: a sensor is not polled by two.
             instruments = Instruments(
@@ -270,24 +270,31 @@ async def _live(name: str, setting: Setting, folder: Path) -> Trial:
             epochs_s[stream] = time.monotonic() - plant.time_s()
             own = folder / str(number)
             own.mkdir()
-            port = await stack.enter_async_context(running_daemon(plant.devices, own, stream.settings))
+            ports[stream] = await stack.enter_async_context(running_daemon(plant.devices, own, stream.settings))
+        scored_from_s = time.monotonic() + setting.warm_up_s
+        tasks = [asyncio.create_task(_control(made, setting.warm_up_s + setting.duration_s))]
+        for stream, port in ports.items():
             lifts = [controller.lift for controller in made if controller.stream == stream]
-            listeners.append(tasks.create_task(_listen(port, lifts, ages_s)))
-        await _control(made, setting.warm_up_s + setting.duration_s)
-        for listener in listeners:
-            listener.cancel()
+            tasks.append(asyncio.create_task(_listen(port, lifts, ages_s, scored_from_s)))
+        done, others = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in others:
+            task.cancel()
+        await asyncio.wait(tasks)
+        for task in done:
+            task.result()
     return _trial(name, "live", setting, seaway(name, setting.seed), made, epochs_s, np.array(ages_s))
 
 
-async def _listen(port: int, lifts: Sequence[Lift], ages_s: list[float]) -> None:
-    """Hand every MOTION line to the compensators, until cancelled."""
+async def _listen(port: int, lifts: Sequence[Lift], ages_s: list[float], scored_from_s: float) -> None:
+    """Hand every MOTION line to the compensators, until cancelled; notes the ages of those that are scored."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     decoder = msgspec.json.Decoder(Update)
     try:
         while text := await asyncio.wait_for(reader.readline(), PATIENCE_S):
             if text.startswith(b'{"class":"MOTION"'):
                 update, now_s = decoder.decode(text), time.monotonic()
-                ages_s.append(now_s - update.mono_s)
+                if now_s >= scored_from_s:
+                    ages_s.append(now_s - update.mono_s)
                 for lift in lifts:
                     lift.compensator.take(update, now_s)
         raise ConnectionError("the daemon closed the stream")
@@ -348,10 +355,10 @@ def _trial(
 
 def _drive_perfectly(controller: Controller, sea: Seaway, moments_s: Array, epoch_s: float) -> None:
     """Run it at the same moments on lines without age, whose forecasts are the truth."""
-    ahead = np.array([sea.motion(moments_s - epoch_s + h).heave_m for h in PERFECT_HORIZONS_S])
-    for now_s, row in zip(moments_s.tolist(), ahead.T.tolist(), strict=True):
+    ahead = np.array([sea.motion(moments_s - epoch_s + h).heave_m for h in (0.0, *PERFECT_HORIZONS_S)])
+    for now_s, (heave, *row) in zip(moments_s.tolist(), ahead.T.tolist(), strict=True):
         forecast = tuple(Ahead(horizon_s=h, heave_m=m) for h, m in zip(PERFECT_HORIZONS_S, row, strict=True))
-        update = Update(mono_s=now_s, quality=Trust(heave=HeaveState.VALID), forecast=forecast)
+        update = Update(mono_s=now_s, quality=Trust(heave=HeaveState.VALID), heave_m=heave, forecast=forecast)
         controller.lift.compensator.take(update, now_s)
         controller.tick(now_s)
 

@@ -26,15 +26,16 @@ def hook_motion(path: Path, trial: Trial) -> None:
     t = trial.t_s[shown]
     none, present, paper, ours = list(trial.hook_m)[:4]
     colours = {none: BLACK, present: ORANGE, paper: GREEN, ours: BLUE}
+    styles = {paper: "--", PERFECT: ":"}
     labels = {none: "heave = hook uncompensated", present: "no lead", paper: "paper's method", ours: "ours"}
     figure = Figure(figsize=(COLUMN_IN, 3.6), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     above, below = figure.subplots(2, 1, sharex=True)
     unit, name = (1000.0, "mm") if trial.rows()[0].heave_rms_m < 0.2 else (100.0, "cm")
-    for axes, methods, scale in ((above, (none, present, ours), 1.0), (below, (paper, ours, PERFECT), unit)):
+    for axes, methods, scale in ((above, (none, present, ours), 1.0), (below, (ours, paper, PERFECT), unit)):
         for method in methods:
             colour = colours.get(method, BLACK)
-            label, style = labels.get(method, method), ":" if method == PERFECT else "-"
+            label, style = labels.get(method, method), styles.get(method, "-")
             axes.plot(t, scale * trial.hook_m[method][shown], style, color=colour, label=label, linewidth=0.9)
         low, high = axes.get_ylim()
         axes.set_ylim(low, high + 0.25 * (high - low))  # room for the legend
