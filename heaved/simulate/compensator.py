@@ -112,7 +112,7 @@ class Compensator:
         self._heard_s = -inf
         self._now_s: float | None = None
         self._fade = 0.0
-        self._x = self._v = 0.0
+        self._x = self._v = self._speed = 0.0
         self.aim: Aim | None = None
         """Behind the last set-point; None: there never was a usable line."""
 
@@ -152,29 +152,34 @@ class Compensator:
     def set_point(self, now_s: float) -> SetPoint:
         """What the winch is to be given at ``now_s``, which increases from call to call."""
         p = self._params
-        # After a pause of the controller itself, as after any other: no leap, the rest is worked off.
-        dt_s = min(now_s - self._now_s, 10.0 * p.period_s) if self._now_s is not None else 0.0
+        elapsed_s = 0.0 if self._now_s is None else now_s - self._now_s
         self._now_s = now_s
+        self._run_rope(elapsed_s)
         is_fresh = self._is_usable and now_s - self._last_s <= p.stale_s
-        self._fade = max(0.0, min(1.0, self._fade + (dt_s / p.fade_in_s if is_fresh else -dt_s / p.fade_out_s)))
-        speed_mps = 0.0
+        if elapsed_s > self._winch.watchdog_s:
+            self._fade = 0.0  # The winch has brought the rope to rest by itself.
+        else:
+            fade = self._fade + (elapsed_s / p.fade_in_s if is_fresh else -elapsed_s / p.fade_out_s)
+            self._fade = max(0.0, min(1.0, fade))
+        self._speed = 0.0
         if self._last is not None and self._fade > 0.0:
             self.aim = self._aimed(self._last, now_s - self._last_s)
-            middle_m = self._x + self._v * p.period_s / 2.0
-            trim_mps = (-self.aim.heave_m - middle_m) / p.trim_time_s
+            trim_mps = (-self.aim.heave_m - self._rope(self._v, p.period_s / 2.0)[0]) / p.trim_time_s
             trim_mps = max(-p.trim_speed_mps, min(p.trim_speed_mps, trim_mps))
-            speed_mps = self.authority * (trim_mps - self.aim.velocity_mps)
-        return SetPoint(speed_mps, self._follow(speed_mps, dt_s))
+            self._speed = self.authority * (trim_mps - self.aim.velocity_mps)
+        return SetPoint(self._speed, (self._x + self._rope(self._speed, p.period_s)[0]) / 2.0)
 
-    def _follow(self, speed_mps: float, dt_s: float) -> float:
-        """Where a winch that is given this speed will be in the middle of the period, after its lag."""
-        lag_s = self._winch.lag_s
+    def _run_rope(self, elapsed_s: float) -> None:
+        """Where the set-points so far will have brought the rope once they have had their effect."""
+        in_force_s = min(elapsed_s, self._winch.watchdog_s)
+        self._x, self._v = self._rope(self._speed, in_force_s)
+        self._x, self._v = self._rope(0.0, elapsed_s - in_force_s)
+
+    def _rope(self, speed_mps: float, dt_s: float) -> tuple[float, float]:
+        """Position and speed after a set-point of that speed for ``dt_s``, through the lag."""
+        lag_s, missing = self._winch.lag_s, speed_mps - self._v
         settled = 1.0 - exp(-dt_s / lag_s)
-        way_m = speed_mps * dt_s - lag_s * settled * (speed_mps - self._v)
-        middle_m = self._x + way_m / 2.0
-        self._x += way_m
-        self._v += settled * (speed_mps - self._v)
-        return middle_m
+        return self._x + speed_mps * dt_s - lag_s * settled * missing, self._v + settled * missing
 
     def _aimed(self, update: Update, age_s: float) -> Aim:
         ahead_s, published_ahead_s = age_s + self._ahead_s, update.compensation_lead_s or 0.0

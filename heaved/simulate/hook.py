@@ -61,6 +61,7 @@ class HookMotion:
             self._record.clear()
             self._full_since_s = None
             return
+        self._has_begun = True
         if self._full_since_s is None:
             self._full_since_s = now_s
         if now_s - self._full_since_s < self.BEGIN_S:
@@ -81,7 +82,6 @@ class HookMotion:
             if self._has_begun and self._full_since_s is None:
                 return "hook motion: the heave cannot be used, the winch holds"
             return "hook motion: settling"
-        self._has_begun = True
         heave, hook = (sqrt(sum(moment[i] ** 2 for moment in self._record) / len(self._record)) for i in (1, 2))
         decimals = 2 if heave >= 0.2 else 4
         share = f" ({100.0 * hook / heave:.1f} %)" if heave > 1e-3 else ""

@@ -342,12 +342,18 @@ def test_what_is_short_is_bridged_by_the_forecast():
 
 
 def test_a_controller_that_stops_leaves_a_rope_at_rest_and_begins_again_gently():
-    sea = sea_of("S5")
-    result = run(sea, lines(sea, END_S), pause=(BEGIN_S, BEGIN_S + 5.0))
-    rests = (result.t_s > BEGIN_S + WINCH.watchdog_s + WINCH.dead_time_s + 1.0) & (result.t_s < BEGIN_S + 5.0)
+    sea = sea_of("S4")
+    end_s = BEGIN_S + 5.0
+    result = run(sea, lines(sea, END_S), pause=(BEGIN_S, end_s))
+    rests = (result.t_s > BEGIN_S + WINCH.watchdog_s + WINCH.dead_time_s + 1.0) & (result.t_s < end_s)
     assert np.max(np.abs(result.rope_speed[rests])) < 0.01
-    fastest = np.max(np.abs(sea.speed(result.t_s)))
-    assert np.max(np.abs(sea.speed(result.t_s) + result.rope_speed)) < fastest + PARAMS.trim_speed_mps
+    speed, acceleration = sea.speed(result.t_s), np.gradient(sea.speed(result.t_s), PERIOD_S)
+    fastest = np.max(np.abs(speed)) + PARAMS.trim_speed_mps
+    assert np.max(np.abs(speed + result.rope_speed)) < fastest
+    again = result.t_s > end_s
+    assert np.max(np.diff(result.authority[again])) < 1.6 * PERIOD_S / PARAMS.fade_in_s
+    assert result.authority[again][0] < 0.01
+    assert np.max(np.abs(result.rope_acceleration[again])) < np.max(np.abs(acceleration)) + 1.5 * fastest / FADE_S
     assert share(result, END_S - 10.0) < 0.01
 
 
