@@ -314,7 +314,7 @@ def demo(
     duration: Annotated[float | None, typer.Option(min=0.0, help="End after so many seconds.")] = None,
     log_format: Logs = LogFormat.human,
 ) -> None:
-    """Run the daemon on simulated sensors: the whole chain on this machine, nothing else needed."""
+    """Run the daemon on simulated sensors, with a simulated winch on its stream: the whole chain on this machine."""
     from heaved import demo as demonstration
 
     def announce(config: Config) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import multiprocessing
 import os
 import signal
@@ -10,6 +11,7 @@ import socket
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
@@ -21,6 +23,7 @@ import msgspec
 from heaved import daemon
 from heaved.config import Config, data_directory, load
 from heaved.devices.profile import DeviceSpec
+from heaved.simulate import hook
 from heaved.simulate.faults import PlannedFault
 from heaved.simulate.instruments import Instruments
 from heaved.simulate.plant import SimulatedPlant
@@ -29,7 +32,18 @@ from heaved.simulate.slave import Source
 
 SERIAL_BAUDRATE: Final = 230_400
 """Of the simulated serial line: it carries the demo's IMU at 100 Hz and its laser at 20 Hz with a third to spare."""
+SEED: Final = 1
+"""Of the sea and of the sensors' errors."""
 _CHILD_STOPS_S: Final = 2.0
+
+
+class _Served(msgspec.Struct, frozen=True):
+    """What the process of the sensors says once it serves them."""
+
+    devices: tuple[DeviceSpec, ...]
+    """With the links at which they are reached."""
+    epoch_s: float
+    """Time 0 of the sea on the machine's monotonic clock."""
 
 
 class DemoError(Exception):
@@ -47,7 +61,7 @@ def on_serial_line(devices: Sequence[DeviceSpec], directory: Path) -> tuple[Devi
     return tuple(msgspec.structs.replace(device, link=link) for device in devices)
 
 
-def instruments(sea: str, *, sensor: str = "A", laser: str = "on", seed: int = 1) -> Instruments:
+def instruments(sea: str, *, sensor: str = "A", laser: str = "on", seed: int = SEED) -> Instruments:
     """Sensors in a sea.
 
     Raises:
@@ -89,6 +103,9 @@ def run(
 ) -> int:
     """Serve the sensors of ``demo.toml`` in a process of their own and run the daemon on them; returns its exit code.
 
+    A third process is the consumer: a simulated winch on the stream, which says on standard output now and then how the
+    hook below it moves.
+
     What is learned goes to a temporary directory. Ports of the default configuration that are taken are replaced by
     free ones; ``announce`` is told the configuration just before the daemon starts.
 
@@ -101,10 +118,10 @@ def run(
         directory = Path(name)
         config = demo_config()
         wanted = on_serial_line(config.device, directory) if serial else config.device
-        with _sensors(wanted, sea) as devices:
+        with _sensors(wanted, sea) as served:
             config = msgspec.structs.replace(
                 config,
-                device=devices,
+                device=served.devices,
                 stream=msgspec.structs.replace(config.stream, port=_free_port(config.stream.host, config.stream.port)),
                 http=msgspec.structs.replace(config.http, port=_free_port(config.http.host, config.http.port)),
                 state=msgspec.structs.replace(config.state, directory=str(directory / "state")),
@@ -116,27 +133,25 @@ def run(
             if duration_s is not None:
                 end.start()
             try:
-                return daemon.run(config, None, log_format=log_format)
+                with _child(_winch_process, config.stream.host, config.stream.port, sea, served.epoch_s):
+                    return daemon.run(config, None, log_format=log_format)
             finally:
                 end.cancel()
 
 
 @contextmanager
-def _sensors(devices: Sequence[DeviceSpec], sea: str) -> Iterator[tuple[DeviceSpec, ...]]:
-    """The devices, served by another process as a real sensor is by another machine; where they are reached."""
+def _child(target: Callable[..., None], *arguments: object) -> Iterator[Connection]:
+    """A process that runs ``target(far end of a connection, *arguments)``.
+
+    It shall end when the connection is closed, so also when this process is killed.
+    """
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    child = context.Process(target=_sensor_process, args=(theirs, tuple(devices), sea), daemon=True)
+    child = context.Process(target=target, args=(theirs, *arguments), daemon=True)
     child.start()
     theirs.close()
     try:
-        try:
-            answer = ours.recv()
-        except EOFError:
-            answer = "the process of the simulated sensors ended at once"
-        if isinstance(answer, str):
-            raise DemoError(answer)
-        yield answer
+        yield ours
     finally:
         ours.close()
         child.join(_CHILD_STOPS_S)
@@ -145,8 +160,20 @@ def _sensors(devices: Sequence[DeviceSpec], sea: str) -> Iterator[tuple[DeviceSp
             child.join()
 
 
+@contextmanager
+def _sensors(devices: Sequence[DeviceSpec], sea: str) -> Iterator[_Served]:
+    """The devices, served by another process as a real sensor is by another machine."""
+    with _child(_sensor_process, tuple(devices), sea) as connection:
+        try:
+            answer = connection.recv()
+        except EOFError:
+            answer = "the process of the simulated sensors ended at once"
+        if isinstance(answer, str):
+            raise DemoError(answer)
+        yield answer
+
+
 def _sensor_process(connection: Connection, devices: tuple[DeviceSpec, ...], sea: str) -> None:
-    """Ends when the other end of the connection is closed, so also when the parent is killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both; the parent decides the order.
 
     async def run() -> None:
@@ -154,7 +181,7 @@ def _sensor_process(connection: Connection, devices: tuple[DeviceSpec, ...], sea
         asyncio.get_running_loop().add_reader(connection.fileno(), closed.set)
         plant = SimulatedPlant(devices, instruments(sea), any_port=True)
         await plant.start()
-        connection.send(plant.devices)
+        connection.send(_Served(plant.devices, time.monotonic() - plant.time_s()))
         await closed.wait()
         await plant.stop()
 
@@ -162,6 +189,17 @@ def _sensor_process(connection: Connection, devices: tuple[DeviceSpec, ...], sea
         asyncio.run(run())
     except (OSError, ValueError) as error:
         connection.send(str(error))
+
+
+def _winch_process(connection: Connection, host: str, port: int, sea: str, epoch_s: float) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Whoever reads the demo's output may have gone: no reason to say more, nor to complain.
+    with contextlib.suppress(BrokenPipeError):
+        hook.follow(host, port, seaway(sea, SEED), epoch_s, _say, connection.poll)
+
+
+def _say(line: str) -> None:
+    os.write(sys.stdout.fileno(), f"{line}\n".encode())  # Whole or not at all, beside what the daemon prints.
 
 
 def _free_port(host: str, port: int) -> int:

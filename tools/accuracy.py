@@ -4,6 +4,7 @@
     tools/accuracy.py heave [T1 T2 T3 S4 S5 S6] [--sensor A|B] [--seeds 3]
     tools/accuracy.py real        real seas (Hebrides wave-rider), where the records are present
     tools/accuracy.py rock        roll and pitch, 50, 100 and 150 ms ahead
+    tools/accuracy.py closed-loop [S6 T3] [--replay]    a hook under a winch that the stream drives, in real time
     tools/accuracy.py all
 
 Beside the tables, OUT/results.jsonl gets one line per result, and OUT a figure per scenario.
@@ -27,9 +28,10 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["OMP_NUM_THREADS"] = "1"
 
 import msgspec
-from evidence import heave, rock
+from evidence import closed_loop, heave, rock
 from evidence.heave import Setting, Traces
 
+from heaved.estimation.heave import Params as HeaveParams
 from heaved.simulate.sensors import SENSORS, laser_pattern
 
 CHECKOUT = Path(__file__).resolve().parent.parent
@@ -136,6 +138,29 @@ def run_rock(options: argparse.Namespace, output: Output) -> None:
         rock.figure(output.folder / "rock.png")
 
 
+def run_closed_loop(options: argparse.Namespace, output: Output) -> None:
+    setting = closed_loop.Setting(
+        observer=options.observer,
+        sensor=options.sensor,
+        laser=options.laser,
+        seed=options.seed,
+        warm_up_s=options.warm_up,
+        duration_s=180.0 if options.duration is None else options.duration,
+        shifted=options.shifted,
+    )
+
+    def draw(trial: closed_loop.Trial) -> None:
+        print(f"{trial.sea}: done", file=sys.stderr, flush=True)
+        output.write("closed_loop", trial.rows())
+        if output.figures:
+            from evidence.closed_loop_figure import hook_motion  # matplotlib only when it is wanted
+
+            hook_motion(output.folder / f"hook_{trial.sea}_{setting.sensor}.png", trial)
+
+    seas = options.seas or closed_loop.DEFAULT_SEAS
+    print(closed_loop.report(closed_loop.run(seas, setting, options.replay, draw)))
+
+
 def run_all(options: argparse.Namespace, output: Output) -> None:
     for command in (run_heave, run_real, run_rock):
         command(options, output)
@@ -169,6 +194,13 @@ def _parser() -> argparse.ArgumentParser:
     simulated.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=", ".join(heave.SCENARIOS))
     commands.add_parser("real", parents=[common], help="real seas")
     commands.add_parser("rock", parents=[common], help="roll and pitch, simulated")
+    hook = commands.add_parser("closed-loop", parents=[common], help="hook motion under a winch driven by the stream")
+    hook.add_argument("seas", nargs="*", metavar="SEA", help=f"default {' '.join(closed_loop.DEFAULT_SEAS)}")
+    hook.add_argument("--replay", action="store_true", help="without sockets, faster than real time")
+    hook.add_argument("--observer", default=HeaveParams().observer, help="of ours (default: that of the daemon)")
+    hook.add_argument("--seed", type=_count, default=1, help="of sea and sensors")
+    hook.add_argument("--warm-up", type=_positive, default=90.0, metavar="S", help="not scored (default 90)")
+    hook.add_argument("--shifted", action="store_true", help="a daemon with [compensation] lead_s as well; live only")
     commands.add_parser("all", parents=[common], help="all of these").set_defaults(scenarios=())
     return parser
 
@@ -190,7 +222,9 @@ def _count(text: str) -> int:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; 0 when everything is written."""
     options = _parser().parse_args(arguments)
-    commands = {"heave": run_heave, "real": run_real, "rock": run_rock, "all": run_all}
+    commands = {
+        "heave": run_heave, "real": run_real, "rock": run_rock, "closed-loop": run_closed_loop, "all": run_all
+    }  # fmt: skip
     started = time.monotonic()
     try:
         laser_pattern(options.laser)
@@ -199,7 +233,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             commands[options.command](options, output)
         finally:
             output.close()
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, RuntimeError) as error:
         print(f"accuracy: {error}", file=sys.stderr)
         return 1
     print(f"\nResults in {options.out}; it took {time.monotonic() - started:.0f} s.")

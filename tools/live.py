@@ -12,9 +12,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import contextlib
-import os
-import signal
 import sys
 import tempfile
 import time
@@ -23,6 +20,7 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+from evidence.daemon import running_daemon
 from numpy.typing import NDArray
 from recordings import FADE_S, hebrides, sea
 
@@ -88,34 +86,10 @@ async def run(options: argparse.Namespace, folder: Path) -> tuple[list[Line], fl
     plant = SimulatedPlant(load(data_directory() / "demo.toml").device, player, any_port=True)
     await plant.start()
     zero_s = float(columns["t_s"][from_start][0]) + plant.time_s() - time.monotonic()
-    config = folder / "live.toml"
-    devices = "".join(
-        f'[[device]]\nname = "{d.name}"\nrole = "{d.role}"\nlink = "{d.link}"\ndevice_id = {d.device_id}\n'
-        f'profile = "{d.profile.name}"\nrate_hz = {d.rate_hz}\n'
-        for d in plant.devices
-    )
-    config.write_text(
-        f'{devices}[stream]\nport = 0\n[http]\nenabled = false\n[state]\ndirectory = "{folder}"\n', encoding="utf-8"
-    )
-    daemon = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "heaved", "run", "--config", str(config),
-        stdout=asyncio.subprocess.PIPE, stderr=(folder / "log").open("wb"),
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-    )  # fmt: skip
     try:
-        assert daemon.stdout is not None
-        port = None
-        while port is None:
-            line = (await asyncio.wait_for(daemon.stdout.readline(), 20.0)).decode()
-            if not line:
-                raise RuntimeError(f"the daemon did not start:\n{(folder / 'log').read_text()}")
-            if line.startswith("stream "):
-                port = int(line.rsplit(":", 1)[1])
-        lines = await listen(port, time.monotonic() + options.duration)
+        async with running_daemon(plant.devices, folder) as port:
+            lines = await listen(port, time.monotonic() + options.duration)
     finally:
-        with contextlib.suppress(ProcessLookupError):
-            daemon.send_signal(signal.SIGTERM)
-        await daemon.wait()
         await plant.stop()
     return lines, zero_s, recording
 

@@ -1,0 +1,52 @@
+"""The real daemon on simulated sensors: ``python -m heaved run``, started and ended from here."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import sys
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+from heaved.devices.profile import DeviceSpec
+
+STARTS_S = 20.0
+
+
+@asynccontextmanager
+async def running_daemon(devices: Sequence[DeviceSpec], folder: Path, settings: str = "") -> AsyncIterator[int]:
+    """A daemon that polls ``devices``; gives the port of its stream on 127.0.0.1.
+
+    Configuration, state and the log (``folder/log``) go to ``folder``. ``settings``: further tables, as TOML.
+
+    Raises:
+        RuntimeError: it does not start; says what it has logged.
+    """
+    config, log = folder / "heaved.toml", folder / "log"
+    tables = "".join(
+        f'[[device]]\nname = "{d.name}"\nrole = "{d.role}"\nlink = "{d.link}"\ndevice_id = {d.device_id}\n'
+        f'profile = "{d.profile.name}"\nrate_hz = {d.rate_hz}\n'
+        for d in devices
+    )
+    own = f'[stream]\nport = 0\n[http]\nenabled = false\n[state]\ndirectory = "{folder}"\n'
+    config.write_text(tables + own + settings, encoding="utf-8")
+    with log.open("wb") as errors:
+        daemon = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", "heaved", "run", "--config", str(config),
+            stdout=asyncio.subprocess.PIPE, stderr=errors, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        )  # fmt: skip
+    try:
+        assert daemon.stdout is not None
+        line = ""
+        while not line.startswith("stream "):
+            line = (await asyncio.wait_for(daemon.stdout.readline(), STARTS_S)).decode()
+            if not line:
+                raise RuntimeError(f"the daemon did not start:\n{log.read_text()}")
+        yield int(line.rsplit(":", 1)[1])
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            daemon.send_signal(signal.SIGTERM)
+        await daemon.wait()
