@@ -279,7 +279,8 @@ def line(scenario: str, estimator: str, tilt: str, **fields: object) -> dict[str
 
 
 def test_asked_figures_are_found_in_the_lines() -> None:
-    by_name = {figure.what: figure for figure in asked.ASKED}
+    figures = {(figure.what, figure.of): figure for figure in asked.ASKED}
+    assert len(figures) == len(asked.ASKED)
     lines = [
         line("S4", "UKF multi-step", "none", ratio_to_limit=9.0, settled_s=None),
         line("S4", "sea observer", "noisy", ratio_to_limit=3.0),
@@ -287,30 +288,33 @@ def test_asked_figures_are_found_in_the_lines() -> None:
         line("S4", "sea observer", "none", ratio_to_limit=1.1, settled_s=45.0, published=1.0),
         line("static", "sea observer", "noisy", rms_m=0.004, reasons={"still: no waves": 0.97}),
         line("SX", "sea observer", "exact", segments={"then": 0.05}, forecast={}),
-        line("S6", "sea observer", "none", ratio_to_limit=1.0, published=0.9),
+        line("S6S", "sea observer", "none", ratio_to_limit=1.0, published=0.9),
     ]
-    found = {name: asked.measured(lines, figure, "sea") for name, figure in by_name.items()}
-    over = "S4, A: error over the causal limit"
-    assert found[over] == 1.1
-    assert asked.kept(by_name[over], found[over])
-    assert asked.measured(lines, by_name[over], "harmonic") == 9.0
-    assert not asked.kept(by_name[over], 9.0)
-    assert found["S4, A: settled within 6 % of σ from"] == 45.0
-    assert asked.measured(lines, by_name["S4, A: settled within 6 % of σ from"], "harmonic") == inf
-    assert found["static IMU: error"] == pytest.approx(4.0)
-    assert found['static IMU: says "still"'] == pytest.approx(97.0)
-    assert found["SX, A: then"] == pytest.approx(5.0)
-    assert not asked.kept(by_name["SX, A: then"], found["SX, A: then"])
-    assert np.isnan(found["SX, A: growing"])
-    table = asked.table(lines, "sea")
-    assert f"| {over} | ≤ 1.25 | 1.1 | ok | 9 |" in table
-    assert "| SX, A: then | ≤ 3.5 % of σ | 5 | **not reached** | – |" in table
-    assert "| SX, A: growing | ≤ 12 % of σ | – | not measured | – |" in table
-
-
-def test_a_silent_estimator_keeps_no_figure() -> None:
-    figure = next(one for one in asked.ASKED if one.what.startswith("S4, A: error over"))
-    assert asked.measured([line("S4", "sea observer", "none", ratio_to_limit=1.0, published=0.9)], figure, "sea") == inf
+    found = {name: asked.measured(lines, figure, "sea") for name, figure in figures.items()}
+    over, settled, change = (
+        "A: error over the causal limit",
+        "A: within 6 % of σ from a cold start after",
+        "A, SX: error over the local σ",
+    )
+    assert found[over, "S4"] == 1.1
+    assert asked.kept(figures[over, "S4"], 1.1)
+    assert not asked.kept(figures[over, "S4"], 9.0)
+    assert found[over, "S6S"] == inf  # it was silent for a tenth of the time
+    assert asked.measured(lines, figures[over, "S4"], "harmonic") == 9.0
+    assert found[settled, "S4"] == 45.0
+    assert asked.measured(lines, figures[settled, "S4"], "harmonic") == inf
+    assert found["real IMU at rest: error", "static"] == pytest.approx(4.0)
+    assert found['real IMU at rest: says "still"', "static"] == pytest.approx(97.0)
+    assert found[change, "then"] == pytest.approx(5.0)
+    assert not asked.kept(figures[change, "then"], found[change, "then"])
+    assert np.isnan(found[change, "growing"])
+    rows = asked.table(lines, "sea").splitlines()
+    assert (
+        f"| {over} | S4 / S6S / Hebrides / SL | ≤ 1.25 / ≤ 1.4 | 1.1 / never / – / – "
+        "| **not reached**: S6S; not measured: Hebrides, SL | 9 / – / – / – |"
+    ) in rows
+    assert "| real IMU at rest: error | static | ≤ 5 mm | 4 | ok | – |" in rows
+    assert rows[-1] == f"{len(figures)} figures: 4 ok, 2 not reached, {len(figures) - 6} not measured."
 
 
 # --- regression gates ------------------------------------------------------------------------------------------------

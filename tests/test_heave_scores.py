@@ -8,7 +8,7 @@ from math import inf, isnan, sqrt
 import msgspec
 import numpy as np
 import pytest
-from evidence import estimators, scenarios, scores
+from evidence import estimators, scenarios, scores, summary
 from evidence.estimators import Ahead, Delayed, Trace
 from evidence.scenarios import Limits, Setting, triplet
 
@@ -170,9 +170,9 @@ def test_records_are_summed_up_by_mean_and_worst(case: scenarios.Case) -> None:
             case, lambda t, error=error: error * alternating(t), std_m=np.full(case.recording.t_s.size, 0.012)
         )
         records.append(
-            msgspec.structs.replace(scores.judged([given], case), seeds=triplet(number), sigma_m=0.2 * number)
+            msgspec.structs.replace(summary.judged([given], case), seeds=triplet(number), sigma_m=0.2 * number)
         )
-    (result,) = scores.summary(records)
+    (result,) = summary.summary(records)
     assert result.rms_m == pytest.approx(0.02)
     assert result.worst_rms_m == pytest.approx(0.03)
     assert result.ratio_to_limit == pytest.approx(2.0)

@@ -35,7 +35,7 @@ os.environ["OMP_NUM_THREADS"] = "1"
 import msgspec
 from evidence import asked, estimators, gates, heave, rock, scenarios, tables
 from evidence.scenarios import Setting
-from evidence.scores import Judged, Result
+from evidence.summary import Judged, Result
 
 from heaved.simulate.sensors import SENSORS, laser_pattern
 
@@ -120,7 +120,7 @@ def run_table(options: argparse.Namespace, output: Output) -> None:
 
 
 def run_limits(options: argparse.Namespace, output: Output) -> None:
-    print(scenarios.limits_table(("A", "B"), options.rate))
+    print(tables.limits_table(("A", "B"), options.rate))
 
 
 def run_gates(options: argparse.Namespace, output: Output) -> None:

@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from evidence.estimators import KF, Trace
+from evidence.limits import causal_heave_limit
 from evidence.scenarios import Case, accelerometer_noise, simulated_spectrum
-from evidence.scores import BIN_S, COVER, SETTLED_SHARE, Result, laser_times, rms
+from evidence.scores import BIN_S, COVER, SETTLED_SHARE, SETTLING_END_S, laser_times, rms
+from evidence.summary import Result
 from heaved.simulate.seaway import RAMPS, SEAS
 
 Array = NDArray[np.float64]
@@ -29,6 +31,8 @@ WINDOW_AT: Final = 0.45
 """Where in the scored time the window of the upper panel begins."""
 SPECTRUM_S: Final = 120.0
 """Segments of the spectra."""
+CURVE_POINTS: Final = 2**13
+"""Frequencies of the limits that are drawn."""
 LOCAL_S: Final = 20.0
 """Windows in which the error of a changing sea is taken."""
 
@@ -218,11 +222,10 @@ def forecasts(path: Path, results: Sequence[Result], title: str) -> None:
         color = OF_SCENARIO.get(result.scenario, VERMILION)
         x = [float(horizon) for horizon in result.forecast]
         reached = [100.0 * later.rms_m / result.sigma_m for later in result.forecast.values()]
-        least = [100.0 * later.rms_m / later.ratio_to_limit / result.sigma_m for later in result.forecast.values()]
-        now, bound = 100.0 * result.rms_m / result.sigma_m, 100.0 * result.limit_m / result.sigma_m
+        now = 100.0 * result.rms_m / result.sigma_m
         axes.semilogy([0.0, *x], [now, *reached], color=color, marker="o", markersize=2.5, linewidth=0.9,
                       label=result.scenario)  # fmt: skip
-        axes.semilogy([0.0, *x], [bound, *least], color=color, linestyle="--", linewidth=0.8)
+        axes.semilogy(*_limit_ahead(result), color=color, linestyle="--", linewidth=0.8)
     axes.plot([], [], color=BLACK, linestyle="--", linewidth=0.8, label="limit")
     axes.set_xlabel("horizon / s", fontsize=8)
     axes.set_ylabel("RMS error / % of σ", fontsize=8)
@@ -233,6 +236,21 @@ def forecasts(path: Path, results: Sequence[Result], title: str) -> None:
     figure.savefig(path)
 
 
+def _limit_ahead(result: Result) -> tuple[Array, Array]:
+    """Horizons (s) and the least error (% of the deviation of the heave) at each: a curve for a sea whose spectrum is
+    known, the points of the records for another."""
+    if result.scenario in SEAS:
+        horizons = np.linspace(0.0, 5.0, 41)
+        rate_hz, sensor = result.setting.rate_hz, result.setting.sensor
+        f = np.linspace(0.0, rate_hz / 2.0, CURVE_POINTS + 1)
+        heave, noise = simulated_spectrum(result.scenario, f), accelerometer_noise(f, sensor, rate_hz)
+        least_m = np.array([causal_heave_limit(f, heave, noise, -horizon) for horizon in horizons.tolist()])
+    else:
+        horizons = np.array([0.0, *map(float, result.forecast)])
+        least_m = np.array([result.limit_m, *(at.rms_m / at.ratio_to_limit for at in result.forecast.values())])
+    return horizons, 100.0 * least_m / result.sigma_m
+
+
 def settling(path: Path, results: Sequence[Result], title: str) -> None:
     """Error in bins of 5 s from a cold start, over the deviation of the heave."""
     figure, (axes,) = _panels(2.7, (1.0,))
@@ -241,14 +259,16 @@ def settling(path: Path, results: Sequence[Result], title: str) -> None:
         levels = np.array([100.0 * share if np.isfinite(share) else np.nan for share in result.settling])
         color = OF_SCENARIO[result.scenario]
         axes.semilogy(middles, levels, color=color, linewidth=0.9, label=result.scenario)
-    axes.axhline(100.0 * SETTLED_SHARE, color=VERMILION, linewidth=0.8, linestyle="--")
-    axes.axvline(60.0, color=VERMILION, linewidth=0.8, linestyle="--", label="asked")
+    asked = 100.0 * SETTLED_SHARE
+    axes.plot([60.0, 60.0, SETTLING_END_S], [1e3, asked, asked], color=VERMILION, linewidth=0.9, linestyle="--",
+              label="asked")  # fmt: skip
+    axes.set_ylim(None, 200.0)
     axes.set_xlim(0.0, None)
     axes.yaxis.set_major_locator(_decades())
     axes.yaxis.set_major_formatter("{x:g}")
     axes.set_xlabel("time since the first sample / s", fontsize=8)
     axes.set_ylabel("RMS error / % of σ", fontsize=8)
-    axes.set_title(f"{title}: {len(results[0].seeds)} records", fontsize=8)
+    axes.set_title(title, fontsize=8)
     axes.legend(loc="upper right", fontsize=6, frameon=False, ncols=3)
     figure.savefig(path)
 

@@ -15,7 +15,7 @@ import msgspec
 
 from evidence.heave import Task
 from evidence.scenarios import HORIZONS_S, Setting, triplet
-from evidence.scores import Result
+from evidence.summary import Result
 
 FILE: Final = Path(__file__).with_name("gates.json")
 MARGIN: Final = 1.05

@@ -18,7 +18,7 @@ import numpy as np
 from evidence import baselines, estimators
 from evidence.estimators import Conditions
 from evidence.scenarios import HORIZONS_S, REAL, Seeds, Setting, build, files, triplet
-from evidence.scores import Judged, Result, judged, summary
+from evidence.summary import Judged, Result, judged, summary
 from heaved.samples import ImuSample
 from heaved.simulate.seaway import TRAINS
 

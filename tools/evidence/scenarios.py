@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import lru_cache
-from math import inf, nan, sqrt
+from math import inf, nan
 from pathlib import Path
 from typing import Final, Literal
 
@@ -184,7 +184,7 @@ def _simulated(scenario: str, seeds: Seeds, setting: Setting) -> Case:
         setting=setting,
         recording=recording,
         period_s=TRAINS[scenario].period_s if scenario in TRAINS else SEAS.get(scenario, SEAS["S6"])[0].tp_s,
-        limits=_sea_limits(scenario, setting.sensor, setting.rate_hz) if steady else Limits(),
+        limits=sea_limits(scenario, setting.sensor, setting.rate_hz) if steady else Limits(),
         start_s=setting.scored_from_s,
         end_s=duration_s,
         local_sigma_m=sea.heave_std_m * sea.envelope(recording.t_s),
@@ -219,7 +219,8 @@ def segments_of(scenario: str, from_s: float, end_s: float) -> tuple[Segment, ..
 
 
 @lru_cache
-def _sea_limits(scenario: str, sensor: str, rate_hz: float) -> Limits:
+def sea_limits(scenario: str, sensor: str, rate_hz: float) -> Limits:
+    """Least errors on a steady irregular sea of the simulator."""
     return limits_of(lambda f: simulated_spectrum(scenario, f), sensor, rate_hz)
 
 
@@ -347,26 +348,3 @@ def _real(
         optical_std_m=optical_std_m,
         from_start=from_start,
     )
-
-
-# --- the limits alone ------------------------------------------------------------------------------------------------
-
-
-def limits_table(sensors: tuple[str, ...], rate_hz: float) -> str:
-    """Markdown: the least errors on every steady irregular sea, for each sensor."""
-    heads = " | ".join(f"{horizon:g} s ahead" for horizon in HORIZONS_S)
-    lines = [
-        f"Least RMS error from the accelerometer alone, {rate_hz:g} Hz, in mm (% of σ):",
-        "",
-        f"| sea | sensor | σ / m | causal | {heads} | delayed |",
-        "|---" * (5 + len(HORIZONS_S)) + "|",
-    ]
-    f = np.linspace(0.0, rate_hz / 2.0, GRID_POINTS + 1)
-    for scenario in (name for name in SEAS if name not in RAMPS):
-        sigma_m = sqrt(np.trapezoid(simulated_spectrum(scenario, f), f))
-        for sensor in sensors:
-            limits = _sea_limits(scenario, sensor, rate_hz)
-            errors = (limits.causal_m, *limits.forecast_m.values(), limits.noncausal_m)
-            cells = " | ".join(f"{1e3 * error:.1f} ({100.0 * error / sigma_m:.2f})" for error in errors)
-            lines.append(f"| {scenario} | {sensor} | {sigma_m:.4f} | {cells} |")
-    return "\n".join(lines)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import sqrt
 from typing import Final
 
 import numpy as np
 
 from evidence import baselines
 from evidence.estimators import CORRECTED, IIR, INERTIAL, KF, UKF
-from evidence.scores import SETTLED_SHARE, Result
+from evidence.scenarios import GRID_POINTS, HORIZONS_S, sea_limits, simulated_spectrum
+from evidence.scores import SETTLED_SHARE
+from evidence.summary import Result
 from heaved.samples import GRAVITY_MPS2
-from heaved.simulate.seaway import TRAINS
+from heaved.simulate.seaway import RAMPS, SEAS, TRAINS
 from heaved.simulate.sensors import LASER_NOISE_M, SENSORS, laser_pattern
 
 PAPER_M: Final[dict[str, tuple[float, float, float]]] = {
@@ -35,6 +38,26 @@ def report(results: Sequence[Result], kf_ukf_m: float) -> str:
         for scenario in dict.fromkeys(result.scenario for result in here):
             lines += [*_scenario_table([result for result in here if result.scenario == scenario]), ""]
     return "\n".join(lines + _notes(kf_ukf_m))
+
+
+def limits_table(sensors: tuple[str, ...], rate_hz: float) -> str:
+    """Markdown: the least errors on every steady irregular sea, for each sensor."""
+    heads = " | ".join(f"{horizon:g} s ahead" for horizon in HORIZONS_S)
+    lines = [
+        f"Least RMS error from the accelerometer alone, {rate_hz:g} Hz, in mm (% of σ):",
+        "",
+        f"| sea | sensor | σ / m | causal | {heads} | delayed |",
+        "|---" * (5 + len(HORIZONS_S)) + "|",
+    ]
+    f = np.linspace(0.0, rate_hz / 2.0, GRID_POINTS + 1)
+    for scenario in (name for name in SEAS if name not in RAMPS):
+        sigma_m = sqrt(np.trapezoid(simulated_spectrum(scenario, f), f))
+        for sensor in sensors:
+            limits = sea_limits(scenario, sensor, rate_hz)
+            errors = (limits.causal_m, *limits.forecast_m.values(), limits.noncausal_m)
+            cells = " | ".join(f"{1e3 * error:.1f} ({100.0 * error / sigma_m:.2f})" for error in errors)
+            lines.append(f"| {scenario} | {sensor} | {sigma_m:.4f} | {cells} |")
+    return "\n".join(lines)
 
 
 def _conditions(results: Sequence[Result]) -> str:
