@@ -237,6 +237,12 @@ def test_a_buoy_record_becomes_a_case() -> None:
     assert 2.5 < 4.0 * np.std(scored) < 4.1  # the buoy's own significant heights were 2.9 to 3.7 m that day
     assert 0.02 < case.limits.causal_m / np.std(scored) < 0.045  # 3.1 % was found independently
     assert 6.0 < case.period_s < 16.0
+    short = scenarios.build("Hebrides", triplet(1), Setting(tilt="none", duration_s=400.0))
+    assert short.recording.t_s[-1] == pytest.approx(405.0, abs=0.06)  # with the longest forecast's due time
+    assert np.array_equal(short.recording.az_mps2, case.recording.az_mps2[: short.recording.t_s.size])
+    todo = heave.tasks([("Hebrides", short.setting)], ("kf",), 1)[:1]
+    (row,) = heave.run_all(todo)
+    assert row[0].ratio_to_limit > 1.0
 
 
 def test_a_flume_run_becomes_a_case() -> None:

@@ -333,6 +333,7 @@ def _real(
     from_start: bool = True,
 ) -> Case:
     start_s, end_s = window_s
+    recording = _until(recording, end_s + HORIZONS_S[-1])
     scored = (recording.t_s >= start_s) & (recording.t_s < end_s)
     sigma_m = float(np.std(recording.truth.heave_m[scored])) if np.any(scored) else nan
     return Case(
@@ -348,3 +349,11 @@ def _real(
         optical_std_m=optical_std_m,
         from_start=from_start,
     )
+
+
+def _until(recording: Recording, end_s: float) -> Recording:
+    """Its part before ``end_s``."""
+    kept = recording.t_s < end_s
+    truth = {name: getattr(recording.truth, name)[kept] for name in recording.truth.__struct_fields__}
+    columns = {name: getattr(recording, name) for name in recording.__struct_fields__ if name != "truth"}
+    return Recording(**{name: values[kept] for name, values in columns.items()}, truth=type(recording.truth)(**truth))
