@@ -265,7 +265,7 @@ def test_a_still_record_becomes_a_case() -> None:
     ("words", "message"),
     [
         (["heave", "T9"], "unknown scenario 'T9'"),
-        (["real", "S4"], "unknown record 'S4'"),
+        (["real", "S4"], "unknown scenario 'S4'"),
         (["heave", "T1", "--duration", "100"], "cannot be scored from 300 s on"),
         (["heave", "T1", "--laser", "half"], "laser pattern 'half' is not understood"),
         (["table"], "results.jsonl"),

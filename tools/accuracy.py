@@ -3,7 +3,7 @@
 
     tools/accuracy.py heave [T1 ... S6S] [--sensor A|B] [--laser off|50%|on] [--tilt none|exact|noisy] [--seeds 3]
     tools/accuracy.py real [Hebrides palmer flume static]    real records, where they are present
-    tools/accuracy.py headline    every scenario and setting that a figure is asked for
+    tools/accuracy.py headline [SCENARIO ...]    every scenario and setting that a figure is asked for
     tools/accuracy.py table       those figures, asked and measured, out of OUT/results.jsonl
     tools/accuracy.py limits      the least error that is possible, alone
     tools/accuracy.py gates [--set]    short runs against their regression gates
@@ -94,23 +94,29 @@ class Output:
 
 
 def run_heave(options: argparse.Namespace, output: Output) -> None:
-    names = options.scenarios or scenarios.SIMULATED
-    if unknown := [name for name in names if name not in scenarios.SIMULATED]:
-        raise ValueError(f"unknown scenario {unknown[0]!r}: choose from {', '.join(scenarios.SIMULATED)}")
-    _evaluate([(name, _setting(options)) for name in names], options, output)
+    _evaluate([(name, _setting(options)) for name in _chosen(options, scenarios.SIMULATED)], options, output)
 
 
 def run_real(options: argparse.Namespace, output: Output) -> None:
     """Every file is a record of its own, so --seeds does not matter here."""
-    names = options.scenarios or tuple(scenarios.REAL)
-    if unknown := [name for name in names if name not in scenarios.REAL]:
-        raise ValueError(f"unknown record {unknown[0]!r}: choose from {', '.join(scenarios.REAL)}")
-    _evaluate([(name, _setting(options)) for name in names], options, output)
+    _evaluate([(name, _setting(options)) for name in _chosen(options, tuple(scenarios.REAL))], options, output)
 
 
 def run_headline(options: argparse.Namespace, output: Output) -> None:
-    _evaluate(heave.HEADLINE, options, output)
+    names = _chosen(options, scenarios.NAMES)
+    _evaluate([row for row in heave.HEADLINE if row[0] in names], options, output)
     run_table(options, output)
+
+
+def _chosen(options: argparse.Namespace, known: Sequence[str]) -> Sequence[str]:
+    """Scenarios that were named, all that are known if none was.
+
+    Raises:
+        ValueError: one of them is not known here.
+    """
+    if unknown := [name for name in options.scenarios if name not in known]:
+        raise ValueError(f"unknown scenario {unknown[0]!r}: choose from {', '.join(known)}")
+    return options.scenarios or known
 
 
 def run_table(options: argparse.Namespace, output: Output) -> None:
@@ -173,6 +179,7 @@ def run_rock(options: argparse.Namespace, output: Output) -> None:
 
 
 def run_all(options: argparse.Namespace, output: Output) -> None:
+    options.scenarios = ()
     for command in (run_headline, run_rock):
         command(options, output)
 
@@ -213,8 +220,12 @@ def _rate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", type=_positive, default=20.0, metavar="HZ", help="of the IMU (default 20)")
 
 
-def _one_setting(parser: argparse.ArgumentParser) -> None:
+def _scenarios(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"of {', '.join(scenarios.NAMES)}")
+
+
+def _one_setting(parser: argparse.ArgumentParser) -> None:
+    _scenarios(parser)
     parser.add_argument("--sensor", default="A", choices=sorted(SENSORS), help="its errors (default A)")
     parser.add_argument(
         "--tilt",
@@ -231,7 +242,7 @@ def _one_setting(parser: argparse.ArgumentParser) -> None:
 
 
 def _headline(parser: argparse.ArgumentParser) -> None:
-    for add in (_records, _common):
+    for add in (_scenarios, _records, _common):
         add(parser)
 
 
