@@ -309,8 +309,8 @@ def test_asked_figures_are_found_in_the_lines() -> None:
     assert asked.measured(lines, figures[over, "S4"], "harmonic") == 9.0
     assert found[settled, "S4"] == 45.0
     assert asked.measured(lines, figures[settled, "S4"], "harmonic") == inf
-    assert found["real IMU at rest: error", "static"] == pytest.approx(4.0)
-    assert found['real IMU at rest: says "still"', "static"] == pytest.approx(97.0)
+    assert found["real IMU at rest, still ship: error", "static"] == pytest.approx(4.0)
+    assert found['real IMU at rest, still ship: says "still"', "static"] == pytest.approx(97.0)
     assert found[change, "then"] == pytest.approx(5.0)
     assert not asked.kept(figures[change, "then"], found[change, "then"])
     assert np.isnan(found[change, "growing"])
@@ -319,7 +319,7 @@ def test_asked_figures_are_found_in_the_lines() -> None:
         f"| {over} | S4 / S6S / Hebrides / SL | ≤ 1.25 / ≤ 1.4 | 1.1 / never / – / – "
         "| **not reached**: S6S; not measured: Hebrides, SL | 9 / – / – / – |"
     ) in rows
-    assert "| real IMU at rest: error | static | ≤ 5 mm | 4 | ok | – |" in rows
+    assert "| real IMU at rest, still ship: error | static / S0 | ≤ 5 mm | 4 / – | not measured: S0 | – / – |" in rows
     assert rows[-1] == f"{len(figures)} figures: 4 ok, 2 not reached, {len(figures) - 6} not measured."
 
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import inf, isnan, sqrt
+from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 from evidence import estimators, scenarios, scores, summary
+from evidence.figures import draw_record
 from evidence.estimators import Ahead, Delayed, Trace
 from evidence.scenarios import Limits, Setting, triplet
 
@@ -161,6 +163,16 @@ def test_a_changing_sea_is_scored_against_its_local_size() -> None:
     assert found.segments.pop("growing") == pytest.approx(0.10)
     assert found.segments == dict.fromkeys(found.segments, pytest.approx(0.03))
     assert len(found.segments) == 7
+
+
+def test_a_changing_sea_is_drawn(tmp_path: Path) -> None:
+    case = scenarios.build("SX", triplet(1), Setting(rate_hz=2.0, tilt="none"))
+    t = case.recording.t_s
+    error = np.where(t < 40.0, np.nan, 0.01 * alternating(t))
+    given = trace(case, lambda t: error, std_m=np.where(t < 40.0, np.nan, 0.01))
+    draw_record(tmp_path, case, [given])
+    assert {path.name.split("_")[0] for path in tmp_path.glob("*.png")} == {"heave", "change"}
+    assert all(path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" for path in tmp_path.glob("*.png"))
 
 
 def test_records_are_summed_up_by_mean_and_worst(case: scenarios.Case) -> None:

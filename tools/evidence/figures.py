@@ -173,7 +173,7 @@ def spectra(path: Path, case: Case, ours: Trace, others: Sequence[Trace], title:
         f[shown][1:], (noise / (2.0 * np.pi * np.maximum(f, f[1])) ** 4)[shown][1:], color=VERMILION, linewidth=0.7,
         linestyle=":", label="sensor noise as heave",
     )  # fmt: skip
-    axes.set_ylim(1e-9, 30.0 * float(np.max(heave)))
+    axes.set_ylim(1e-9, 3e3 * float(np.max(heave)))
     axes.set_xlim(0.016, 1.3)
     axes.set_xlabel("frequency / Hz", fontsize=8)
     axes.set_ylabel("density / m²/Hz", fontsize=8)

@@ -117,7 +117,7 @@ class Case(msgspec.Struct, frozen=True, kw_only=True):
     optical_std_m: float = nan
     """Standard deviation of heave by another instrument while scored: for amplitude alone."""
     from_start: bool = True
-    """The sea is there from the first sample, so that settling can be told."""
+    """The sea is there from the first sample, so that settling can be told; a real one is faded in."""
 
     @property
     def rate_hz(self) -> float:
@@ -309,7 +309,6 @@ def _flume(path: Path, scenario: str, seeds: Seeds, setting: Setting) -> Case:
         limits=Limits(),  # the sensor's noise is not known
         window_s=window,
         optical_std_m=float(np.std(optical[scored])),
-        from_start=False,
     )
 
 
@@ -330,7 +329,6 @@ def _real(
     limits: Limits,
     window_s: tuple[float, float],
     optical_std_m: float = nan,
-    from_start: bool = True,
 ) -> Case:
     start_s, end_s = window_s
     recording = _until(recording, end_s + HORIZONS_S[-1])
@@ -347,7 +345,7 @@ def _real(
         end_s=end_s,
         local_sigma_m=np.full(recording.t_s.size, sigma_m),
         optical_std_m=optical_std_m,
-        from_start=from_start,
+        from_start=False,
     )
 
 
