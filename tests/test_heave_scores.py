@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 import pytest
 from evidence import estimators, scenarios, scores, summary
-from evidence.figures import draw_record
 from evidence.estimators import Ahead, Delayed, Trace
+from evidence.figures import draw_record
 from evidence.scenarios import Limits, Setting, triplet
 
 from heaved.samples import HeaveState
