@@ -9,9 +9,11 @@ import pytest
 from evidence import scenarios
 from evidence.limits import causal_heave_limit, noncausal_heave_limit
 from scipy.linalg import solve_toeplitz
+from scipy.signal import fftconvolve
 
+from heaved.samples import GRAVITY_MPS2
 from heaved.simulate.seaway import seaway
-from heaved.simulate.sensors import SENSORS, record
+from heaved.simulate.sensors import SENSORS, ImuModel, record
 
 RATE_HZ = 4.0
 NOISE_PSD = 4e-5
@@ -24,8 +26,9 @@ def grid(sea: str) -> tuple[np.ndarray, np.ndarray]:
     return f, scenarios.simulated_spectrum(sea, f)
 
 
-def best_of_the_samples(sea: str, ahead_s: float) -> float:
-    """RMS error of the optimal weights on the last 250 s of noisy samples of acceleration, for heave ``ahead_s`` later.
+def optimal(sea: str, ahead_s: float, noise_psd: float = NOISE_PSD) -> tuple[np.ndarray, float]:
+    """Optimal weights on the last 250 s of noisy samples of acceleration, newest first, for heave ``ahead_s`` later,
+    and their RMS error.
 
     Toeplitz normal equations R w = r, error^2 = r_hh(0) - r' w, with the covariances summed over the spectrum.
     """
@@ -35,10 +38,14 @@ def best_of_the_samples(sea: str, ahead_s: float) -> float:
     lags = np.arange(round(MEMORY_S * RATE_HZ)) / RATE_HZ
     waves = np.cos(np.outer(lags, omega))
     measured = waves @ (omega**4 * heave * weight)
-    measured[0] += NOISE_PSD * RATE_HZ / 2
+    measured[0] += noise_psd * RATE_HZ / 2
     wanted = np.cos(np.outer(lags + ahead_s, omega)) @ (-(omega**2) * heave * weight)
     weights = solve_toeplitz(measured, wanted)
-    return float(np.sqrt(np.sum(heave * weight) - wanted @ weights))
+    return weights, float(np.sqrt(np.sum(heave * weight) - wanted @ weights))
+
+
+def best_of_the_samples(sea: str, ahead_s: float) -> float:
+    return optimal(sea, ahead_s)[1]
 
 
 @pytest.mark.parametrize("sea", ["S4", "S6"])
@@ -46,6 +53,20 @@ def best_of_the_samples(sea: str, ahead_s: float) -> float:
 def test_limit_now_ahead_and_delayed_is_that_of_the_normal_equations(sea: str, ahead_s: float) -> None:
     found = causal_heave_limit(*grid(sea), NOISE_PSD, delay_s=-ahead_s)
     assert found == pytest.approx(best_of_the_samples(sea, ahead_s), rel=0.02)
+
+
+@pytest.mark.parametrize("ahead_s", [0.0, 1.0, -20.0])
+def test_the_optimal_filter_reaches_the_limit_on_a_record(ahead_s: float) -> None:
+    """Simulator, sensor noise and limit agree: 5000 s of S4 through the weights above, some 500 independent errors."""
+    noise = 1e-5
+    sensor = ImuModel(noise_mps2_rthz=float(np.sqrt(noise)))
+    made = record(seaway("S4", 5, attitude=False), 5000.0, imu_rate_hz=RATE_HZ, sensor=sensor, laser="off", seed=6)
+    weights, _ = optimal("S4", ahead_s, noise)
+    estimate = fftconvolve(made.az_mps2 - GRAVITY_MPS2, weights)[: made.t_s.size]
+    shift = round(ahead_s * RATE_HZ)
+    error = (np.roll(made.truth.heave_m, -shift) - estimate)[weights.size : made.t_s.size - max(shift, 0)]
+    limit = causal_heave_limit(*grid("S4"), noise, delay_s=-ahead_s)
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(limit, rel=0.12)
 
 
 @pytest.mark.parametrize("sea", ["S4", "S6"])
