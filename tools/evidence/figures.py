@@ -262,7 +262,7 @@ def settling(path: Path, results: Sequence[Result], title: str) -> None:
     asked = 100.0 * SETTLED_SHARE
     axes.plot([60.0, 60.0, SETTLING_END_S], [1e3, asked, asked], color=VERMILION, linewidth=0.9, linestyle="--",
               label="asked")  # fmt: skip
-    axes.set_ylim(None, 200.0)
+    axes.set_ylim(None, 500.0)
     axes.set_xlim(0.0, None)
     axes.yaxis.set_major_locator(_decades())
     axes.yaxis.set_major_formatter("{x:g}")
