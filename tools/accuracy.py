@@ -1,13 +1,18 @@
 #!/usr/bin/env python
 """Accuracy in figures, from the very pipeline of the daemon: tables to standard output, results and figures to files.
 
-    tools/accuracy.py heave [T1 T2 T3 S4 S5 S6] [--sensor A|B] [--seeds 3]
-    tools/accuracy.py real        real seas (Hebrides wave-rider), where the records are present
+    tools/accuracy.py heave [T1 ... S6S] [--sensor A|B] [--laser off|50%|on] [--tilt none|exact|noisy] [--seeds 3]
+    tools/accuracy.py real [Hebrides palmer flume static]    real records, where they are present
+    tools/accuracy.py headline [SCENARIO ...]    every scenario and setting that a figure is asked for
+    tools/accuracy.py table       those figures, asked and measured, out of OUT/results.jsonl
+    tools/accuracy.py limits      the least error that is possible, alone
+    tools/accuracy.py gates [--set]    short runs against their regression gates
     tools/accuracy.py rock        roll and pitch, 50, 100 and 150 ms ahead
     tools/accuracy.py closed-loop [S6 T3] [--replay]    a hook under a winch that the stream drives, in real time
-    tools/accuracy.py all
+    tools/accuracy.py all         headline and rock
 
-Beside the tables, OUT/results.jsonl gets one line per result, and OUT a figure per scenario.
+Beside the tables, OUT/results.jsonl gets one more line per result, with what made it, and OUT the figures. Of two lines
+for the same, the later one counts. ``--jobs 2`` runs two records at a time.
 """
 
 from __future__ import annotations
@@ -22,20 +27,22 @@ from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from math import inf
 from pathlib import Path
+from typing import NamedTuple, get_args
 
 # The matrices are small: threads cost more than they give. To be said before numpy is loaded.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["OMP_NUM_THREADS"] = "1"
 
 import msgspec
-from evidence import closed_loop, heave, rock
-from evidence.heave import Setting, Traces
+from evidence import asked, closed_loop, estimators, gates, heave, rock, scenarios, tables
+from evidence.scenarios import Setting
+from evidence.summary import Judged, Result
 
 from heaved.estimation.heave import Params as HeaveParams
 from heaved.simulate.sensors import SENSORS, laser_pattern
 
 CHECKOUT = Path(__file__).resolve().parent.parent
-RECORDS = CHECKOUT.parent / "shared" / "data" / "hebrides_waverider"
+RESULTS = "results.jsonl"
 PACKAGES = ("heaved", "numpy", "scipy", "torch")
 
 
@@ -72,61 +79,96 @@ class Output:
     def __init__(self, folder: Path, figures: bool) -> None:
         """
         Raises:
-            OSError: the folder cannot be made or written to.
+            OSError: the folder cannot be made.
         """
         folder.mkdir(parents=True, exist_ok=True)
         self.folder, self.figures = folder, figures
-        self._lines = (folder / "results.jsonl").open("wb")
-        self._made_with = provenance()
+        self.made_with = provenance()
 
     def write(self, kind: str, results: Sequence[msgspec.Struct]) -> None:
-        self._lines.writelines(json_line(kind, result, self._made_with) for result in results)
-        self._lines.flush()
+        """Add a line for each.
 
-    def watch(self, setting: Setting) -> Callable[[Traces], None]:
-        """Draws the first run of each scenario."""
-        drawn: set[str] = set()
-
-        def draw(traces: Traces) -> None:
-            scenario = traces.case.scenario
-            print(f"{scenario}, record {traces.case.seed}: done", file=sys.stderr, flush=True)
-            if self.figures and scenario not in drawn:
-                from evidence.figures import heave_trial  # matplotlib only when it is wanted
-
-                drawn.add(scenario)
-                title = f"{scenario}, sensor {setting.sensor}, {setting.rate_hz:g} Hz, laser {setting.laser}"
-                heave_trial(self.folder / f"heave_{scenario}_{setting.sensor}.png", traces, title)
-
-        return draw
-
-    def close(self) -> None:
-        self._lines.close()
+        Raises:
+            OSError: the file cannot be written to.
+        """
+        with (self.folder / RESULTS).open("ab") as file:
+            file.writelines(json_line(kind, result, self.made_with) for result in results)
 
 
 def run_heave(options: argparse.Namespace, output: Output) -> None:
-    setting = _setting(options, 700.0)
-    watch = output.watch(setting)
-    results: list[heave.Result] = []
-    for scenario in options.scenarios or heave.DEFAULT_SCENARIOS:
-        cases = (heave.simulated(scenario, seed, setting) for seed in range(1, options.seeds + 1))
-        found = heave.evaluate(cases, setting, watch)
-        output.write("heave", found)
-        results += found
-    print(heave.report(results, heave.equal_tuning(msgspec.structs.replace(setting, duration_s=700.0))))
+    _evaluate([(name, _setting(options)) for name in _chosen(options, scenarios.SIMULATED)], options, output)
 
 
 def run_real(options: argparse.Namespace, output: Output) -> None:
-    """Every half-hour is a record of its own, so --seeds does not matter here."""
-    files = sorted(RECORDS.glob("*.raw"))
-    if not files:
-        print(f"real: skipped, there are no records (*.raw) in {RECORDS}")
+    """Every file is a record of its own, so --seeds does not matter here."""
+    _evaluate([(name, _setting(options)) for name in _chosen(options, tuple(scenarios.REAL))], options, output)
+
+
+def run_headline(options: argparse.Namespace, output: Output) -> None:
+    names = _chosen(options, scenarios.NAMES)
+    _evaluate([row for row in heave.HEADLINE if row[0] in names], options, output)
+    run_table(options, output)
+
+
+def _chosen(options: argparse.Namespace, known: Sequence[str]) -> Sequence[str]:
+    """Scenarios that were named, all that are known if none was.
+
+    Raises:
+        ValueError: one of them is not known here.
+    """
+    if unknown := [name for name in options.scenarios if name not in known]:
+        raise ValueError(f"unknown scenario {unknown[0]!r}: choose from {', '.join(known)}")
+    return options.scenarios or known
+
+
+def run_table(options: argparse.Namespace, output: Output) -> None:
+    path = output.folder / RESULTS
+    lines = [msgspec.json.decode(line) for line in path.read_bytes().splitlines()]
+    print(asked.table(lines, options.observer))
+
+
+def run_limits(options: argparse.Namespace, output: Output) -> None:
+    print(tables.limits_table(("A", "B"), options.rate))
+
+
+def run_gates(options: argparse.Namespace, output: Output) -> None:
+    """
+    Raises:
+        ValueError: a gate does not hold.
+    """
+    observers = estimators.OBSERVERS if options.set else gates.load().observers
+    results = [result for row in heave.run_all(gates.tasks(observers), options.jobs, _tell) for result in row]
+    output.write("gate", results)
+    if options.set:
+        gates.save(gates.made_of(results, output.made_with.commit, observers))
+        print(f"gates: set in {gates.FILE}")
         return
-    setting = _setting(options, inf)
-    cases = (heave.hebrides(file, number, setting) for number, file in enumerate(files, start=1))
-    results = heave.evaluate(cases, setting, output.watch(setting))
-    output.write("real", results)
-    simulated = msgspec.structs.replace(setting, duration_s=700.0)
-    print(heave.report(results, heave.equal_tuning(simulated)))
+    if messages := gates.broken(gates.load().gates, results):
+        raise ValueError("gates that do not hold:\n" + "\n".join(messages))
+    print("gates: all hold")
+
+
+def _evaluate(rows: Sequence[tuple[str, Setting]], options: argparse.Namespace, output: Output) -> None:
+    """Run, write, draw and show."""
+    present = [row for row in rows if row[0] not in scenarios.REAL or scenarios.files(row[0])]
+    for name in dict.fromkeys(row[0] for row in rows if row not in present):
+        print(f"{name}: skipped, there are no records in {scenarios.DATA / scenarios.REAL[name]}")
+    todo = heave.tasks(present, tuple(options.estimators), options.seeds, output.folder if output.figures else None)
+    results: list[Result] = []
+    for found in heave.run_all(todo, options.jobs, _tell):
+        output.write("heave", found)
+        results += found
+    if not results:
+        return
+    if output.figures:
+        from evidence.figures import draw_results  # matplotlib only when it is wanted
+
+        draw_results(output.folder, results)
+    print(tables.report(results, heave.equal_tuning()))
+
+
+def _tell(record: Judged) -> None:
+    print(f"{record.scenario}, record {record.seeds.waves}: done", file=sys.stderr, flush=True)
 
 
 def run_rock(options: argparse.Namespace, output: Output) -> None:
@@ -162,32 +204,128 @@ def run_closed_loop(options: argparse.Namespace, output: Output) -> None:
 
 
 def run_all(options: argparse.Namespace, output: Output) -> None:
-    for command in (run_heave, run_real, run_rock):
+    options.scenarios = ()
+    for command in (run_headline, run_rock):
         command(options, output)
 
 
-def _setting(options: argparse.Namespace, duration_s: float) -> Setting:
+# --- command line ----------------------------------------------------------------------------------------------------
+
+
+def _common(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--out", type=Path, default=CHECKOUT / "evidence", metavar="DIR", help="default: evidence/")
+    parser.add_argument("--no-figures", action="store_true")
+
+
+def _records(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seeds", type=_count, default=3, metavar="N", help="records per scenario (default 3)")
+    parser.add_argument("--jobs", type=_count, default=1, metavar="N", help="processes (default 1)")
+    parser.add_argument(
+        "--estimators",
+        nargs="+",
+        default=estimators.NAMES,
+        choices=estimators.NAMES,
+        metavar="NAME",
+        help=f"of {', '.join(estimators.NAMES)} (default: all)",
+    )
+    _observer(parser)
+
+
+def _observer(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--observer", default=estimators.OBSERVERS[-1], choices=estimators.OBSERVERS, help="in the table of figures"
+    )
+
+
+def _duration(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--duration", type=_positive, metavar="S", help="of a record (default: the scenario's own)")
+
+
+def _rate(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--rate", type=_positive, default=20.0, metavar="HZ", help="of the IMU (default 20)")
+
+
+def _scenarios(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"of {', '.join(scenarios.NAMES)}")
+
+
+def _one_setting(parser: argparse.ArgumentParser) -> None:
+    _scenarios(parser)
+    parser.add_argument("--sensor", default="A", choices=sorted(SENSORS), help="its errors (default A)")
+    parser.add_argument(
+        "--tilt",
+        default="noisy",
+        choices=get_args(scenarios.Tilt),
+        help="none: a level vessel; exact: its attitude is known without error (default noisy)",
+    )
+    parser.add_argument(
+        "--laser", default="off", metavar="PATTERN", help="on, off (default), 50%%, or START+LENGTH,... in seconds"
+    )
+    parser.add_argument("--from", dest="scored_from", type=_positive, default=300.0, metavar="S", help="scored (300)")
+    for add in (_rate, _duration, _records, _common):
+        add(parser)
+
+
+def _headline(parser: argparse.ArgumentParser) -> None:
+    for add in (_scenarios, _records, _common):
+        add(parser)
+
+
+def _rock(parser: argparse.ArgumentParser) -> None:
+    for add in (_records, _duration, _common):
+        add(parser)
+
+
+def _table(parser: argparse.ArgumentParser) -> None:
+    for add in (_observer, _common):
+        add(parser)
+
+
+def _limits(parser: argparse.ArgumentParser) -> None:
+    for add in (_rate, _common):
+        add(parser)
+
+
+def _gates(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--set", action="store_true", help="to what is measured now, for every observer there is")
+    parser.add_argument("--jobs", type=_count, default=1, metavar="N", help="processes (default 1)")
+    _common(parser)
+
+
+class Command(NamedTuple):
+    """A subcommand."""
+
+    run: Callable[[argparse.Namespace, Output], None]
+    words: Callable[[argparse.ArgumentParser], None]
+    """Adds its options."""
+    help: str
+
+
+COMMANDS: dict[str, Command] = {
+    "heave": Command(run_heave, _one_setting, "wave trains and irregular seas, simulated, in one setting"),
+    "real": Command(run_real, _one_setting, "real records, in one setting"),
+    "headline": Command(run_headline, _headline, "every scenario and setting that a figure is asked for"),
+    "table": Command(run_table, _table, "the asked figures out of the results"),
+    "limits": Command(run_limits, _limits, "the least errors that are possible"),
+    "gates": Command(run_gates, _gates, "short runs against their regression gates"),
+    "rock": Command(run_rock, _rock, "roll and pitch, simulated"),
+    "all": Command(run_all, _rock, "headline and rock"),
+}
+
+
+def _setting(options: argparse.Namespace) -> Setting:
+    laser_pattern(options.laser)
     return Setting(
         sensor=options.sensor,
+        tilt=options.tilt,
         rate_hz=options.rate,
         laser=options.laser,
-        duration_s=duration_s if options.duration is None else options.duration,
+        duration_s=options.duration,
+        scored_from_s=options.scored_from,
     )
 
 
 def _parser() -> argparse.ArgumentParser:
-    common = argparse.ArgumentParser(add_help=False)
-    common.add_argument("--seeds", type=_count, default=3, metavar="N", help="records per scenario (default 3)")
-    common.add_argument("--rate", type=_positive, default=20.0, metavar="HZ", help="of the IMU (default 20)")
-    common.add_argument("--sensor", default="A", choices=sorted(SENSORS), help="its errors (default A)")
-    common.add_argument(
-        "--laser", default="50%", metavar="PATTERN", help="on, off, 50%% (default), or START+LENGTH,... in seconds"
-    )
-    common.add_argument(
-        "--duration", type=_positive, metavar="S", help="of a record (default 700; real: whole; rock: 240)"
-    )
-    common.add_argument("--out", type=Path, default=CHECKOUT / "evidence", metavar="DIR", help="default: evidence/")
-    common.add_argument("--no-figures", action="store_true")
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     commands = parser.add_subparsers(dest="command", required=True)
     simulated = commands.add_parser("heave", parents=[common], help="wave trains and irregular seas, simulated")
@@ -202,6 +340,8 @@ def _parser() -> argparse.ArgumentParser:
     hook.add_argument("--warm-up", type=_positive, default=90.0, metavar="S", help="not scored (default 90)")
     hook.add_argument("--shifted", action="store_true", help="a daemon with [compensation] lead_s as well; live only")
     commands.add_parser("all", parents=[common], help="all of these").set_defaults(scenarios=())
+    for name, command in COMMANDS.items():
+        command.words(commands.add_parser(name, help=command.help))
     return parser
 
 
@@ -234,6 +374,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         finally:
             output.close()
     except (ValueError, OSError, RuntimeError) as error:
+    started = time.monotonic()
+    try:
+        COMMANDS[options.command].run(options, Output(options.out, not options.no_figures))
+    except (ValueError, OSError) as error:
         print(f"accuracy: {error}", file=sys.stderr)
         return 1
     print(f"\nResults in {options.out}; it took {time.monotonic() - started:.0f} s.")

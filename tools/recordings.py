@@ -135,6 +135,15 @@ def flume(path: Path, *, froude: float = 1.0) -> Recording:
     return _unmeasured(truth, az_mps2=reading + GRAVITY_MPS2)
 
 
+def flume_optical(path: Path, *, froude: float = 1.0) -> Array:
+    """Heave (n,) by the camera, on the rows of :func:`flume`. Its clock drifts: it tells amplitude, not phase.
+
+    Raises:
+        ValueError, OSError: as :func:`flume`.
+    """
+    return _columns(path, 8, header_rows=1)[1] * froude
+
+
 def microswift(path: Path) -> Recording:
     """A real MEMS IMU that lies still; uncalibrated, its first axis up. Truth: no heave.
 

@@ -31,14 +31,18 @@ class Outlook:
         self._A = system.A
         count = round((BACK_S + ahead_s) / STEP_S) + 1
         self._first_s = -BACK_S
-        F = system.moved(STEP_S)
+        zero = round(BACK_S / STEP_S)
         self._rows = np.empty((count, len(system.H)))
-        self._rows[0] = system.heave @ system.moved(-BACK_S)
-        for j in range(1, count):
-            self._rows[j] = self._rows[j - 1] @ F
+        self._rows[zero] = system.heave
+        # Outwards from zero: errors grow backwards, where the chains are damped, and must not come forward again.
+        for F, places, step in (
+            (system.moved(STEP_S), range(zero + 1, count), 1),
+            (system.moved(-STEP_S), range(zero - 1, -1, -1), -1),
+        ):
+            for j in places:
+                self._rows[j] = self._rows[j - step] @ F
         # Variance that the waves to come add: integral of (row(s) g)^2 from 0 to tau.
         density = self._rows**2 @ system.diffusion
-        zero = round(BACK_S / STEP_S)
         self._added = np.zeros(count)
         self._added[zero + 1 :] = np.cumsum(0.5 * STEP_S * (density[zero + 1 :] + density[zero:-1]))
 

@@ -50,7 +50,8 @@ OVERCONFIDENCE: Final = 1.12
 SCALE_LIMIT: Final = 10.0
 NEEDED_S: Final = 60.0
 DIVERGED: Final = 2.5
-"""Ratio to the delayed heave from which the output is in doubt; its standard deviation has grown with it by then."""
+"""RMS difference from the delayed heave, over the modelled standard deviation, from which the output is in doubt; the
+published standard deviation has grown with it by then."""
 LONGEST_PEAK_S: Final = 28.0
 """Longer waves than this are not told from the drift of the sensor."""
 CONVERGED: Final = 1.5
@@ -214,7 +215,7 @@ class SeaObserver:
             self._smoother.push(t_s - i * dt, nan, 0.0)
         self._smoother.push(t_s, predicted_m, innovation)
         said = self.at(t_s - self.t_s)
-        self._said.push((t_s, said.heave_m, self._std_m(0.0)))
+        self._said.push((t_s, said.heave_m, at_index(self._stds, self._outlook.index(0.0))))
         delayed = self._smoother.value()
         if delayed is not None and (self.delayed is None or delayed.t_s > self.delayed.t_s):
             self.delayed = delayed

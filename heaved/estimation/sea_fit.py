@@ -50,7 +50,9 @@ STARTS: Final = ((1.0, 1.6, 2.6, 0.7), (1.2, 0.5, 2.2, 1.7), (1.0, 1.2, 0.7, 2.0
 SWELL_HZ: Final = 0.05
 DAMPING_GUESS: Final = 0.3
 
-LIMITS: Final = {"frequency_hz": (0.03, 0.6), "damping": (0.02, 2.5), "level": (1e-10, 1e5), "noise": (1e-12, 1e2)}
+LIMITS: Final = {"frequency_hz": (0.03, 0.6), "damping": (0.05, 1.0), "level": (1e-10, 1e5), "noise": (1e-12, 1e2)}
+"""A chain that is damped less than that is a line, and costs digits; one that is damped more has a pole far above the
+waves, and its past cannot be computed back."""
 PRIOR: Final = {"frequency": 0.05, "damping": 0.2, "level": 1e-3, "noise": 1e-3}
 """Weights of weak priors on the logarithms, 1/variance: around the start, and around DAMPING_GUESS."""
 

@@ -72,7 +72,7 @@ def _weights(system: SeaSystem, steady: Steady, count: int) -> Array:
 
 
 class Divergence:
-    """How far the published heave was from the delayed one, over its own standard deviation (RMS; 1: as it said)."""
+    """How far the real-time heave was from the delayed one, over its modelled standard deviation (RMS; 1: as it said)."""
 
     def __init__(self) -> None:
         self._square, self._seconds, self._t_s = 1.0, 0.0, nan
@@ -82,12 +82,12 @@ class Divergence:
         """1 until enough has been compared."""
         return sqrt(self._square) if self._seconds >= CHECK_MIN_S else 1.0
 
-    def compare(self, delayed: DelayedHeave, published_m: float, published_std_m: float) -> None:
-        """``published_m``: what was said in real time for the very moment of ``delayed``."""
+    def compare(self, delayed: DelayedHeave, realtime_m: float, modelled_std_m: float) -> None:
+        """``realtime_m``: what was said in real time for the very moment of ``delayed``."""
         dt = min(delayed.t_s - self._t_s, 1.0) if isfinite(self._t_s) else 0.0
         self._t_s = delayed.t_s
-        if not (isfinite(published_m) and published_std_m > 0.0 and dt > 0.0):
+        if not (isfinite(realtime_m) and modelled_std_m > 0.0 and dt > 0.0):
             return
         self._seconds = min(self._seconds + dt, CHECK_TIME_S)
-        square = (published_m - delayed.heave_m) ** 2 / published_std_m**2
+        square = (realtime_m - delayed.heave_m) ** 2 / modelled_std_m**2
         self._square += dt / self._seconds * (square - self._square)

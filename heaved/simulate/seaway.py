@@ -250,10 +250,11 @@ def _motion(t_s: Real, channels: Sequence[Real]) -> Motion[Real]:
     )
 
 
-def seaway(name: str, seed: int = 1, *, attitude: bool = True) -> Seaway:
+def seaway(name: str, seed: int = 1, *, attitude: bool = True, start_s: float = 0.0) -> Seaway:
     """A realisation of the sea ``name`` (one of :data:`NAMES`); the same ``seed`` gives the same waves.
 
     Without ``attitude`` the vessel neither rolls nor pitches and keeps its heading: heave, surge and sway alone.
+    ``start_s``: how long the waves have been running at t = 0; when a sea grows is counted from t = 0 all the same.
 
     Raises:
         ValueError: there is no sea of that name.
@@ -269,6 +270,7 @@ def seaway(name: str, seed: int = 1, *, attitude: bool = True) -> Seaway:
         omega, amplitudes = np.ones(1), np.zeros((6, 1), dtype=np.complex128)
     if not attitude:
         amplitudes[3:] = 0.0
+    amplitudes = amplitudes * np.exp(1j * omega * start_s)
     return Seaway(omega, amplitudes, ramps=RAMPS.get(name, ()))
 
 

@@ -155,3 +155,16 @@ def test_still_is_still_and_unknown_names_are_refused() -> None:
         seaway("S9")
     with pytest.raises(ValueError, match=r"'T1' has no continuous spectrum"):
         wave_spectrum("T1", np.array([0.1]))
+
+
+@pytest.mark.parametrize("name", ["S4", "T2"])
+def test_a_later_start_is_the_same_sea_further_on(name):
+    t = np.arange(0.0, 30.0, 0.1)
+    later, first = seaway(name, 3, start_s=500.0).motion(t), seaway(name, 3).motion(t + 500.0)
+    for field in ("heave_m", "heave_acceleration_mps2", "roll_rad"):
+        assert getattr(later, field) == pytest.approx(getattr(first, field), abs=1e-9)
+
+
+def test_a_later_start_does_not_move_the_growth_of_the_sea():
+    t = np.linspace(0.0, 1500.0, 301)
+    assert np.array_equal(seaway("SX", 1, start_s=900.0).envelope(t), seaway("SX", 1).envelope(t))

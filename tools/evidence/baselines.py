@@ -1,32 +1,24 @@
-"""The estimators that Zhang et al. 2022 compare in their Table 2, behind one adapter: the same samples in, heave out.
+"""The filters that Zhang et al. 2022 compare with in their Table 2: vertical acceleration in, heave out.
 
-Every one of them is causal and sees each sample once. The baselines see the vertical acceleration alone, with the tilt
-removed as the product removes it. They are tuned as their source has it or, where it says nothing, as suits them best.
+Every one of them is causal and sees each sample once, with the tilt removed as the product removes it. They are tuned
+as their source has it or, where it says nothing, as suits them best.
 """
 
 from __future__ import annotations
 
+from math import isnan
 from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import bilinear_zpk, butter, sosfilt, sosfilt_zi, zpk2sos
 
-from heaved.estimation import correction, heave, reference, rock, sigma
+from heaved.estimation import heave, sigma
 from heaved.estimation.frames import up_acceleration
 from heaved.estimation.inertial import InertialDisplacement
-from heaved.pipeline import Pipeline
-from heaved.samples import ImuSample, LaserSample, Sample
-from heaved.training.fit import fit
+from heaved.samples import GRAVITY_MPS2, ImuSample
 
 Array = NDArray[np.float64]
-
-INERTIAL: Final = "inertial output"
-IIR: Final = "IIR filter"
-KF: Final = "KF"
-UKF: Final = "UKF, one step"
-MULTI_STEP: Final = "UKF multi-step"
-CORRECTED: Final = "UKF multi-step + BP"
 
 HIGHPASS_PERIOD_S: Final = 16.0
 """Corner of the inertial displacement, the product's own: what KF and UKF measure."""
@@ -41,17 +33,6 @@ PAPER_R: Final = 0.022
 """Section 4: P0 = 0.1 I3, Q = 1e-5 I3, R = 0.022, X0 = 0; per sample."""
 
 
-class Estimator(Protocol):
-    """The adapter."""
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of what :meth:`step` returns."""
-
-    def step(self, sample: Sample) -> tuple[float, ...] | None:
-        """Take a sample; for one of the IMU the heave (m), one value for each column."""
-
-
 class Filter(Protocol):
     """Something that makes heave of vertical acceleration."""
 
@@ -59,21 +40,10 @@ class Filter(Protocol):
         """Heave (m) at ``t_s``."""
 
 
-class Blind:
-    """Adapter for a filter that sees the vertical acceleration alone."""
-
-    def __init__(self, name: str, filter_: Filter) -> None:
-        self.columns = (name,)
-        self._filter = filter_
-
-    def step(self, sample: Sample) -> tuple[float, ...] | None:
-        if isinstance(sample, LaserSample):
-            return None
-        return (self._filter.step(sample.t_s, vertical(sample)),)
-
-
 def vertical(sample: ImuSample) -> float:
-    """Vertical acceleration (m/s2) with the tilt removed."""
+    """Vertical acceleration (m/s2), the tilt removed where it is known."""
+    if isnan(sample.roll_rad + sample.pitch_rad):
+        return sample.az_mps2 - GRAVITY_MPS2
     return up_acceleration(sample.ax_mps2, sample.ay_mps2, sample.az_mps2, sample.roll_rad, sample.pitch_rad)
 
 
@@ -150,38 +120,6 @@ class OneStep:
     def step(self, t_s: float, a_up_mps2: float) -> float:
         self._observer.step(t_s, a_up_mps2)
         return self._observer.unshifted().heave_m
-
-
-class Product:
-    """The daemon's pipeline with its defaults; networks are trained where they are due, before the next sample."""
-
-    columns = (MULTI_STEP, CORRECTED, "std")
-
-    def __init__(self) -> None:
-        self.pipeline = Pipeline(
-            heave=heave.Params(),
-            laser=reference.Params(),
-            correction=correction.Params(),
-            rock=rock.Params(),
-            has_laser=True,
-        )
-
-    def step(self, sample: Sample) -> tuple[float, ...] | None:
-        frame = self.pipeline.step(sample)
-        if (window := self.pipeline.training_due()) is not None:
-            self.pipeline.accept(fit(window))
-        return None if frame is None else (frame.observer_m, frame.heave_m, frame.heave_std_m)
-
-
-def table_2(rate_hz: float, nominal_period_s: float) -> tuple[Estimator, ...]:
-    """Fresh estimators, in the order of the paper's table."""
-    return (
-        Blind(INERTIAL, Inertial()),
-        Blind(IIR, Iir(rate_hz)),
-        Blind(KF, LinearKalman(rate_hz, nominal_period_s)),
-        Blind(UKF, OneStep(heave.Params())),
-        Product(),
-    )
 
 
 def ukf_against_kf(inertial_m: Array, rate_hz: float, period_s: float) -> float:

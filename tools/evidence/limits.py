@@ -57,20 +57,15 @@ def causal_heave_limit(f_hz: Array, s_heave: Array, noise_psd: Array | float, de
     -w^2 S_h / conj(S_y^-) explains of the heave is taken from the variance (Wiener-Hopf).
 
     ``f_hz`` (n,) uniform from 0 to the Nyquist frequency of the grid; ``s_heave`` (n,) m^2/Hz; ``noise_psd`` (n,) or a
-    constant, (m/s^2)^2/Hz, both one-sided. ``delay_s``: how long the estimate may wait (0: real time).
+    constant, (m/s^2)^2/Hz, both one-sided. ``delay_s``: how long the estimate may wait (0: real time; negative: it is a
+    forecast, made so long before). 1 / df has to exceed the delay and the memory of the filter by far.
 
     Raises:
         ValueError: the grid does not start at 0, is not uniform, or the noise is not positive everywhere.
     """
-    f = np.asarray(f_hz, dtype=np.float64)
-    df = f[1] - f[0]
-    noise = np.broadcast_to(np.asarray(noise_psd, dtype=np.float64), f.shape)
-    if f[0] != 0.0 or not np.allclose(np.diff(f), df, rtol=1e-6):
-        raise ValueError("f_hz must be uniform and start at 0")
-    if not np.all(noise > 0.0):
-        raise ValueError("noise_psd must be positive at every frequency")
+    f, heave, noise = _checked(f_hz, s_heave, noise_psd)
     omega = 2 * np.pi * f
-    heave = np.asarray(s_heave) / 2  # two-sided from here on
+    heave = heave / 2  # two-sided from here on
     measured = omega**4 * heave + noise / 2
 
     cepstrum = np.fft.irfft(np.log(measured))
@@ -79,11 +74,32 @@ def causal_heave_limit(f_hz: Array, s_heave: Array, noise_psd: Array | float, de
     cepstrum[n // 2 + 1 :] = 0.0
     factor = np.exp(np.fft.rfft(cepstrum) / 2)  # minimum phase, |factor|^2 = measured
 
-    # The estimate may look ahead by delay_s: the wanted response is shifted before its anticausal half is cut off.
+    # The wanted response is shifted by the delay, or ahead by the horizon, before its anticausal half is cut off.
     explained = np.fft.irfft(-(omega**2) * heave / np.conj(factor) * np.exp(-1j * omega * delay_s))
     causal = np.fft.rfft(np.where(np.arange(n) < n // 2, explained, 0.0))
-    residual = 2 * df * (_trapezoid(heave) - _trapezoid(np.abs(causal) ** 2))
+    residual = 2 * f[1] * (_trapezoid(heave) - _trapezoid(np.abs(causal) ** 2))
     return float(np.sqrt(max(residual, 0.0)))
+
+
+def noncausal_heave_limit(f_hz: Array, s_heave: Array, noise_psd: Array | float) -> float:
+    """RMS error in metres of the best estimate from the whole record, past and future (the Wiener smoother):
+    its square is the integral of S_h N / (w^4 S_h + N).
+
+    Parameters and ``Raises`` as :func:`causal_heave_limit`, which it is for an endless delay.
+    """
+    f, heave, noise = _checked(f_hz, s_heave, noise_psd)
+    return float(np.sqrt(f[1] * _trapezoid(heave * noise / ((2 * np.pi * f) ** 4 * heave + noise))))
+
+
+def _checked(f_hz: Array, s_heave: Array, noise_psd: Array | float) -> tuple[Array, Array, Array]:
+    """Frequencies, spectrum and noise density on one sound grid; ``Raises`` as :func:`causal_heave_limit`."""
+    f = np.asarray(f_hz, dtype=np.float64)
+    noise = np.broadcast_to(np.asarray(noise_psd, dtype=np.float64), f.shape)
+    if f[0] != 0.0 or not np.allclose(np.diff(f), f[1] - f[0], rtol=1e-6):
+        raise ValueError("f_hz must be uniform and start at 0")
+    if not np.all(noise > 0.0):
+        raise ValueError("noise_psd must be positive at every frequency")
+    return f, np.asarray(s_heave, dtype=np.float64), noise
 
 
 def _trapezoid(values: Array) -> float:

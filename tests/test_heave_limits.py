@@ -1,0 +1,112 @@
+"""The least errors that heave is held against, by another road: normal equations of the sampled record."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from evidence import scenarios
+from evidence.limits import causal_heave_limit, noncausal_heave_limit
+from scipy.linalg import solve_toeplitz
+from scipy.signal import fftconvolve
+
+from heaved.samples import GRAVITY_MPS2
+from heaved.simulate.seaway import seaway
+from heaved.simulate.sensors import SENSORS, ImuModel, record
+
+RATE_HZ = 4.0
+NOISE_PSD = 4e-5
+MEMORY_S = 250.0
+
+
+@cache
+def grid(sea: str) -> tuple[np.ndarray, np.ndarray]:
+    f = np.linspace(0.0, RATE_HZ / 2, 2**13 + 1)
+    return f, scenarios.simulated_spectrum(sea, f)
+
+
+def optimal(sea: str, ahead_s: float, noise_psd: float = NOISE_PSD) -> tuple[np.ndarray, float]:
+    """Optimal weights on the last 250 s of noisy samples of acceleration, newest first, for heave ``ahead_s`` later,
+    and their RMS error.
+
+    Toeplitz normal equations R w = r, error^2 = r_hh(0) - r' w, with the covariances summed over the spectrum.
+    """
+    f, heave = grid(sea)
+    omega, weight = 2 * np.pi * f, np.full(f.size, f[1])
+    weight[[0, -1]] /= 2
+    lags = np.arange(round(MEMORY_S * RATE_HZ)) / RATE_HZ
+    waves = np.cos(np.outer(lags, omega))
+    measured = waves @ (omega**4 * heave * weight)
+    measured[0] += noise_psd * RATE_HZ / 2
+    wanted = np.cos(np.outer(lags + ahead_s, omega)) @ (-(omega**2) * heave * weight)
+    weights = solve_toeplitz(measured, wanted)
+    return weights, float(np.sqrt(np.sum(heave * weight) - wanted @ weights))
+
+
+def best_of_the_samples(sea: str, ahead_s: float) -> float:
+    return optimal(sea, ahead_s)[1]
+
+
+@pytest.mark.parametrize("sea", ["S4", "S6"])
+@pytest.mark.parametrize("ahead_s", [-60.0, -1.5, 0.0, 0.5, 2.0, 5.0])
+def test_limit_now_ahead_and_delayed_is_that_of_the_normal_equations(sea: str, ahead_s: float) -> None:
+    found = causal_heave_limit(*grid(sea), NOISE_PSD, delay_s=-ahead_s)
+    assert found == pytest.approx(best_of_the_samples(sea, ahead_s), rel=0.02)
+
+
+@pytest.mark.parametrize("ahead_s", [0.0, 1.0, -20.0])
+def test_the_optimal_filter_reaches_the_limit_on_a_record(ahead_s: float) -> None:
+    """Simulator, sensor noise and limit agree: 5000 s of S4 through the weights above, some 500 independent errors."""
+    noise = 1e-5
+    sensor = ImuModel(noise_mps2_rthz=float(np.sqrt(noise)))
+    made = record(seaway("S4", 5, attitude=False), 5000.0, imu_rate_hz=RATE_HZ, sensor=sensor, laser="off", seed=6)
+    weights, _ = optimal("S4", ahead_s, noise)
+    estimate = fftconvolve(made.az_mps2 - GRAVITY_MPS2, weights)[: made.t_s.size]
+    shift = round(ahead_s * RATE_HZ)
+    error = (np.roll(made.truth.heave_m, -shift) - estimate)[weights.size : made.t_s.size - max(shift, 0)]
+    limit = causal_heave_limit(*grid("S4"), noise, delay_s=-ahead_s)
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(limit, rel=0.12)
+
+
+@pytest.mark.parametrize("sea", ["S4", "S6"])
+def test_past_and_future_are_an_endless_delay(sea: str) -> None:
+    found = noncausal_heave_limit(*grid(sea), NOISE_PSD)
+    assert found == pytest.approx(best_of_the_samples(sea, -100.0), rel=0.02)
+    assert found < 0.5 * causal_heave_limit(*grid(sea), NOISE_PSD)
+
+
+def test_without_knowing_anything_the_best_forecast_is_no_motion() -> None:
+    f, heave = grid("S4")
+    sigma = np.sqrt(np.trapezoid(heave, f))
+    assert causal_heave_limit(f, heave, 1e4) == pytest.approx(sigma, rel=0.01)
+    assert causal_heave_limit(f, heave, NOISE_PSD, delay_s=-120.0) == pytest.approx(sigma, rel=0.01)
+
+
+def test_limits_of_the_standard_seas_are_what_was_found_elsewhere() -> None:
+    """Shares of the standard deviation found on seas that end at 0.6 Hz; ours end at 1.2 Hz and tell less ahead."""
+    f = np.linspace(0.0, 2.0, 4001)
+    for sea, causal, delayed in (("S4", 0.017, 0.0018), ("S6", 0.008, 0.0006)):
+        sigma = np.sqrt(np.trapezoid(scenarios.simulated_spectrum(sea, f), f))
+        shown = scenarios.limits_of(lambda grid, sea=sea: scenarios.simulated_spectrum(sea, grid), "A", 20.0)
+        assert shown.causal_m / sigma == pytest.approx(causal, rel=0.15)
+        assert shown.noncausal_m / sigma == pytest.approx(delayed, rel=0.15)
+        assert list(shown.forecast_m.values()) == sorted(shown.forecast_m.values())
+        worse = scenarios.limits_of(lambda grid, sea=sea: scenarios.simulated_spectrum(sea, grid), "B", 20.0)
+        assert 1.3 * shown.causal_m < worse.causal_m < 4.0 * shown.causal_m
+
+
+def test_the_noise_of_a_sensor_is_what_its_records_have() -> None:
+    """Periodogram of what a still sensor reads, against the density that the limits are made with."""
+    still = record(seaway("S0"), 4000.0, imu_rate_hz=10.0, sensor="B", laser="off", seed=5)
+    noise = still.az_mps2 - np.mean(still.az_mps2)
+    n = noise.size
+    periodogram = 2.0 * np.abs(np.fft.rfft(noise)) ** 2 / (n * 10.0)
+    f = np.fft.rfftfreq(n, 0.1)
+    expected = scenarios.accelerometer_noise(f, SENSORS["B"], 10.0)
+    model = SENSORS["B"]
+    undone = model.scale**2 / (1.0 + (f / model.bandwidth_hz) ** 4)  # noise is added behind scale and low-pass
+    for low, high in ((0.01, 0.05), (0.5, 1.0), (2.0, 4.0)):
+        band = (f >= low) & (f < high)
+        found = np.mean(periodogram[band]) / np.mean(expected[band] * undone[band])
+        assert found == pytest.approx(1.0, abs=4.0 / np.sqrt(np.sum(band)))
