@@ -90,6 +90,15 @@ def update(bank: Bank, state: int, innovation: Array, variance: Array) -> Bank:
     return Bank(x, P)
 
 
+def place(bank: Bank, state: int, value: float, variance: float) -> Bank:
+    """One state of every filter set anew, and known apart from the others."""
+    x, P = bank.x.copy(), bank.P.copy()
+    x[:, state] = value
+    P[:, state, :] = P[:, :, state] = 0.0
+    P[:, state, state] = variance
+    return Bank(x, P)
+
+
 def stay(count: int, dt_s: float, mean_stay_s: float) -> tuple[float, float]:
     """Probabilities to keep a mode over dt, and to go to a given other one.
 

@@ -34,6 +34,11 @@ FLAP_EFFECT: Final = 0.5
 """Incidence per flap angle: a flap of about a fifth of the chord (thin-aerofoil theory gives 0.55)."""
 SLOWEST_MPS: Final = 0.5
 """Angles of attack are worked out at no less: below, the dynamic pressure is next to nothing anyway."""
+MOST_STIFFENING: Final = 3.0
+"""c z^2 (2.2 m) and c' theta^2 grow no further: a hull leaves the water, or is under it."""
+FASTEST: Final = np.array([[10.0], [2.0]])
+"""Quadratic damping grows on linearly from 10 m/s and 2 rad/s. No craft gets there, but the points of a filter that is
+lost do, and neither term may then outrun the step of integration."""
 
 
 class Foil(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -145,8 +150,9 @@ class Craft:
         share *= 1.0 + np.tanh((depth - self._ventilation) / self._width)
         share *= np.tanh(alpha / self._stall)
         result: Array = self._lift.dot(share * np.maximum(speed_mps, 0.0) ** 2) + self._constant
-        result -= self._stiffness * position * (1.0 + self._stiffening * position * position)
-        result -= velocity * (self._damping + self._quadratic * np.abs(velocity))
+        stiffening = np.minimum(self._stiffening * position * position, MOST_STIFFENING)
+        result -= self._stiffness * position * (1.0 + stiffening)
+        result -= velocity * (self._damping + self._quadratic * np.minimum(np.abs(velocity), FASTEST))
         return result
 
     def advance(self, state: Array, dt_s: float, speed_mps: float | Array, flaps_rad: Array, forces: Array) -> Array:

@@ -24,7 +24,7 @@ a reading says nothing about which filter is right.
 from __future__ import annotations
 
 from collections import Counter
-from math import exp, isfinite, nan, sqrt
+from math import isfinite, nan, sqrt
 from typing import Annotated, Final, Literal
 
 import msgspec
@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 from heaved.estimation import bank, sigma
 from heaved.estimation.bank import Bank
+from heaved.estimation.choice import Choice
 from heaved.estimation.craft import Vessel
 from heaved.estimation.craft_inputs import REJECTED, Caution, Channel, CraftInputs
 from heaved.estimation.craft_model import CraftModel, State
@@ -73,7 +74,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     margin: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.05
     """Share by which another filter's average must be smaller for ``ewma`` to change over."""
     heave_noise_m: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.05
-    """Standard deviation of a heave reading, white."""
+    """Standard deviation of a heave reading, taken as white. An error that lingers, as that of an inertial heave does,
+    cannot be told from heave: the estimate keeps most of it, about twice what is published. The rates hardly suffer."""
     pitch_noise_rad: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.005
     """Standard deviation of a pitch reading, white."""
     heave_model_noise_mps2_rthz: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.02
@@ -128,8 +130,6 @@ class AttitudeFusion:
         resets: starts again, by reason: "gap", "covariance", "time", and "heave", "pitch" for a channel that was
             believed after all.
         rejected_times: samples that were not later than the one before.
-        gated: readings beyond the gate, heave and pitch.
-        switches: changes of the serving filter, both channels together.
     """
 
     def __init__(self, params: Params | None = None) -> None:
@@ -148,11 +148,13 @@ class AttitudeFusion:
         white = (p.heave_model_noise_mps2_rthz, p.pitch_model_noise_radps2_rthz)
         self._model = CraftModel(p.vessel, p.wave, seas, white)
         self._R = (p.heave_noise_m**2, p.pitch_noise_rad**2)
+        averaged = p.mode == "ewma"
+        self._choice = Choice(self._count, p.average_s if averaged else 0.0, p.margin if averaged else 0.0)
         self._inputs = CraftInputs(p.vessel, p.stuck_after_s)
         self._t_s = nan
         self._late = 0
         self.resets: Counter[str] = Counter()
-        self.rejected_times = self.switches = 0
+        self.rejected_times = 0
         self._gated = [0, 0]
         self._forget()
 
@@ -161,9 +163,7 @@ class AttitudeFusion:
         self._started_t_s = nan
         self._bank: Bank | None = None
         self._probabilities = np.full(self._count, 1.0 / self._count)
-        self._scores = np.zeros((2, self._count))
-        self._scored_s = [0.0, 0.0]
-        self._serving = [self._count - 1] * 2
+        self._choice.forget()
         self._outside_t_s = [nan, nan]
 
     # --- one sample --------------------------------------------------------------------------------------------------
@@ -244,10 +244,10 @@ class AttitudeFusion:
             reading = readings[channel]
             if not isfinite(reading):
                 continue
-            before = (reading - expected[channel][0]) ** 2
-            outside = bool(np.all(before > p.gate_sigma**2 * expected[channel][1]))
+            before = reading - expected[channel][0]
+            outside = bool(np.all(before**2 > p.gate_sigma**2 * expected[channel][1]))
             if outside and self._believed(channel, cautions):
-                filters = _placed(filters, state, reading, self._R[channel])
+                filters = bank.place(filters, state, reading, self._R[channel])
                 continue
             innovation = reading - filters.x[:, state]
             variance = filters.P[:, state, state] + self._R[channel]
@@ -256,14 +256,13 @@ class AttitudeFusion:
             else:
                 self._outside_t_s[channel] = nan
                 log_likelihood -= 0.5 * (innovation**2 / variance + np.log(variance))
-                self._score(channel, dt_s, before)
+                if p.mode != "imm":
+                    self._choice.evaluate(channel, dt_s, before)
             filters = bank.update(filters, state, innovation, variance)
         self._bank = filters
         if p.mode == "imm":
             self._probabilities = bank.reweigh(self._probabilities, log_likelihood, LEAST_PROBABILITY)
-            self._serve([int(self._probabilities.argmax())] * 2)
-        else:
-            self._serve([self._chosen(channel) for channel in Channel])
+            self._choice.serve_all(int(self._probabilities.argmax()))
 
     def _believed(self, channel: Channel, cautions: list[Caution]) -> bool:
         """Count a reading beyond the gate; whether it has been there for so long that it must be right."""
@@ -278,33 +277,16 @@ class AttitudeFusion:
         cautions.append(Caution.RESET)
         return True
 
-    def _score(self, channel: Channel, dt_s: float, squared: Array) -> None:
-        """The evaluation: the squared innovation, alone or averaged (sooner while little has been seen)."""
-        if self._params.mode == "instant":
-            self._scores[channel] = squared
-            return
-        self._scored_s[channel] = min(self._scored_s[channel] + dt_s, self._params.average_s)
-        share = 1.0 - exp(-dt_s / self._scored_s[channel])
-        self._scores[channel] += share * (squared - self._scores[channel])
-
-    def _chosen(self, channel: Channel) -> int:
-        """The filter with the least evaluation; ``ewma`` leaves the one that serves only for one clearly better."""
-        scores = self._scores[channel]
-        best = int(scores.argmin())
-        if self._params.mode == "ewma" and scores[best] >= (1.0 - self._params.margin) * scores[self._serving[channel]]:
-            return self._serving[channel]
-        return best
-
-    def _serve(self, chosen: list[int]) -> None:
-        changes = sum(a != b for a, b in zip(chosen, self._serving, strict=True))
-        # The most probable sea serves both channels: that is one choice.
-        self.switches += min(changes, 1) if self._params.mode == "imm" else changes
-        self._serving = chosen
-
     # --- output ------------------------------------------------------------------------------------------------------
 
     @property
+    def switches(self) -> int:
+        """Changes of the serving filter, both channels together."""
+        return self._choice.switches
+
+    @property
     def gated(self) -> tuple[int, int]:
+        """Readings beyond the gate, or impossible, heave and pitch."""
         impossible = self._inputs.impossible
         return self._gated[0] + impossible[0], self._gated[1] + impossible[1]
 
@@ -325,7 +307,7 @@ class AttitudeFusion:
             raise ValueError("no estimate yet: nothing has been measured")
         if self._params.mode == "imm":
             return bank.combine(self._bank, self._probabilities)
-        heave, pitch = self._serving
+        heave, pitch = self._choice.serving
         x, P = self._bank.x[heave], self._bank.P[heave]
         if heave != pitch:
             x, P, own = x.copy(), P.copy(), PITCH_STATES
@@ -338,10 +320,11 @@ class AttitudeFusion:
         x, P = self.moments()
         z, z_rate, theta, theta_rate = x[:4].tolist()
         std = [sqrt(max(variance, 0.0)) for variance in P.diagonal()[:4].tolist()]
+        serving = self._choice.serving
         if self._params.mode == "imm":
             probabilities = tuple(self._probabilities.tolist())
         else:
-            probabilities = tuple(0.5 * self._serving.count(i) for i in range(self._count))
+            probabilities = tuple(0.5 * serving.count(i) for i in range(self._count))
         heave_gated, pitch_gated = self.gated
         return AttitudeEstimate(
             t_s=self._t_s,
@@ -354,8 +337,8 @@ class AttitudeFusion:
             pitch_std_rad=std[2],
             pitch_rate_std_radps=std[3],
             probabilities=probabilities,
-            heave_filter=self._serving[Channel.HEAVE],
-            pitch_filter=self._serving[Channel.PITCH],
+            heave_filter=serving[Channel.HEAVE],
+            pitch_filter=serving[Channel.PITCH],
             switches=self.switches,
             heave_gated=heave_gated,
             pitch_gated=pitch_gated,
@@ -363,12 +346,3 @@ class AttitudeFusion:
             rejected_times=self.rejected_times,
             cautions=tuple(cautions),
         )
-
-
-def _placed(filters: Bank, state: int, value: float, variance: float) -> Bank:
-    """One state of every filter set, and known apart from the others."""
-    x, P = filters.x.copy(), filters.P.copy()
-    x[:, state] = value
-    P[:, state, :] = P[:, :, state] = 0.0
-    P[:, state, state] = variance
-    return Bank(x, P)
