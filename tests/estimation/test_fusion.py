@@ -145,11 +145,10 @@ DISASTERS = {
 }
 
 
-@pytest.mark.parametrize("mode", ["ewma", "imm"])
 @pytest.mark.parametrize("disaster", DISASTERS.values(), ids=DISASTERS.keys())
-def test_disasters_are_survived_said_and_got_over(moderate, disaster: Disaster, mode) -> None:
+def test_disasters_are_survived_said_and_got_over(moderate, disaster: Disaster) -> None:
     _, rows, truth = moderate
-    fusion = AttitudeFusion(Params(mode=mode))
+    fusion = AttitudeFusion()
     struck = disaster.strike(rows.copy())
     estimates = run(fusion, struck)
     given = [estimate for estimate in estimates if estimate is not None]
