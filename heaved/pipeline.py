@@ -18,7 +18,7 @@ from heaved.estimation import points
 from heaved.estimation.chain import Heave, HeaveChain
 from heaved.estimation.correction import Params as CorrectionParams
 from heaved.estimation.correction import Saved
-from heaved.estimation.frames import up_acceleration
+from heaved.estimation.frames import Levelling, up_acceleration
 from heaved.estimation.heave import HarmonicObserver
 from heaved.estimation.heave import Params as HeaveParams
 from heaved.estimation.points import Attitude, Point
@@ -127,6 +127,7 @@ class Pipeline:
         self._missing = 0.0
         self._accepted_t_s = self._fitted_t_s = nan
         self._attitude, self._attitude_t_s = (nan, nan, nan), nan
+        self._levelling = Levelling()
         self._tilt_removed = False
         self._imu_fault = Fault.NONE
         self._trained: Counter[str] = Counter()
@@ -172,7 +173,10 @@ class Pipeline:
         self._tilt_removed = self._tilt_known(t) and isfinite(sample.ax_mps2 + sample.ay_mps2)
         if self._tilt_removed:
             roll, pitch, _ = self._attitude
-            up = up_acceleration(sample.ax_mps2, sample.ay_mps2, sample.az_mps2, roll, pitch)
+            force = (sample.ax_mps2, sample.ay_mps2, sample.az_mps2)
+            self._levelling.take(t, *force, roll, pitch)
+            off_roll, off_pitch = self._levelling.angles()
+            up = up_acceleration(*force, roll + off_roll, pitch + off_pitch)
         if isfinite(self._chain.observe(t, up, sample.az_mps2)):
             self._note_interval(t - before_s)
         elif self._chain.stuck.is_stuck:

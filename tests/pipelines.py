@@ -6,13 +6,14 @@ import msgspec
 import numpy as np
 
 from heaved.estimation import correction, heave, reference, rock
+from heaved.estimation.sea_window import look
 from heaved.pipeline import Pipeline
 from heaved.samples import ImuSample, LaserSample, MotionFrame, RockPrediction, Sample
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import Recording, record
 from heaved.training.fit import fit
 
-NO_FORECASTS = heave.Params(forecast_horizons_s=())
+NO_FORECASTS = heave.Params(observer="harmonic", forecast_horizons_s=())
 
 
 class NoRock:
@@ -53,6 +54,8 @@ def run(pipe: Pipeline, samples: Iterable[Sample], train: bool = False) -> list[
     frames = []
     for sample in samples:
         frame = pipe.step(sample)
+        if (past := pipe.fit_due()) is not None:
+            pipe.accept_fit(look(past))
         if train and (window := pipe.training_due()) is not None:
             pipe.accept(fit(window))
         if frame is not None:

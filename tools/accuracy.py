@@ -38,7 +38,6 @@ from evidence import asked, closed_loop, estimators, gates, heave, rock, scenari
 from evidence.scenarios import Setting
 from evidence.summary import Judged, Result
 
-from heaved.estimation.heave import Params as HeaveParams
 from heaved.simulate.sensors import SENSORS, laser_pattern
 
 CHECKOUT = Path(__file__).resolve().parent.parent
@@ -181,6 +180,7 @@ def run_rock(options: argparse.Namespace, output: Output) -> None:
 
 
 def run_closed_loop(options: argparse.Namespace, output: Output) -> None:
+    laser_pattern(options.laser)
     setting = closed_loop.Setting(
         observer=options.observer,
         sensor=options.sensor,
@@ -292,6 +292,18 @@ def _gates(parser: argparse.ArgumentParser) -> None:
     _common(parser)
 
 
+def _closed_loop(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("seas", nargs="*", metavar="SEA", help=f"default {' '.join(closed_loop.DEFAULT_SEAS)}")
+    parser.add_argument("--replay", action="store_true", help="without sockets, faster than real time")
+    parser.add_argument("--sensor", default="A", choices=sorted(SENSORS), help="its errors (default A)")
+    parser.add_argument("--laser", default="off", metavar="PATTERN", help="on, off (default), 50%%")
+    parser.add_argument("--seed", type=_count, default=1, help="of sea and sensors")
+    parser.add_argument("--warm-up", type=_positive, default=90.0, metavar="S", help="not scored (default 90)")
+    parser.add_argument("--shifted", action="store_true", help="a daemon with [compensation] lead_s as well; live only")
+    for add in (_observer, _duration, _common):
+        add(parser)
+
+
 class Command(NamedTuple):
     """A subcommand."""
 
@@ -309,6 +321,7 @@ COMMANDS: dict[str, Command] = {
     "limits": Command(run_limits, _limits, "the least errors that are possible"),
     "gates": Command(run_gates, _gates, "short runs against their regression gates"),
     "rock": Command(run_rock, _rock, "roll and pitch, simulated"),
+    "closed-loop": Command(run_closed_loop, _closed_loop, "hook motion under a winch driven by the stream"),
     "all": Command(run_all, _rock, "headline and rock"),
 }
 
@@ -328,18 +341,6 @@ def _setting(options: argparse.Namespace) -> Setting:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     commands = parser.add_subparsers(dest="command", required=True)
-    simulated = commands.add_parser("heave", parents=[common], help="wave trains and irregular seas, simulated")
-    simulated.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=", ".join(heave.SCENARIOS))
-    commands.add_parser("real", parents=[common], help="real seas")
-    commands.add_parser("rock", parents=[common], help="roll and pitch, simulated")
-    hook = commands.add_parser("closed-loop", parents=[common], help="hook motion under a winch driven by the stream")
-    hook.add_argument("seas", nargs="*", metavar="SEA", help=f"default {' '.join(closed_loop.DEFAULT_SEAS)}")
-    hook.add_argument("--replay", action="store_true", help="without sockets, faster than real time")
-    hook.add_argument("--observer", default=HeaveParams().observer, help="of ours (default: that of the daemon)")
-    hook.add_argument("--seed", type=_count, default=1, help="of sea and sensors")
-    hook.add_argument("--warm-up", type=_positive, default=90.0, metavar="S", help="not scored (default 90)")
-    hook.add_argument("--shifted", action="store_true", help="a daemon with [compensation] lead_s as well; live only")
-    commands.add_parser("all", parents=[common], help="all of these").set_defaults(scenarios=())
     for name, command in COMMANDS.items():
         command.words(commands.add_parser(name, help=command.help))
     return parser
@@ -362,22 +363,10 @@ def _count(text: str) -> int:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; 0 when everything is written."""
     options = _parser().parse_args(arguments)
-    commands = {
-        "heave": run_heave, "real": run_real, "rock": run_rock, "closed-loop": run_closed_loop, "all": run_all
-    }  # fmt: skip
-    started = time.monotonic()
-    try:
-        laser_pattern(options.laser)
-        output = Output(options.out, not options.no_figures)
-        try:
-            commands[options.command](options, output)
-        finally:
-            output.close()
-    except (ValueError, OSError, RuntimeError) as error:
     started = time.monotonic()
     try:
         COMMANDS[options.command].run(options, Output(options.out, not options.no_figures))
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, RuntimeError) as error:
         print(f"accuracy: {error}", file=sys.stderr)
         return 1
     print(f"\nResults in {options.out}; it took {time.monotonic() - started:.0f} s.")

@@ -207,6 +207,8 @@ def replay(name: str, setting: Setting) -> Trial:
         now_s = sample.t_s + setting.latency_s
         for stream, pipeline in pipelines.items():
             frame = pipeline.step(sample)
+            if (past := pipeline.fit_due()) is not None:
+                pipeline.accept_fit(look(past))
             if (window := pipeline.training_due()) is not None:
                 pipeline.accept(fit(window))
             if frame is None:

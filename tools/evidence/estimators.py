@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from evidence import baselines
 from heaved.estimation import correction, heave, reference, rock
+from heaved.estimation.sea_window import look
 from heaved.pipeline import Pipeline
 from heaved.samples import HeaveState, ImuSample, MotionFrame, Sample
 
@@ -132,6 +133,8 @@ def frames(pipe: Pipeline, samples: Sequence[Sample]) -> list[MotionFrame]:
     result = []
     for sample in samples:
         frame = pipe.step(sample)
+        if (past := pipe.fit_due()) is not None:
+            pipe.accept_fit(look(past))
         if (window := pipe.training_due()) is not None:
             from heaved.training.fit import fit  # loads torch, which takes seconds: only when there is a laser
 
