@@ -152,7 +152,7 @@ class So3Filter:
         A = _EYE - K.dot(H)
         P = A.dot(P).dot(A.T) + (K * R).dot(K.T)
         self.x, self.P = x, 0.5 * (P + P.T)
-        if not isfinite(float(x.dot(x))) or not isfinite(float(self.P.trace())):
+        if not isfinite(float(x.dot(x))) or not float(self.P.diagonal().min()) > 0.0:
             return float("nan")
         return nis
 
