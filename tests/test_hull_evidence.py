@@ -68,7 +68,7 @@ def test_told_is_the_flexure_of_the_scene_without_a_refit() -> None:
 
 
 def test_report_and_figure(tmp_path, capsys) -> None:
-    rows = [evaluate("A1", name, (1,), 15.0) for name in ("so3", "ckf, told", "ckf, told, from zero")]
+    rows = [evaluate("A1", name, (1,), 15.0) for name in ("so3", "ckf, told", "ckf, told, zero ± 10°")]
     text = report(rows)
     assert "| so3 | 1 |" in text
     assert "Paper: ckf mean 2.5, 2.5, 5″" in text

@@ -63,9 +63,8 @@ def main() -> None:
     begin = time.perf_counter_ns()
     for _ in range(2000):
         crane_base_attitude(attitude, C)
-    print(
-        f"\ncrane-base attitude {(time.perf_counter_ns() - begin) / 2e6:.1f} µs; refit of 300 s {refit_ms(300.0):.0f} ms"
-    )
+    composed_us = (time.perf_counter_ns() - begin) / 2e6
+    print(f"\ncrane-base attitude {composed_us:.1f} µs; refit of 300 s {refit_ms(300.0):.0f} ms")
 
 
 if __name__ == "__main__":

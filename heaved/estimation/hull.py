@@ -31,17 +31,19 @@ from heaved.estimation.hull_refit import (
     Filter,
     RefitJob,
     RefitResult,
+    about_two_axes,
     advance,
-    centres,
+    align_record,
     make_filter,
     polynomial_at,
     refit,
     run,
+    start,
 )
 from heaved.estimation.hull_so3 import Noise
-from heaved.estimation.hull_start import WINDOW, Alignment, align
+from heaved.estimation.hull_start import WINDOW
 from heaved.estimation.hull_streams import Stream, TwoStreams
-from heaved.estimation.hull_watch import FORECAST_EVERY_S, FORECAST_WINDOW_S, ONE_AXIS, WORST_MISFIT, Watch
+from heaved.estimation.hull_watch import FORECAST_EVERY_S, FORECAST_WINDOW_S, WORST_MISFIT, Watch
 from heaved.estimation.ring import Ring
 from heaved.estimation.rotations import ARCSEC, crane_base_attitude, to_euler
 
@@ -69,8 +71,6 @@ GOOD_ALIGNMENT_RAD: Final = radians(1.0)
 LONGEST_START_S: Final = 30.0
 """An alignment looks at no more than this."""
 RETRY_S: Final = 5.0
-USABLE: Final = 0.3
-"""Share of the record that an alignment needs: an IMU of half the rate leaves not quite a half."""
 LONGEST_DELAY: Final = 1.5
 """Sampling intervals that the alignment searches: the polynomial covers two."""
 HOLDING_S: Final = 2.0
@@ -244,42 +244,28 @@ class HullDeformation:
         if not final and self._filter is not None:
             return
         rows = self._ring.since(t - LONGEST_START_S)
-        found = self._align(rows, final)
+        # Only so3 knows of a delay; and a second of record does not tell it from a rotation.
+        search_s = LONGEST_DELAY / p.rate_hz if final and p.method == "so3" else 0.0
+        found = align_record(rows, p.rate_hz, search_s)
         if found is None:
             return
-        self._watch.misfit = found.misfit if _about_two_axes(rows) else 0.0
+        self._watch.misfit = found.misfit if about_two_axes(rows) else 0.0
         if found.std_rad > GOOD_ALIGNMENT_RAD or found.misfit > WORST_MISFIT:
             return
         self._noise = self._noise_of(found.noise_radps)
-        began = float(rows[CENTRE, 0])
-        C0, delay = found.C, found.delay_s
-        for _ in range(2 if final else 1):
-            filter = make_filter(p.method, C0, delay, self._prior, self._noise)
-            if not run(filter, rows, p.rate_hz, began, -inf):
-                return
-            C0, delay = filter.static, filter.delay_s
+        filter = start(p.method, found, rows, p.rate_hz, self._prior, self._noise, passes=2 if final else 1)
+        if filter is None:
+            return
         self._filter = filter
         self._updated_s = t
         if final:
-            self._begin(filter, began)
+            self._begin(filter, float(rows[CENTRE, 0]))
 
     def _begin(self, filter: Filter, began_s: float) -> None:
         self._filter, self._provisional = filter, False
         self._record_s = self._began_s = began_s
         self._whole = True
         self._watch.began()
-
-    def _align(self, rows: Array, search: bool) -> Alignment | None:
-        p = self._params
-        usable = [
-            (motion, local)
-            for _, motion, local in centres(rows, p.rate_hz)
-            if motion is not None and np.isfinite(local).all()
-        ]
-        if len(usable) < max(6, USABLE * len(rows)):
-            return None
-        motions, locals_ = (np.array(column) for column in zip(*usable, strict=True))
-        return align(motions, locals_, LONGEST_DELAY / p.rate_hz if search and p.method == "so3" else 0.0)
 
     # --- refit -------------------------------------------------------------------------------------------------------
 
@@ -386,10 +372,3 @@ _UNKNOWN.setflags(write=False)
 def _three(values: Array) -> tuple[float, float, float]:
     x, y, z = values.tolist()
     return x, y, z
-
-
-def _about_two_axes(rows: Array) -> bool:
-    """The midships motion alone would do for an alignment."""
-    rates = rows[np.isfinite(rows).all(axis=1), 1:4]
-    spread = np.linalg.eigvalsh(rates.T @ rates) if len(rates) else np.zeros(3)
-    return bool(spread[1] > ONE_AXIS * spread[2] > 0.0)

@@ -7,8 +7,10 @@ second-order Markov process per axis, epsilon the gyro bias, and the local gyros
 
 E the matrix from Euler-angle rates to local axes. ``ckf`` is the cubature rule, ``ukf`` the symmetric set with
 kappa = 3 - n = -9: a centre weight of -3. The paper tells the filters the parameters of the flexure and starts them at
-zero; from there, 30 degrees off, neither comes to its claims. Started by an alignment both do as well as any. Delay and
-scale are not in the model: a few milliseconds between the clocks ruin it. Near y = +-90 degrees the angles degenerate.
+zero, 30 degrees off, without saying how sure of it they are; that decides everything (``start = "zero"`` with
+``alignment_std_deg``), and that the one beats the other is a matter of this start. Started by an alignment both do as
+well as any. Delay and scale are not in the model: a few milliseconds between the clocks ruin it. Near y = +-90 degrees
+the angles degenerate.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Going through a record of two rate streams: the step of the filter, and the fit of the flexure with a second pass.
+"""Going through a record of two rate streams: the step of the filter, its start, the refit with a second pass.
 
 Everything here is a pure function of a record, so that what takes long can be computed elsewhere and accepted later.
 """
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from heaved.estimation.hull_euler import EulerFilter
 from heaved.estimation.hull_markov import Flexure, fit
 from heaved.estimation.hull_so3 import Noise, So3Filter
-from heaved.estimation.hull_start import WINDOW, motion_polynomial
+from heaved.estimation.hull_start import WINDOW, Alignment, align, motion_polynomial
 from heaved.estimation.rotations import to_euler
 
 Array = NDArray[np.float64]
@@ -29,6 +29,12 @@ LONGEST_STEP: Final = 2.5
 """Sampling intervals between neighbours above which no polynomial is laid through them."""
 ITERATED_S: Final = 30.0
 """Each update is iterated twice, and psi folded into C0, for so long."""
+
+FEWEST: Final = 6
+USABLE: Final = 0.3
+"""Readings, and share of the record, that an alignment needs: an IMU of half the rate leaves not quite a half."""
+ONE_AXIS: Final = 0.02
+"""Second over largest eigenvalue of the motion's mean square below which it is about one axis."""
 
 
 def make_filter(method: Method, C0: Array, delay_s: float, flexure: Flexure, noise: Noise) -> Filter:
@@ -74,6 +80,39 @@ def run(filter: Filter, rows: Array, rate_hz: float, began_s: float, filtered_s:
             return False
         filtered_s = t
     return True
+
+
+def align_record(rows: Array, rate_hz: float, longest_delay_s: float) -> Alignment | None:
+    """Alignment of a record (n, 7); None: too little of it is usable."""
+    usable = [
+        (motion, local)
+        for _, motion, local in centres(rows, rate_hz)
+        if motion is not None and np.isfinite(local).all()
+    ]
+    if len(usable) < max(FEWEST, USABLE * len(rows)):
+        return None
+    motions, local_rates = (np.array(column) for column in zip(*usable, strict=True))
+    return align(motions, local_rates, longest_delay_s)
+
+
+def about_two_axes(rows: Array) -> bool:
+    """The midships motion of a record (n, 7) alone would do for an alignment."""
+    rates = rows[np.isfinite(rows).all(axis=1), 1:4]
+    spread = np.linalg.eigvalsh(rates.T @ rates) if len(rates) else np.zeros(3)
+    return bool(spread[1] > ONE_AXIS * spread[2] > 0.0)
+
+
+def start(
+    method: Method, found: Alignment, rows: Array, rate_hz: float, flexure: Flexure, noise: Noise, passes: int
+) -> Filter | None:
+    """A filter that has gone through the record from an alignment, each pass about the last one. None: in vain."""
+    C0, delay = found.C, found.delay_s
+    for _ in range(passes):
+        filter = make_filter(method, C0, delay, flexure, noise)
+        if not run(filter, rows, rate_hz, float(rows[CENTRE, 0]), -np.inf):
+            return None
+        C0, delay = filter.static, filter.delay_s
+    return filter
 
 
 class RefitJob(msgspec.Struct, frozen=True, eq=False, kw_only=True):

@@ -61,9 +61,16 @@ class Stream:
         self._fresh_t_s = -inf
 
     def give(self, t_s: float, rates_radps: Array) -> None:
-        """Take a reading (3,); out of order or not finite ones are dropped, and those above the largest rate."""
+        """Take a reading (3,); out of order or not finite ones are dropped, and those above the largest rate.
+
+        A stamp far in the past is a clock that has stepped: the stream begins anew.
+        """
         x, y, z = rates_radps.tolist()
-        if not (isfinite(t_s) and isfinite(x) and isfinite(y) and isfinite(z)) or t_s <= self.t_s:
+        if not (isfinite(t_s) and isfinite(x) and isfinite(y) and isfinite(z)):
+            return
+        if t_s < self.t_s - LONGEST_JUMP_S:
+            self.clear()
+        if t_s <= self.t_s:
             return
         self.t_s = t_s
         if (x, y, z) == self._last:
@@ -127,7 +134,7 @@ class TwoStreams:
         """Number of the next grid instant: it falls on next * step."""
 
     def due(self) -> list[Pair]:
-        """The pairs that both streams reach past, or that have waited long enough. At most 1000 after a jump."""
+        """The pairs that both streams reach past, or that have waited long enough."""
         newest = max(self.midships.t_s, self.local.t_s)
         if not isfinite(newest):
             return []

@@ -54,8 +54,8 @@ def test_with_a_proper_start_all_methods_coincide(method) -> None:
 
 
 def test_from_zero_the_filter_of_the_source_does_not_come_back() -> None:
-    """30 degrees off, as the source starts it: a hundred times the bound after a minute; the default is on it."""
-    row = evaluate("A1", "ckf, told, from zero", (1, 2), 60.0)
+    """30 degrees off, and told so: dozens of times the bound after a minute, where the default is on it."""
+    row = evaluate("A1", "ckf, told, zero ± 30°", (1, 2), 60.0)
     assert row.ratio > 20.0
 
 

@@ -101,6 +101,25 @@ def test_rubbish_is_dropped_and_memory_is_bounded() -> None:
     assert len(streams.due()) < 1000
 
 
+def test_a_clock_that_steps_moves_the_grid() -> None:
+    streams = TwoStreams(10.0)
+    pairs = []
+    for t in [*(100.0 + np.arange(60) / 20.0), *(50.0 + np.arange(60) / 20.0), *(900.0 + np.arange(60) / 20.0)]:
+        for stream in (streams.midships, streams.local):
+            stream.give(float(t), tone(np.array([t]))[0])
+        got = streams.due()
+        assert len(got) <= 101
+        pairs += got
+    t = np.array([p.t_s for p in pairs])
+    assert [round(float(start)) for start in t[np.abs(np.diff(t, prepend=0.0)) > 1.0]] == [100, 50, 900]
+    known = np.array([np.isfinite(p.local_radps).all() for p in pairs])
+    assert known.mean() > 0.9
+    settled = [p for p in pairs if np.isfinite(p.local_radps).all()]
+    assert np.array([p.local_radps for p in settled]) == pytest.approx(
+        tone(np.array([p.t_s for p in settled])), abs=1e-6
+    )
+
+
 def test_two_imus_of_unlike_rate_give_the_deformation() -> None:
     """50 Hz amidships, 20 Hz at the crane, both with jitter; its stamps are 30 ms early, and 5 ms late by the scene."""
     rng = np.random.default_rng(4)
