@@ -73,6 +73,8 @@ LONGEST_START_S: Final = 30.0
 RETRY_S: Final = 5.0
 LONGEST_DELAY: Final = 1.5
 """Sampling intervals that the alignment searches: the polynomial covers two."""
+DRIFTING_S_RTS: Final = 1e-4
+"""Random walk of the delay once it is seen to drift: 50 ppm are then followed within half a millisecond."""
 HOLDING_S: Final = 2.0
 GAP_S: Final = 1.0
 """A longer gap ends the record: it is no longer evenly sampled."""
@@ -231,7 +233,9 @@ class HullDeformation:
         noise = self._noise if self._filter is None else self._filter.noise
         self._watch.forecast(self._ring.since(t - FORECAST_WINDOW_S), self._flexure, noise.sample_radps)
         if self._filter is not None and not self._provisional:
-            self._watch.delay(t, self._filter.delay_s, self._filter.delay_std_s)
+            drifts = self._watch.delay(t, self._filter.delay_s, self._filter.delay_std_s)
+            if drifts and noise.delay_walk_s_rts < DRIFTING_S_RTS:
+                self._filter.set_noise(msgspec.structs.replace(noise, delay_walk_s_rts=DRIFTING_S_RTS))
 
     # --- start -------------------------------------------------------------------------------------------------------
 
@@ -250,7 +254,10 @@ class HullDeformation:
         if found is None:
             return
         self._watch.misfit = found.misfit if about_two_axes(rows) else 0.0
-        if found.std_rad > GOOD_ALIGNMENT_RAD or found.misfit > WORST_MISFIT:
+        if found.misfit > WORST_MISFIT:
+            self._filter = None  # what a provisional one makes of it is worth nothing
+            return
+        if found.std_rad > GOOD_ALIGNMENT_RAD:
             return
         self._noise = self._noise_of(found.noise_radps)
         filter = start(p.method, found, rows, p.rate_hz, self._prior, self._noise, passes=2 if final else 1)
@@ -304,7 +311,7 @@ class HullDeformation:
             if run(filter, rows, self._params.rate_hz, self._began_s, result.filtered_s):
                 self._filter = filter
         self._filter.set_flexure(result.flexure)
-        self._filter.noise = msgspec.structs.replace(self._filter.noise, sample_radps=result.noise_radps)
+        self._filter.set_noise(msgspec.structs.replace(self._filter.noise, sample_radps=result.noise_radps))
         self._flexure = result.flexure
         self._refits += 1
         self._watch.began()

@@ -53,6 +53,10 @@ class EulerFilter:
         self.flexure = flexure
         self._step_s = -1.0
 
+    def set_noise(self, noise: Noise) -> None:
+        self.noise = noise
+        self._step_s = -1.0
+
     def copy(self) -> EulerFilter:
         twin = EulerFilter(self.kind, (0.0, 0.0, 0.0), self.flexure, self.noise)
         twin.x, twin.P = self.x.copy(), self.P.copy()

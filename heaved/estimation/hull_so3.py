@@ -87,6 +87,10 @@ class So3Filter:
         self.flexure = flexure
         self._step_s = -1.0
 
+    def set_noise(self, noise: Noise) -> None:
+        self.noise = noise
+        self._step_s = -1.0
+
     def copy(self) -> So3Filter:
         twin = So3Filter(self.C0.copy(), 0.0, self.flexure, self.noise)
         twin.x, twin.P, twin.iterations = self.x.copy(), self.P.copy(), self.iterations

@@ -84,13 +84,14 @@ class Watch:
         self.single = one_sided and float(values[1]) >= least
         self.weak = float(values[0]) < least and not self.single
 
-    def delay(self, t_s: float, delay_s: float, std_s: float) -> None:
+    def delay(self, t_s: float, delay_s: float, std_s: float) -> bool:
         """Does the delay move? Slaves are stamped by one clock, so it should not; a recording of two clocks may."""
         self._delays.append((t_s, delay_s, std_s))
         then_s, before_s, before_std_s = self._delays[0]
         moved, over = abs(delay_s - before_s), t_s - then_s
         surely = moved > 6.0 * hypot(before_std_s, std_s) and moved > DRIFT_PPM * 1e-6 * over
         self._drifting = over >= 0.9 * DRIFT_S and surely
+        return self._drifting
 
     def warnings(
         self, C: Array | None, delay_s: float, health: tuple[Health, Health], streams: TwoStreams | None
