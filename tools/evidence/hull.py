@@ -67,8 +67,7 @@ def from_zero(kind: Literal["ckf", "ukf"], std_deg: float) -> Method:
 
 
 ZERO = tuple(from_zero(kind, std) for std in ZERO_STD_DEG for kind in ("ckf", "ukf"))
-NO_DELAY = Method(name="so3, told, no delay", params=Params(delay_ms=1e-6, delay_walk_us_rts=0.0), told=True)
-METHODS = {method.name: method for method in (DEFAULT, TOLD, CKF, UKF, *ZERO, NO_DELAY)}
+METHODS = {method.name: method for method in (DEFAULT, TOLD, CKF, UKF, *ZERO)}
 
 PLAN: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("A1", ("so3", "so3, told", "ckf, told", "ukf, told", *(method.name for method in ZERO))),
@@ -80,7 +79,7 @@ PLAN: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("A3 random", ("so3",)),
     ("A4", ("so3", "so3, told", "ckf, told")),
     ("A4, both scaled", ("so3",)),
-    ("A1, 10 ms late", ("so3", "so3, told, no delay", "ckf, told")),
+    ("A1, 10 ms late", ("so3", "ckf, told")),
 )
 
 PAPER = {
