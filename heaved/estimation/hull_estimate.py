@@ -1,0 +1,131 @@
+"""What the hull-deformation estimator is told and what it says: configuration, state, warnings, the estimate."""
+
+from __future__ import annotations
+
+from enum import Enum
+from math import nan
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[hull]``: deformation between the IMU amidships and the one at the crane base."""
+
+    method: Literal["so3", "ckf", "ukf"] = "so3"
+    rate_hz: Annotated[float, msgspec.Meta(ge=2, le=50)] = 10.0
+    """Common time base of the two IMUs."""
+    start: Literal["align", "zero"] = "align"
+    """zero: no alignment, all angles zero at first (the source; ckf and ukf only)."""
+    start_s: Annotated[float, msgspec.Meta(ge=2, le=60)] = 5.0
+    """Record for the alignment, longer while the motion does not suffice."""
+    alignment_std_deg: Annotated[float, msgspec.Meta(gt=0, le=90)] = 2.0
+    """Prior about the alignment; with ``start = "zero"``, about zero."""
+    flexure_std_arcsec: Annotated[float, msgspec.Meta(gt=0, le=3600)] = 10.0
+    """Flexure per axis until it is fitted: standard deviation (sigma)."""
+    flexure_mu_radps: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.3
+    """Its damping (mu)."""
+    flexure_hz: Annotated[float, msgspec.Meta(gt=0, le=5)] = 0.2
+    """Its frequency (lambda / 2 pi)."""
+    refit_after_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] = 300.0
+    """Record from which the flexure is fitted; what was filtered before is filtered again with it. 0: never."""
+    refit_every_s: Annotated[float, msgspec.Meta(ge=60, le=86400)] = 600.0
+    """Later fits, of the latest ``refit_after_s``: the sea changes."""
+    gyro_noise_deg_rth: Annotated[float, msgspec.Meta(gt=0, le=100)] = 0.0005
+    """Angle random walk of one gyro that is assumed at least; more is taken when the record shows it."""
+    gyro_bias_deg_h: Annotated[float, msgspec.Meta(gt=0, le=10000)] = 0.1
+    """Prior standard deviation of the difference of the gyro biases."""
+    bias_walk_deg_h_rth: Annotated[float, msgspec.Meta(ge=0, le=10000)] = 0.005
+    """Random walk of that difference, degrees per hour per root hour."""
+    scale_ppm: Annotated[float, msgspec.Meta(gt=0, le=50000)] = 50.0
+    """Prior standard deviation of the scale of each local gyro against the midships ones."""
+    delay_ms: Annotated[float, msgspec.Meta(gt=0, le=100)] = 20.0
+    """Prior standard deviation of the delay between the IMUs, about the one that the alignment finds."""
+    delay_walk_us_rts: Annotated[float, msgspec.Meta(ge=0, le=1000)] = 10.0
+    """Random walk of that delay, microseconds per root second."""
+    static_walk_arcsec_rth: Annotated[float, msgspec.Meta(ge=0, le=1000)] = 2.0
+    """Random walk of the static deformation (sun, ballast), arcsec per root hour."""
+    coherent_floor_arcsec: Annotated[float, msgspec.Meta(ge=0, le=3600)] = 1.0
+    """Added to the published deviations: flexure coherent with the waves, which rates do not show."""
+    converged_arcsec: Annotated[float, msgspec.Meta(gt=0, le=3600)] = 30.0
+    """Published deviation of the worst axis below which the state is ``converged``."""
+    weak_arcsec: Annotated[float, msgspec.Meta(gt=0, le=3600)] = 60.0
+    """Reachable deviation above which the motion is called weak."""
+    forecast_s: Annotated[float, msgspec.Meta(ge=10, le=86400)] = 600.0
+    """Record for which the reachable accuracy is forecast."""
+    delay_warning_ms: Annotated[float, msgspec.Meta(gt=0, le=1000)] = 20.0
+    mount_deg: tuple[float, float, float] | None = None
+    """Expected x, y, z; when given, an estimate further off than ``mount_tolerance_deg`` is named."""
+    mount_tolerance_deg: Annotated[float, msgspec.Meta(gt=0, le=180)] = 5.0
+
+
+class HullState(Enum):
+    """How far the deformation can be trusted."""
+
+    STARTING = "starting"
+    """No alignment yet, or a provisional one."""
+    CONVERGING = "converging"
+    CONVERGED = "converged"
+    WEAK = "weak"
+    """The motion does not determine the deformation."""
+    HOLDING = "holding"
+    """No pair of readings for two seconds or more: the last static deformation, the flexure forgotten."""
+
+
+class HullWarning(Enum):
+    WEAK_MOTION = "weak_motion"
+    SINGLE_AXIS = "single_axis"
+    STUCK_MIDSHIPS = "stuck_midships"
+    STUCK_LOCAL = "stuck_local"
+    MISSING_MIDSHIPS = "missing_midships"
+    MISSING_LOCAL = "missing_local"
+    LOW_RATE_MIDSHIPS = "low_rate_midships"
+    LOW_RATE_LOCAL = "low_rate_local"
+    DELAY = "delay"
+    CLOCK_DRIFT = "clock_drift"
+    INCONSISTENT = "inconsistent"
+    """The two streams are not those of one hull, or the errors are larger than configured."""
+    SWAPPED = "swapped"
+    MOUNT = "mount"
+    GIMBAL = "gimbal"
+    """y near +-90 degrees: x and z are not defined one by one, C is."""
+
+
+class HullEstimate(msgspec.Struct, frozen=True, eq=False, gc=False, kw_only=True):
+    """The deformation at ``t_s``. nan: not known (yet)."""
+
+    t_s: float
+    """Moment of validity: two samples before the newest pair (so3 needs both neighbours)."""
+    state: HullState
+    warnings: tuple[HullWarning, ...] = ()
+    local_from_midships: Array
+    """(3, 3) C, total: static, mounting and flexure."""
+    x_rad: float = nan
+    """Total, C = R3(z) R2(y) R1(x)."""
+    y_rad: float = nan
+    z_rad: float = nan
+    static_x_rad: float = nan
+    """Without the flexure."""
+    static_y_rad: float = nan
+    static_z_rad: float = nan
+    dynamic_rad: tuple[float, float, float] = (nan, nan, nan)
+    """Flexure about the hull's x, y, z."""
+    std_rad: tuple[float, float, float] = (nan, nan, nan)
+    """Of the total, about the hull's x, y, z, the floor included."""
+    covariance_rad2: Array
+    """(3, 3) of the total about the hull's axes, as the filter has it: without the floor."""
+    reachable_std_rad: tuple[float, float, float] = (nan, nan, nan)
+    """Forecast: what ``forecast_s`` of the motion of the last 100 s would give, the floor included; inf: nothing."""
+    bias_radps: tuple[float, float, float] = (nan, nan, nan)
+    """Gyro bias, local minus midships, local axes."""
+    delay_s: float = nan
+    """By which local stamps are late."""
+    delay_std_s: float = nan
+    flexure_std_rad: tuple[float, float, float] = (nan, nan, nan)
+    """sigma per axis, assumed or fitted."""
+    refits: int = 0
+    resets: int = 0
