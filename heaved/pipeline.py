@@ -26,6 +26,7 @@ from heaved.estimation.quality import COAST_S, Facts, judge
 from heaved.estimation.reference import Params as LaserParams
 from heaved.estimation.rock import Params as RockParams
 from heaved.estimation.rock import RockPredictor, carried
+from heaved.estimation.ring import Ring
 from heaved.estimation.sea import SeaObserver
 from heaved.estimation.sea_model import SeaModel
 from heaved.estimation.sea_window import SeaFit, SeaWindow
@@ -48,6 +49,8 @@ ATTITUDE_HOLD_S: Final = 0.5
 """The last attitude serves this long; then the tilt is unknown."""
 MAX_RATE_HZ: Final = 250.0
 """Sizes the rings; a faster sensor is served too, with a shorter memory of late lasers."""
+LAG_S: Final = 0.005
+"""A smaller lag of the accelerometers than this is not worth going back for."""
 MISSING_MEMORY_S: Final = 60.0
 """Of the share of lost samples."""
 NOTHING: Final = Heave(
@@ -127,6 +130,7 @@ class Pipeline:
         self._missing = 0.0
         self._accepted_t_s = self._fitted_t_s = nan
         self._attitude, self._attitude_t_s = (nan, nan, nan), nan
+        self._attitudes = Ring(int(MAX_RATE_HZ), 3)
         self._levelling = Levelling()
         self._tilt_removed = False
         self._imu_fault = Fault.NONE
@@ -163,6 +167,17 @@ class Pipeline:
     def _take_attitude(self, sample: ImuSample) -> None:
         if isfinite(sample.roll_rad) and isfinite(sample.pitch_rad):
             self._attitude, self._attitude_t_s = (sample.roll_rad, sample.pitch_rad, sample.yaw_rad), sample.t_s
+            self._attitudes.push((sample.t_s, sample.roll_rad, sample.pitch_rad))
+
+    def _attitude_of_acceleration(self, t_s: float) -> tuple[float, float]:
+        """Roll and pitch for the moment that the accelerometers show: their own low-pass makes them late, as far as the
+        laser has shown, and gravity removed with a later attitude leaves g (rate x lag)^2 / 2, slow and rectified."""
+        lag_s = -self._chain.lead.learned_s
+        if lag_s > LAG_S:
+            then = self._attitudes.interpolate(t_s - lag_s)
+            if isfinite(then[1]):
+                return float(then[1]), float(then[2])
+        return self._attitude[0], self._attitude[1]
 
     def _tilt_known(self, t_s: float) -> bool:
         return t_s - self._attitude_t_s <= ATTITUDE_HOLD_S
@@ -172,7 +187,7 @@ class Pipeline:
         t, up, before_s = sample.t_s, sample.az_mps2 - GRAVITY_MPS2, self._chain.good_t_s
         self._tilt_removed = self._tilt_known(t) and isfinite(sample.ax_mps2 + sample.ay_mps2)
         if self._tilt_removed:
-            roll, pitch, _ = self._attitude
+            roll, pitch = self._attitude_of_acceleration(t)
             force = (sample.ax_mps2, sample.ay_mps2, sample.az_mps2)
             self._levelling.take(t, *force, roll, pitch)
             off_roll, off_pitch = self._levelling.angles()

@@ -71,7 +71,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Seconds of samples before the first fit, and the first heave."""
     refresh_s: Annotated[float, msgspec.Meta(ge=5, le=300)] = 20.0
     """Interval of the fits."""
-    bias_walk_mps2_rts: Annotated[float, msgspec.Meta(gt=0, le=1)] = 2e-5
+    bias_walk_mps2_rts: Annotated[float, msgspec.Meta(gt=0, le=1)] = 3e-5
     """Random walk of the accelerometer's bias, m/s2 per root second (data sheet: bias instability)."""
     delay_s: Annotated[float, msgspec.Meta(ge=10, le=300)] = 60.0
     """Age of the delayed heave."""
