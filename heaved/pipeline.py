@@ -24,9 +24,9 @@ from heaved.estimation.heave import Params as HeaveParams
 from heaved.estimation.points import Attitude, Point
 from heaved.estimation.quality import COAST_S, Facts, judge
 from heaved.estimation.reference import Params as LaserParams
+from heaved.estimation.ring import Ring
 from heaved.estimation.rock import Params as RockParams
 from heaved.estimation.rock import RockPredictor, carried
-from heaved.estimation.ring import Ring
 from heaved.estimation.sea import SeaObserver
 from heaved.estimation.sea_model import SeaModel
 from heaved.estimation.sea_window import SeaFit, SeaWindow

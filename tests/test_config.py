@@ -228,9 +228,12 @@ def test_a_rate_that_the_line_cannot_carry_is_a_fault_of_the_plan() -> None:
 
 # ---- hostile input ---------------------------------------------------------------------------------------------------
 
+ARRAYS = ("device", "point")
+"""Tables of which there may be several."""
+
 _KEYS = sorted(
     {field.name for kind in (Config, DeviceSpec, Profile, Block, Field) for field in msgspec.structs.fields(kind)}
-    | {field.name for table in Config() .__struct_fields__ if table != "device"
+    | {field.name for table in Config() .__struct_fields__ if table not in ARRAYS
        for field in msgspec.structs.fields(getattr(Config(), table))}
 )  # fmt: skip
 _WORDS = st.sampled_from(
@@ -268,7 +271,7 @@ def tables(kind: type[msgspec.Struct], path: str = "") -> Iterator[tuple[str, ms
     for field in msgspec.structs.fields(kind):
         if isinstance(field.type, type) and issubclass(field.type, msgspec.Struct):
             yield from tables(field.type, f"{path}{field.name}.")
-        elif field.name != "device":
+        elif path or field.name not in ARRAYS:
             yield f"{path}{field.name}", field, hints[field.name]
 
 

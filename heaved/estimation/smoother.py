@@ -72,7 +72,7 @@ def _weights(system: SeaSystem, steady: Steady, count: int) -> Array:
 
 
 class Divergence:
-    """How far the real-time heave was from the delayed one, over its modelled standard deviation (RMS; 1: as it said)."""
+    """RMS difference of real-time and delayed heave, over the modelled standard deviation; 1 when that was right."""
 
     def __init__(self) -> None:
         self._square, self._seconds, self._t_s = 1.0, 0.0, nan

@@ -16,6 +16,9 @@ WELL = Facts(
     needed_s=30.0,
     error_std_m=0.02,
     heave_std_m=0.5,
+    missing=0.0,
+    doubts=(),
+    notes=(),
     tilt_removed=True,
     std_scale=1.0,
     laser_fault=Fault.NONE,
@@ -23,6 +26,7 @@ WELL = Facts(
     laser_fresh=True,
 )
 VALID, SETTLING, DEGRADED, INVALID = HeaveState.VALID, HeaveState.SETTLING, HeaveState.DEGRADED, HeaveState.INVALID
+BROAD = "error above a fifth of the heave: the model does not fit this sea"
 TILT = "no attitude or no horizontal acceleration: tilt not removed"
 
 TABLE = [
@@ -41,11 +45,16 @@ TABLE = [
     ({"settled_s": 16.0}, SETTLING, ("settling: 16 s of 30 s",)),
     ({"settled_s": 16.0, "tilt_removed": False}, SETTLING, (TILT, "settling: 16 s of 30 s")),
     ({"tilt_removed": False}, DEGRADED, (TILT,)),
-    ({"error_std_m": 0.12}, DEGRADED, ("sea broader than the harmonic model",)),
+    ({"error_std_m": 0.12}, DEGRADED, (BROAD,)),
     ({"error_std_m": 0.005, "heave_std_m": 0.006}, VALID, ()),
-    ({"error_std_m": 0.12, "std_scale": 0.5}, DEGRADED, ("sea broader than the harmonic model",)),
+    ({"error_std_m": 0.12, "std_scale": 0.5}, DEGRADED, (BROAD,)),
     ({"error_std_m": 0.12, "std_scale": 2.0}, DEGRADED, ("laser and observer disagree",)),
     ({"std_scale": 3.1}, DEGRADED, ("laser and observer disagree",)),
+    ({"missing": 0.24}, VALID, ()),
+    ({"missing": 0.3}, DEGRADED, ("imu: 30 % of the samples missing",)),
+    ({"doubts": ("it drifts",), "notes": ("still",)}, DEGRADED, ("it drifts", "still")),
+    ({"notes": ("still",)}, VALID, ("still",)),
+    ({"doubts": ("it drifts",), "settled_s": 16.0}, SETTLING, ("it drifts", "settling: 16 s of 30 s")),
     ({"laser_fresh": False}, VALID, ("laser: no fresh reference",)),
     ({"laser_fresh": False, "laser_fault": Fault.STUCK}, VALID, ("laser: stuck",)),
     ({"laser_fresh": False, "laser_configured": False}, VALID, ()),

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from evidence.daemon import running_daemon
 from heaved.config import ConfigError, data_directory, load, parse
+from heaved.estimation.sea_window import look
 from heaved.outputs.wire import encode_motion
 from heaved.pipeline import Pipeline
 from heaved.samples import HeaveState, ImuSample
