@@ -35,6 +35,7 @@ class FakePipeline:
     def __init__(self):
         self.error = {}
         self.windows = []
+        self.pasts = []
         self.resets = Counter()
         self.steps = 0
         self.verdict = "accepted"
@@ -64,6 +65,7 @@ class Rig:
         self.now_s = 100.0
         self.frames = []
         self.windows = []
+        self.pasts = []
         self.metrics = Metrics("test")
         self.pipeline = FakePipeline()
         self.acquisition = Acquisition(
@@ -71,6 +73,7 @@ class Rig:
             metrics=self.metrics,
             publish=self.frames.append,
             train=self.windows.append,
+            fit=self.pasts.append,
             clock=lambda: self.now_s,
         )
         self.acquisition.set_devices(DEVICES)
