@@ -52,6 +52,7 @@ NEEDED_S: Final = 60.0
 DIVERGED: Final = 2.5
 """RMS difference from the delayed heave, over the modelled standard deviation, from which the output is in doubt; the
 published standard deviation has grown with it by then."""
+NO_OFFSET: Final = (0.0, 0.0, 0.0)
 LONGEST_PEAK_S: Final = 28.0
 """Longer waves than this are not told from the drift of the sensor."""
 CONVERGED: Final = 1.5
@@ -163,7 +164,7 @@ class SeaObserver:
         self.divergence = Divergence()
         self._smoother: FixedLagSmoother | None = None
         self._whiteness, self._waves, self._is_still = 1.0, inf, False
-        self._offset = (0.0, 0.0, nan)
+        self._offset, self._spliced_s = NO_OFFSET, -inf
         self._number += 1
         self._pending_number = -1
         if self._filter is not None:
@@ -214,8 +215,8 @@ class SeaObserver:
         for i in range(min(round(missed_s / dt), 1000), 0, -1):
             self._smoother.push(t_s - i * dt, nan, 0.0)
         self._smoother.push(t_s, predicted_m, innovation)
-        said = self.at(t_s - self.t_s)
-        self._said.push((t_s, said.heave_m, at_index(self._stds, self._outlook.index(0.0))))
+        said_m = float(self._filter.system.heave.dot(self._filter.x)) + self._offset_at(t_s)[0]
+        self._said.push((t_s, said_m, at_index(self._stds, self._outlook.index(0.0))))
         delayed = self._smoother.value()
         if delayed is not None and (self.delayed is None or delayed.t_s > self.delayed.t_s):
             self.delayed = delayed
@@ -275,10 +276,11 @@ class SeaObserver:
         self._smoother = FixedLagSmoother(system, steady, self._params.delay_s)
         self._smoother.fill(fit.t_s, np.frombuffer(fit.predicted_m), np.frombuffer(fit.innovation))
         self._catch_up(fit.t_s)
-        self._offset = (0.0, 0.0, nan)
+        self._offset, self._spliced_s = NO_OFFSET, -inf
         if before is not None and isfinite(before.heave_m):
             after = self.at(0.0)
             self._offset = (before.heave_m - after.heave_m, before.velocity_mps - after.velocity_mps, self.t_s)
+            self._spliced_s = self.t_s + 12.0 * SPLICE_S
         if fit.sea is not None:
             self.sea = msgspec.structs.replace(
                 fit.sea,
@@ -307,12 +309,14 @@ class SeaObserver:
         self._omega = sqrt(float(system.velocity @ system.stationary @ system.velocity)) / self._heave_std_m
         self._plain = self._outlook.derivatives((0.0,))[0]
         self._learned_s = nan
+        self._usual: dict[float, int] = {}
         self._stds = self._steady_stds = self._outlook.stds(SeaFilter(system, steady, t_s, x, None).covariance)
         self._moved()
 
     def _moved(self) -> None:
         """The state has changed: what is derived from it."""
         self._values: list[list[float]] | None = None
+        self._modelled: dict[float, float] = {}
         assert self._filter is not None
         self._stds = self._steady_stds if self._filter.is_steady else self._outlook.stds(self._filter.covariance)
 
@@ -336,17 +340,19 @@ class SeaObserver:
             self._learned_s, self._values = learned_lead_s, None
         if self._values is None:
             self._values = (self._rows @ self._filter.x).tolist()
-        late = self.t_s - self._filter.t_s
+        values, usual_places, late = self._values, self._usual, self.t_s - self._filter.t_s
         motions = []
         for shift in shifts_s:
-            place = self._usual.get(shift)
+            place = usual_places.get(shift)
             if place is not None:
-                series = self._values[place]
+                motion = _along(values[place], late)
             else:
-                series = (self._outlook.derivatives([shift - learned_lead_s])[0] @ self._filter.x).tolist()
-            offset, drift = self._offset_at(self.t_s + shift)
-            motion = _along(series, late)
-            motions.append(Motion(motion.heave_m + offset, motion.velocity_mps + drift))
+                rows = self._outlook.derivatives([shift - learned_lead_s])[0]
+                motion = _along((rows @ self._filter.x).tolist(), late)
+            if self.t_s < self._spliced_s:
+                offset, drift = self._offset_at(self.t_s + shift)
+                motion = Motion(motion.heave_m + offset, motion.velocity_mps + drift)
+            motions.append(motion)
         return motions
 
     def unshifted(self) -> Motion:
@@ -363,14 +369,16 @@ class SeaObserver:
         """
         if self._filter is None or not isfinite(self._filter.t_s):
             return nan
-        return self._std_m(shift_s) * scale
-
-    def _std_m(self, shift_s: float) -> float:
-        assert self._filter is not None
-        learned = self._learned_s if isfinite(self._learned_s) else 0.0
-        late = self.t_s - self._filter.t_s
-        modelled = at_index(self._stds, self._outlook.index(shift_s + late - learned))
-        return hypot(modelled * self._own_scale(), self._offset_at(self.t_s + shift_s)[0])
+        modelled = self._modelled.get(shift_s)
+        if modelled is None:
+            learned = self._learned_s if isfinite(self._learned_s) else 0.0
+            tau_s = shift_s + self.t_s - self._filter.t_s - learned
+            modelled = at_index(self._stds, self._outlook.index(tau_s)) * self._own_scale()
+            if shift_s in self._usual:
+                self._modelled[shift_s] = modelled  # Until the next beat: it changes less within one than it is known.
+        if self.t_s < self._spliced_s:
+            modelled = hypot(modelled, self._offset_at(self.t_s + shift_s)[0])
+        return modelled * scale
 
     def _own_scale(self) -> float:
         shown = max(1.0, sqrt(0.5 * self._whiteness), self.divergence.ratio)
@@ -379,7 +387,7 @@ class SeaObserver:
     def _offset_at(self, t_s: float) -> tuple[float, float]:
         """What is left at ``t_s`` of the difference between the old model and the new: heave and velocity."""
         heave, velocity, since_s = self._offset
-        if not isfinite(since_s) or t_s - since_s > 12.0 * SPLICE_S:
+        if not t_s < self._spliced_s:
             return 0.0, 0.0
         elapsed = max(t_s - since_s, 0.0)
         fade, slope = exp(-elapsed / SPLICE_S), velocity + heave / SPLICE_S
