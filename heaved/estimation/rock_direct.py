@@ -1,0 +1,607 @@
+"""Rock prediction at the bound: direct regression of each horizon on geometrically spaced lags.
+
+One linear regression per horizon, of the motion h later on means of the past over blocks that grow with their age
+(:mod:`heaved.estimation.rock_lags`), learned with exponential forgetting. It is the finite-past Wiener predictor with
+some 34 taps instead of 800, found from the record itself: no model of the ship is needed, and no recursion of one-step
+predictions that would let its errors grow.
+
+* What is fitted is the residual to a fading-memory extrapolation up to 0.5 s, to the latest block beyond.
+* All features are differences to the latest block, and the slow mean is one of them. So every prediction moves with the
+  level: a list, a change of draught or heading shifts nothing but the mean.
+* Experts run side by side: regressions on 2, 10 and 40 s of lags (each learns once its own lags are filled), the
+  extrapolation, hold and the mean. Per horizon the one with the least realised error is published.
+* Work is in samples on an even grid (:mod:`heaved.estimation.rock_clock`); equations are taken every 50 ms, and every
+  half second they are summed and solved.
+
+Disturbances: a sample that stands out of its one-step prediction by six of its errors is held back and the prediction
+put in its place; if the next half second agrees with it, it was a step of the level, and the level moves. Missing
+samples are filled with the prediction. A manoeuvre (the motion leaves its own range) suspends learning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import ceil, exp, inf, isfinite, nan, pi, sqrt
+from typing import Annotated, Final, Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from heaved.estimation.rock_clock import SampleClock
+from heaved.estimation.rock_equations import NormalEquations
+from heaved.estimation.rock_experts import Switch
+from heaved.estimation.rock_lags import (
+    GRID_S,
+    SampleWindow,
+    between,
+    lag_knots,
+    curve_weights,
+    fading_taps,
+    samples_per_step,
+)
+from heaved.samples import RockPrediction
+
+Array = NDArray[np.float64]
+
+EXPERT_SPANS_S: Final = (2.0, 10.0, 40.0)
+"""Lags of the regressions, s."""
+EXPERT_MEMORY: Final = (0.4, 0.7, 1.0)
+"""Their memory over that of the configuration."""
+FADING, HOLD, MEAN = 3, 4, 5
+"""The experts that are not regressions."""
+EXPERTS: Final = 6
+EXTRAPOLATED_S: Final = 0.5
+"""Up to this horizon the residual to the fading-memory extrapolation is fitted."""
+RIDGE: Final = 0.1
+"""Ridge over the noise variance, for which the square of the one-step error stands."""
+BATCH_S: Final = 0.5
+SOLVED_PER_BATCH: Final = 2
+"""Sets of equations solved in a batch, in turn; all of them while young."""
+YOUNG_S: Final = 120.0
+MEAN_MEMORY_S: Final = 120.0
+STEP_ERROR_MEMORY_S: Final = 30.0
+GATE: Final = 6.0
+"""One-step errors beyond so many of their RMS are held back."""
+ARMED_S: Final = 60.0
+JUDGED_S: Final = 0.5
+"""So long a run of held-back samples is no spike."""
+MANOEUVRE: Final = 8.0
+"""Deviations from the slow mean beyond so many standard deviations are no wave motion."""
+MANOEUVRE_MEAN_S: Final = 10.0
+MANOEUVRE_LASTS_S: Final = 60.0
+"""After which it is the new sea."""
+RATE_LAGS: Final = 4
+RATE_SCALE_S: Final = 0.1
+"""Makes an angular rate commensurate with differences of angles over a step or two."""
+BACKWARDS: Final = 20
+"""Stamps in a row that are not later: the clock has been set back, begin anew."""
+
+
+class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The part of ``[rock]`` that the direct predictor reads."""
+
+    horizons_s: tuple[Annotated[float, msgspec.Meta(ge=0.01, le=60.0)], ...] = (0.05, 0.10, 0.15, 0.5, 1.0, 2.0, 5.0)
+    memory_s: Annotated[float, msgspec.Meta(ge=60.0, le=1800.0)] = 300.0
+    """Of the regression on 40 s of lags; those on 10 and 2 s forget faster."""
+    max_gap_s: Annotated[float, msgspec.Meta(ge=0.05, le=5.0)] = 2.0
+    """Gaps up to this are filled with predictions; after longer ones the lags are filled anew."""
+
+
+class DirectPredictor:
+    """Predicts n channels at once; arrays published are (H, n), in the unit of the channels.
+
+    ``values`` of a channel are nan until 2 s of it have been seen and after a gap longer than ``max_gap_s``;
+    ``std`` and ``half_width`` (of the 95 % interval) until some errors are known. Both are against the *measured*
+    value, so sensor noise is in them.
+    """
+
+    def __init__(self, channels: int, params: Params | None = None, *, rates: bool = False) -> None:
+        """``rates``: the first derivative of every channel will be given with each sample."""
+        self._params = params if params is not None else Params()
+        self.horizons_s = tuple(sorted(set(self._params.horizons_s)))
+        self._horizons = np.array(self.horizons_s)
+        self._n = channels
+        self._with_rates = rates
+        self._no_rates = [0.0] * channels
+        self._unknown_values = np.full((len(self.horizons_s), channels), nan)
+        self.failures = 0
+        """Equations that could not be solved."""
+        self.spikes = 0
+        self.level_steps = 0
+        self.restarts = 0
+        """Samples held back for good; steps of the level; times the stream was begun anew."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self._clock = SampleClock()
+        self._t_s = -inf
+        self._backwards = 0
+        self._pending: list[tuple[float, Sequence[float], Sequence[float]]] = []
+        self._built = False
+        self._switch = Switch(self._horizons, EXPERTS, self._n, self._first_choice())
+        self.values = self._unknown_values
+
+    def _first_choice(self) -> NDArray[np.intp]:
+        return np.where(self._horizons <= EXTRAPOLATED_S, FADING, HOLD).astype(np.intp)
+
+    @property
+    def std(self) -> Array:
+        """Standard deviation of the prediction errors, (H, n)."""
+        return self._switch.std
+
+    @property
+    def half_width(self) -> Array:
+        """Half-width of the 95 % interval, (H, n)."""
+        return self._switch.half_width
+
+    @property
+    def rms_error(self) -> Array:
+        """Rolling RMS of what was published, against what was measured then, (H, n)."""
+        return self._switch.rms_error
+
+    @property
+    def coverage(self) -> Array:
+        """Rolling share of measured values inside the published interval, (H, n)."""
+        return self._switch.coverage
+
+    @property
+    def experts(self) -> NDArray[np.intp]:
+        """The expert in office, (H, n): 0, 1, 2 regressions by their lags, then extrapolation, hold, mean."""
+        return self._switch.best
+
+    def step(self, t_s: float, values: Sequence[float], rates: Sequence[float] | None = None) -> Array:
+        """Take one sample of all channels (nan: not known) and predict from it, (H, n).
+
+        A sample that is not later than the last one is ignored; twenty of them in a row begin everything anew.
+        """
+        if not t_s > self._t_s:
+            self._backwards += t_s == t_s
+            if self._backwards >= BACKWARDS:
+                self._restart()
+            return self.values
+        self._backwards = 0
+        self._t_s = t_s
+        given = self._no_rates if rates is None else rates
+        if not self._built:
+            self._pending.append((t_s, tuple(values), tuple(given)))
+            self._begin()
+            return self.values
+        steps = self._clock.step(t_s)
+        late_s = self._clock.late_s
+        if steps > self._longest_gap:
+            self._begin_lags(range(self._n))
+            steps = 1
+        for _ in range(steps - 1):
+            self._row(self._unmeasured, self._no_rates, 0.0)
+        if steps > 0:
+            self._row(values, given, late_s)
+        if self._batch_due and self._clock.changed():
+            self._restart()
+            return self.values
+        self.values = self._published(late_s)
+        return self.values
+
+    def _restart(self) -> None:
+        self.restarts += 1
+        self.reset()
+
+    def _begin(self) -> None:
+        if not self._clock.start([t for t, _, _ in self._pending]):
+            return
+        self._build(self._clock.interval_s)
+        index = np.rint((np.array([t for t, _, _ in self._pending]) - self._pending[-1][0]) / self._clock.interval_s)
+        steps = np.diff(index, prepend=index[0] - 1.0).astype(int).tolist()
+        for count, (_, values, rates) in zip(steps, self._pending, strict=True):
+            for _ in range(count - 1):
+                self._row(self._unmeasured, self._no_rates, 0.0)
+            if count > 0:
+                self._row(values, rates, 0.0)
+        self._pending.clear()
+        self.values = self._published(self._clock.late_s)
+
+    # -- geometry, for one sample interval -------------------------------------------------------------------------
+
+    def _build(self, interval_s: float) -> None:
+        """Everything whose shape depends on the sample interval."""
+        self._built = True
+        horizons, n = self._horizons, self._n
+        count = len(horizons)
+        self._interval_s = interval_s
+        self._every = samples_per_step(interval_s)
+        spacing_s = self._spacing_s = self._every * interval_s
+        self._rows_per_batch = max(1, round(BATCH_S / spacing_s))
+        knots = lag_knots(interval_s, EXPERT_SPANS_S[-1])
+        self._spans = np.array([round(s / interval_s) for s in EXPERT_SPANS_S])
+        self._fronts = 1 + (RATE_LAGS if self._with_rates else 0)
+        lags = [int(np.searchsorted(knots, span + 0.5)) - 2 for span in self._spans]
+        self._sizes = [self._fronts + max(lag, 1) for lag in lags]
+        self._width = self._sizes[-1] = self._fronts + len(knots) - 2
+
+        # Predictions by extrapolation, and the slope now.
+        taps = fading_taps(interval_s, np.append(horizons, [0.0, 1e-3]))
+        self._taps = np.concatenate([taps[:count], (taps[-1:] - taps[-2:-1]) / 1e-3])
+        self._extrapolated = (horizons <= EXTRAPOLATED_S)[:, None]
+        # Interpolation of the predicted curve: one sample on, and its slope at each horizon.
+        self._gap_weights = curve_weights(horizons, interval_s * np.arange(1, ceil(self._horizons[-1] / interval_s) + 2))
+        slopes = curve_weights(horizons, horizons, derivative=1)
+        self._curve_weights = np.concatenate([self._gap_weights[:1], slopes])
+        # Where the measured value of each horizon lies, in samples and in rows.
+        self._target = between(horizons / interval_s)
+        self._delay = np.ceil((self._target.first + 3) / self._every).astype(np.intp)
+        self._longest_gap = max(round(self._params.max_gap_s / interval_s), 3)
+        self._judged = max(round(JUDGED_S / interval_s), 3)
+        self._unmeasured = [nan] * n
+
+        keep = int(knots[-1]) + self._every * (self._rows_per_batch + 2) + self._judged + 8
+        self._window = SampleWindow(knots, 2 * n if self._with_rates else n, max(keep, self._taps.shape[1]))
+        self._build_rows(count, n)
+        # Horizons that share a set of equations: those whose targets are known early, and the others.
+        groups = [np.flatnonzero(horizons <= EXTRAPOLATED_S), np.flatnonzero(horizons > EXTRAPOLATED_S)]
+        self._groups = [slice(int(g[0]), int(g[-1]) + 1) for g in groups if len(g)]
+        memory = [self._params.memory_s * share / spacing_s for share in EXPERT_MEMORY]
+        self._equations = [
+            [NormalEquations(n, g.stop - g.start, p, m) for p, m in zip(self._sizes, memory, strict=True)]
+            for g in self._groups
+        ]
+        self._turn = 0
+        self._coefficients = np.full((n, count, len(EXPERT_SPANS_S), self._width), nan)
+        self._flat_coefficients = self._coefficients.reshape(n, count * len(EXPERT_SPANS_S), self._width)
+        self._batch_due = False
+
+        # Per channel, as plain numbers: they are looked at one by one.
+        self._level = [0.0] * n
+        self._since = [0] * n
+        """Samples since the channel began, or began anew."""
+        self._calm = [0] * n
+        """Samples since the last manoeuvre at most."""
+        self._absent = [0] * n
+        """Samples in a row that were filled in."""
+        self._held: list[list[tuple[float, float]]] = [[] for _ in range(n)]
+        """Held-back samples in a row: measured, filled in."""
+        self._step_square = [0.0] * n
+        self._step_count = [0] * n
+        self._mean = [0.0] * n
+        self._mean_count = [0.0] * n
+        self._square = [0.0] * n
+        self._manoeuvre = [0] * n
+        self._previous = [nan] * n
+        self._quantum = [inf] * n
+        self._anchor = np.zeros((count + 1, n))
+        self._ahead = np.zeros((count + 1, n))
+        self._curve = np.zeros((count + 1, n))
+        self._slope = [0.0] * n
+
+    def _build_rows(self, count: int, n: int) -> None:
+        """Rings of what is kept per equation until its targets are known."""
+        self._kept = int(self._delay[-1]) + self._rows_per_batch + 2
+        capacity = 4 * self._kept
+        self._features = np.zeros((capacity, n, self._width))
+        self._offsets = np.zeros((capacity, count, n))
+        self._made = np.full((capacity, count, EXPERTS, n), nan)
+        self._shown = np.full((capacity, count, n), nan)
+        self._shown_half = np.full((capacity, count, n), nan)
+        self._aims = np.full((capacity, count, n), nan)
+        self._age = np.zeros((capacity, n), dtype=np.intp)
+        self._sample = np.zeros(capacity, dtype=np.intp)
+        self._row_end = self._kept  # as if there had been rows that predicted nothing
+        self._rows_seen = 0
+        self._until_row = self._every
+
+    # -- one sample ------------------------------------------------------------------------------------------------
+
+    def _row(self, values: Sequence[float], rates: Sequence[float], late_s: float) -> None:
+        """One step of the grid: take the sample, look back, predict."""
+        taken, known = self._take(values, late_s)
+        window, n = self._window, self._n
+        if self._with_rates:
+            previous = window.x[window.end - 1, n:].tolist()
+            taken += [r if isfinite(r) else p for r, p in zip(rates, previous, strict=True)]
+            known += known
+        window.append(taken, known)
+        for channel in range(n):
+            if len(self._held[channel]) >= self._judged:
+                self._judge(channel)
+
+        self._until_row -= 1
+        learned = self._until_row <= 0
+        features, offset, made = self._look_back()
+        best = made[self._switch._horizon, self._switch.best, self._switch._channel]
+        self._curve[0] = window.x[window.end - 1, :n]
+        self._curve[1:] = best
+        np.matmul(self._curve_weights, self._curve, out=self._ahead)
+        self._batch_due = False
+        if learned:
+            self._until_row = self._every
+            self._keep_row(features, offset, made, best)
+            self._rows_seen += 1
+            if self._rows_seen % self._rows_per_batch == 0:
+                self._batch()
+                self._batch_due = True
+
+    def _look_back(self) -> tuple[Array, Array, Array]:
+        """Features (n, p) of the latest sample, what the regression adds to (H, n), all predictions (H, E, n)."""
+        n, fronts = self._n, self._fronts
+        means = self._window.means()
+        latest = means[0, :n]
+        features = np.empty((n, self._width))
+        features[:, 0] = self._mean
+        features[:, 0] -= latest
+        features[:, fronts:] = (means[1:, :n] - latest).T
+        if self._with_rates:
+            features[:, 1:fronts] = RATE_SCALE_S * means[:RATE_LAGS, n:].T
+        base = self._taps @ self._window.latest(self._taps.shape[1])[:, :n]
+        extrapolation = base[:-1]
+        offset = np.where(self._extrapolated, extrapolation, latest)
+        made = np.empty((len(offset), EXPERTS, n))
+        regressed = self._flat_coefficients @ features[:, :, None]
+        made[:, :FADING] = regressed.reshape(n, -1, FADING).transpose(1, 2, 0)
+        made[:, :FADING] += offset[:, None]
+        made[:, FADING] = extrapolation
+        made[:, HOLD] = latest
+        made[:, MEAN] = self._mean
+        self._slope = base[-1].tolist()
+        return features, offset, made
+
+    def _keep_row(self, features: Array, offset: Array, made: Array, best: Array) -> None:
+        if self._row_end == len(self._features):
+            start = self._row_end - self._kept
+            rings = (self._features, self._offsets, self._made, self._shown, self._shown_half, self._aims)
+            for ring in (*rings, self._age, self._sample):
+                ring[: self._kept] = ring[start:]
+            self._row_end = self._kept
+        row = self._row_end
+        self._features[row] = features
+        self._offsets[row] = offset
+        self._made[row] = made
+        self._shown[row] = best
+        self._shown_half[row] = self._switch.half_width
+        self._age[row] = self._calm
+        self._sample[row] = self._window.end - 1 + self._window.moved
+        self._row_end += 1
+
+    def _published(self, late_s: float) -> Array:
+        """The latest predictions as seen from ``late_s`` after their grid time."""
+        values: Array = self._curve[1:] + self._level
+        if abs(late_s) > 1e-5:
+            values += late_s * self._ahead[1:]
+        blind = [c for c in range(self._n) if self._since[c] < self._taps.shape[1] or self._absent[c] > self._longest_gap]
+        if blind:
+            values[:, blind] = nan
+        return values
+
+    # -- the gate, gaps, steps and manoeuvres ----------------------------------------------------------------------
+
+    def _take(self, values: Sequence[float], late_s: float) -> tuple[list[float], list[bool]]:
+        """What goes into the window for each channel, relative to its level, and whether it was measured."""
+        taken, known = [], []
+        one_step = self._ahead[0].tolist()
+        for c, value in enumerate(values):
+            if self._since[c] == 0:
+                if not isfinite(value):
+                    taken.append(0.0)
+                    known.append(False)
+                    continue
+                self._begin_channel(c, value)
+                one_step[c] = value - self._level[c]
+            self._since[c] += 1
+            self._calm[c] += 1
+            absent = self._absent[c]
+            if absent:
+                expected = float(self._gap_weights[min(absent, len(self._gap_weights) - 1)] @ self._anchor[:, c])
+            else:
+                expected = one_step[c]
+            if isfinite(value):
+                relative = value - self._level[c] - self._slope[c] * late_s
+                if self._passes(c, relative, expected, absent):
+                    taken.append(relative)
+                    known.append(True)
+                    continue
+                self._held[c].append((relative, expected))
+            elif self._held[c]:
+                self._held[c].append((nan, expected))
+            if not absent:
+                self._anchor[:, c] = self._curve[:, c]
+            self._absent[c] = absent + 1
+            if absent + 1 > self._longest_gap and not self._held[c]:
+                self._since[c] = 0
+            taken.append(expected)
+            known.append(False)
+        return taken, known
+
+    def _begin_channel(self, c: int, value: float) -> None:
+        """First sample after nothing, or after a long gap: what was learned stays."""
+        if self._mean_count[c] == 0.0:
+            self._level[c] = value
+        relative = value - self._level[c]
+        self._window.flatten(c, relative)
+        self._calm[c] = self._absent[c] = 0
+        self._held[c].clear()
+        self._curve[:, c] = self._anchor[:, c] = relative
+        self._slope[c] = 0.0
+
+    def _begin_lags(self, channels: Sequence[int]) -> None:
+        """After a gap too long to fill: the past is gone, what was learned from it stays."""
+        for c in channels:
+            self._since[c] = 0
+        self._made[:] = self._shown[:] = self._aims[:] = nan
+
+    def _passes(self, c: int, x: float, expected: float, absent: int) -> bool:
+        """The gate; a sample that passes is learned from."""
+        error = x - expected
+        square = error * error
+        count = self._step_count[c]
+        if count > ARMED_S / self._interval_s:
+            step = sqrt(self._step_square[c])
+            limit = max(GATE * step, 3.0 * self._quantum[c] if self._quantum[c] < inf else 0.0) * (1 + absent)
+            if abs(error) > limit > 0.0:
+                return False
+            square = min(square, 9.0 * self._step_square[c] + 1e-300) if absent else square
+        if self._held[c]:
+            self.spikes += len(self._held[c])
+            self._held[c].clear()
+        self._absent[c] = 0
+        self._step_count[c] = count + 1
+        if not absent:
+            share = 1.0 / min(count // 2 + 1, STEP_ERROR_MEMORY_S / self._interval_s)
+            self._step_square[c] += share * (square - self._step_square[c])
+        self._follow(c, x)
+        return True
+
+    def _follow(self, c: int, x: float) -> None:
+        """Slow mean and variance; a manoeuvre is motion far outside of them."""
+        change = abs(x - self._previous[c])
+        if 0.0 < change < self._quantum[c]:
+            self._quantum[c] = change
+        self._previous[c] = x
+        memory = MEAN_MEMORY_S / self._interval_s
+        deviation = x - self._mean[c]
+        square = deviation * deviation
+        count = self._mean_count[c]
+        if count > 0.5 * memory and square > MANOEUVRE**2 * self._square[c] and self._square[c] > 0.0:
+            self._manoeuvre[c] += 1
+            if self._manoeuvre[c] < MANOEUVRE_LASTS_S / self._interval_s:
+                self._calm[c] = 0
+                self._mean[c] += deviation * self._interval_s / MANOEUVRE_MEAN_S
+                return
+            self._manoeuvre[c] = 0
+            count = MANOEUVRE_MEAN_S / self._interval_s
+        elif self._manoeuvre[c]:
+            self._manoeuvre[c] -= 1
+        share = 1.0 / min(count + 1.0, memory)
+        self._mean[c] += share * deviation
+        self._square[c] += share * (square - self._square[c])
+        self._mean_count[c] = min(count + 1.0, memory)
+
+    def _judge(self, c: int) -> None:
+        """Held-back samples for half a second: a step of the level if they stand off by the same, else the motion."""
+        measured, filled = np.array(self._held[c]).T
+        off = measured - filled
+        off = off[np.isfinite(off)]
+        step = float(np.median(off))
+        spread = float(np.max(np.abs(off - step)))
+        if spread < 0.3 * abs(step):
+            self._level[c] += step
+            self._previous[c] -= step
+            self._window.replace(c, measured - step)
+            self.level_steps += 1
+        else:
+            self._window.replace(c, measured)
+            self._step_square[c] = max(self._step_square[c], float(np.mean(off * off)) / GATE)
+        self._held[c].clear()
+        self._absent[c] = 0
+
+    # -- every half second -----------------------------------------------------------------------------------------
+
+    def _batch(self) -> None:
+        """Score what came true, learn from it, solve, choose."""
+        self._score()
+        back = self._row_end - 1 - np.arange(self._rows_per_batch)
+        solved = 0
+        young = self._rows_seen * self._spacing_s < YOUNG_S
+        for g, group in enumerate(self._groups):
+            rows = back - self._delay[group.stop - 1]
+            aims = self._aims[rows, group]
+            wanted = (aims - self._offsets[rows, group]).transpose(2, 0, 1)
+            known = np.isfinite(wanted).all(axis=2).T
+            augmented = np.concatenate([wanted, self._features[rows].transpose(1, 0, 2)], axis=2)
+            targets = group.stop - group.start
+            age = self._age[rows]
+            for equations, span, size in zip(self._equations[g], self._spans, self._sizes, strict=True):
+                used = (known & (age >= span)).astype(np.float64)
+                equations.add(augmented[:, :, : targets + size], used)
+        pairs = len(self._groups) * len(self._sizes)
+        for i in range(pairs):
+            if not young and solved >= SOLVED_PER_BATCH:
+                break
+            which = (self._turn + i) % pairs
+            self._solve(*divmod(which, len(self._sizes)))
+            solved += 1
+        self._turn = (self._turn + solved) % pairs
+        self._choose()
+
+    def _solve(self, g: int, expert: int) -> None:
+        group, size = self._groups[g], self._sizes[expert]
+        for c in range(self._n):
+            found = self._equations[g][expert].solve(c, RIDGE * self._step_square[c])
+            if found is not None:
+                self._coefficients[c, group, expert, :size] = found
+                self._coefficients[c, group, expert, size:] = 0.0
+
+    def _choose(self) -> None:
+        calm = np.array(self._calm)
+        available = np.ones((EXPERTS, self._n), dtype=bool)
+        available[:FADING] = calm >= self._spans[:, None]
+        self._switch.choose(available)
+
+    def _score(self) -> None:
+        rows = self._row_end - 1 - np.arange(self._rows_per_batch)[:, None] - self._delay
+        h = np.arange(len(self._delay))
+        window, weights = self._window, self._target.weights
+        at = self._sample[rows] - window.moved + self._target.first
+        support = at[:, :, None] + np.arange(4)
+        measured: Array = (weights[:, None, :] @ window.x[support, : self._n])[:, :, 0]
+        known = window.known[support, : self._n] | (weights == 0.0)[:, :, None]
+        if not known.all():
+            measured[~known.all(axis=2)] = nan
+        self._aims[rows, h] = measured
+        error = measured[:, :, None, :] - self._made[rows, h]
+        filled = self._age[rows][:, :, None, :] >= self._spans[:, None]
+        if not filled.all():
+            error[:, :, :FADING][~filled] = nan
+        shown = measured - self._shown[rows, h]
+        self._switch.score(self._spacing_s, error, shown, self._shown_half[rows, h])
+
+
+class DirectRockPredictor:
+    """Roll, pitch and yaw with the face of :class:`heaved.estimation.rock.RockPredictor`."""
+
+    def __init__(self, params: Params | None = None, *, rates: bool = False) -> None:
+        self.predictor = DirectPredictor(3, params, rates=rates)
+        self.horizons_s = self.predictor.horizons_s
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self.predictor.reset()
+        self._yaw_reference_rad = nan
+        self._yaw_rad = 0.0
+        self.half_width_rad: Array = self.predictor.half_width
+
+    def step(
+        self,
+        t_s: float,
+        roll_rad: float,
+        pitch_rad: float,
+        yaw_rad: float,
+        rates_radps: tuple[float, float, float] | None = None,
+    ) -> tuple[RockPrediction, ...]:
+        """Take one sample (nan: not known) and predict from it, one record per horizon, shortest first."""
+        values = self.predictor.step(t_s, (roll_rad, pitch_rad, self._unwrapped(yaw_rad)), rates_radps)
+        self.half_width_rad = self.predictor.half_width
+        reference = self._yaw_reference_rad
+        records = []
+        for h, v, s in zip(self.horizons_s, values.tolist(), self.predictor.std.tolist(), strict=True):
+            yaw = (v[2] + reference) % (2 * pi)
+            records.append(
+                RockPrediction(
+                    horizon_s=h,
+                    roll_rad=v[0],
+                    pitch_rad=v[1],
+                    yaw_rad=0.0 if yaw >= 2 * pi else yaw,  # x % 2 pi may round up to 2 pi
+                    roll_std_rad=s[0],
+                    pitch_std_rad=s[1],
+                    yaw_std_rad=s[2],
+                )
+            )
+        return tuple(records)
+
+    def _unwrapped(self, yaw_rad: float) -> float:
+        """Yaw relative to the first reading, without jumps."""
+        if not isfinite(yaw_rad):
+            return nan
+        if self._yaw_reference_rad != self._yaw_reference_rad:
+            self._yaw_reference_rad = yaw_rad
+        self._yaw_rad += (yaw_rad - self._yaw_reference_rad - self._yaw_rad + pi) % (2 * pi) - pi
+        return self._yaw_rad
