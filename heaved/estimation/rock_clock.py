@@ -76,7 +76,8 @@ class SampleClock:
         """Whether the recent stamps come at another rate than the grid's."""
         if len(self._recent) < RECENT:
             return False
-        low, middle, high = np.quantile(np.array(self._recent), (0.2, 0.5, 0.8)).tolist()
+        ordered = sorted(self._recent)
+        low, middle, high = ordered[RECENT // 5], ordered[RECENT // 2], ordered[-1 - RECENT // 5]
         regular = high - low < CHANGED * self.interval_s
         if regular and abs(middle - self.interval_s) > CHANGED * self.interval_s:
             return True

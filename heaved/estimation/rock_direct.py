@@ -10,8 +10,8 @@ predictions that would let its errors grow.
   level: a list, a change of draught or heading shifts nothing but the mean.
 * Experts run side by side: regressions on 2, 10 and 40 s of lags (each learns once its own lags are filled), the
   extrapolation, hold and the mean. Per horizon the one with the least realised error is published.
-* Work is in samples on an even grid (:mod:`heaved.estimation.rock_clock`); equations are taken every 50 ms, and every
-  half second they are summed and solved.
+* Work is in samples on an even grid (:mod:`heaved.estimation.rock_clock`); equations are taken every 50 ms; once
+  or twice a second they are summed and, a few sets in turn, solved.
 
 Disturbances: a sample that stands out of its one-step prediction by six of its errors is held back and the prediction
 put in its place; if the next half second agrees with it, it was a step of the level, and the level moves. Missing
@@ -55,9 +55,10 @@ EXTRAPOLATED_S: Final = 0.5
 """Up to this horizon the residual to the fading-memory extrapolation is fitted."""
 RIDGE: Final = 0.1
 """Ridge over the noise variance, for which the square of the one-step error stands."""
-BATCH_S: Final = 0.5
+YOUNG_BATCH_S, BATCH_S = 0.5, 1.0
+"""Predictions are scored, equations summed and solved so often: while young, and then."""
 SOLVED_PER_BATCH: Final = 2
-"""Sets of equations solved in a batch, in turn; all of them while young."""
+"""Sets of equations (three experts, short and long horizons) solved in a batch, in turn; all of them while young."""
 YOUNG_S: Final = 120.0
 MEAN_MEMORY_S: Final = 120.0
 STEP_ERROR_MEMORY_S: Final = 30.0
@@ -211,7 +212,8 @@ class DirectPredictor:
         self._interval_s = interval_s
         self._every = samples_per_step(interval_s)
         spacing_s = self._spacing_s = self._every * interval_s
-        self._rows_per_batch = max(1, round(BATCH_S / spacing_s))
+        self._rows_per_batch = max(1, round(YOUNG_BATCH_S / spacing_s))
+        self._rows_per_late_batch = max(1, round(BATCH_S / spacing_s))
         knots = lag_knots(interval_s, EXPERT_SPANS_S[-1])
         self._spans = np.array([round(s / interval_s) for s in EXPERT_SPANS_S])
         self._fronts = 1 + (RATE_LAGS if self._with_rates else 0)
@@ -234,7 +236,7 @@ class DirectPredictor:
         self._judged = max(round(JUDGED_S / interval_s), 3)
         self._unmeasured = [nan] * n
 
-        keep = int(knots[-1]) + self._every * (self._rows_per_batch + 2) + self._judged + 8
+        keep = int(knots[-1]) + self._every * (self._rows_per_late_batch + 2) + self._judged + 8
         self._window = SampleWindow(knots, 2 * n if self._with_rates else n, max(keep, self._taps.shape[1]))
         self._build_rows(count, n)
         # Horizons that share a set of equations: those whose targets are known early, and the others.
@@ -275,7 +277,7 @@ class DirectPredictor:
 
     def _build_rows(self, count: int, n: int) -> None:
         """Rings of what is kept per equation until its targets are known."""
-        self._kept = int(self._delay[-1]) + self._rows_per_batch + 2
+        self._kept = int(self._delay[-1]) + self._rows_per_late_batch + 2
         capacity = 4 * self._kept
         self._features = np.zeros((capacity, n, self._width))
         self._offsets = np.zeros((capacity, count, n))
@@ -288,6 +290,7 @@ class DirectPredictor:
         self._row_end = self._kept  # as if there had been rows that predicted nothing
         self._rows_seen = 0
         self._until_row = self._every
+        self._until_batch = self._rows_per_batch
 
     # -- one sample ------------------------------------------------------------------------------------------------
 
@@ -316,9 +319,13 @@ class DirectPredictor:
             self._until_row = self._every
             self._keep_row(features, offset, made, best)
             self._rows_seen += 1
-            if self._rows_seen % self._rows_per_batch == 0:
+            self._until_batch -= 1
+            if self._until_batch == 0:
                 self._batch()
                 self._batch_due = True
+                if self._rows_seen * self._spacing_s > YOUNG_S:
+                    self._rows_per_batch = self._rows_per_late_batch
+                self._until_batch = self._rows_per_batch
 
     def _look_back(self) -> tuple[Array, Array, Array]:
         """Features (n, p) of the latest sample, what the regression adds to (H, n), all predictions (H, E, n)."""
@@ -336,8 +343,7 @@ class DirectPredictor:
         offset = np.where(self._extrapolated, extrapolation, latest)
         made = np.empty((len(offset), EXPERTS, n))
         regressed = self._flat_coefficients @ features[:, :, None]
-        made[:, :FADING] = regressed.reshape(n, -1, FADING).transpose(1, 2, 0)
-        made[:, :FADING] += offset[:, None]
+        np.add(regressed.reshape(n, -1, FADING).transpose(1, 2, 0), offset[:, None], out=made[:, :FADING])
         made[:, FADING] = extrapolation
         made[:, HOLD] = latest
         made[:, MEAN] = self._mean

@@ -23,8 +23,8 @@ Indices = NDArray[np.intp]
 GRID_S: Final = 0.05
 """Least distance of knots; at faster rates it is several samples."""
 EXACT: Final = 8
-GROWTH: Final = 1.2
-"""Knots 0..8 are a grid step apart; each after them lies 1.2 times as far back as the one before."""
+GROWTH: Final = 1.15
+"""Knots 0..8 are a grid step apart; each after them lies 1.15 times as far back as the one before."""
 DEGREE: Final = 3
 MEAN_AGE_S: Final = 0.15
 """Of the fading memory: theta / (1 - theta) steps, i.e. theta = 0.75 at 20 Hz."""
