@@ -21,8 +21,8 @@ samples are filled with the prediction. A manoeuvre (the motion leaves its own r
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import ceil, exp, inf, isfinite, nan, pi, sqrt
-from typing import Annotated, Final, Literal
+from math import ceil, inf, isfinite, nan, pi, sqrt
+from typing import Annotated, Final
 
 import msgspec
 import numpy as np
@@ -32,12 +32,11 @@ from heaved.estimation.rock_clock import SampleClock
 from heaved.estimation.rock_equations import NormalEquations
 from heaved.estimation.rock_experts import Switch
 from heaved.estimation.rock_lags import (
-    GRID_S,
     SampleWindow,
     between,
-    lag_knots,
     curve_weights,
     fading_taps,
+    lag_knots,
     samples_per_step,
 )
 from heaved.samples import RockPrediction
@@ -226,7 +225,8 @@ class DirectPredictor:
         self._taps = np.concatenate([taps[:count], (taps[-1:] - taps[-2:-1]) / 1e-3])
         self._extrapolated = (horizons <= EXTRAPOLATED_S)[:, None]
         # Interpolation of the predicted curve: one sample on, and its slope at each horizon.
-        self._gap_weights = curve_weights(horizons, interval_s * np.arange(1, ceil(self._horizons[-1] / interval_s) + 2))
+        ahead_s = interval_s * np.arange(1, ceil(self._horizons[-1] / interval_s) + 2)
+        self._gap_weights = curve_weights(horizons, ahead_s)
         slopes = curve_weights(horizons, horizons, derivative=1)
         self._curve_weights = np.concatenate([self._gap_weights[:1], slopes])
         # Where the measured value of each horizon lies, in samples and in rows.
@@ -268,8 +268,12 @@ class DirectPredictor:
         self._mean_count = [0.0] * n
         self._square = [0.0] * n
         self._manoeuvre = [0] * n
-        self._previous = [nan] * n
         self._quantum = [inf] * n
+        """Least change between readings: the step of the register, where it is coarse."""
+        self._unsettled = [0] * n
+        """Samples for which what is in the lags is not worth scoring."""
+        self._reading = [nan] * n
+        self._repeats = [0] * n
         self._anchor = np.zeros((count + 1, n))
         self._ahead = np.zeros((count + 1, n))
         self._curve = np.zeros((count + 1, n))
@@ -361,6 +365,10 @@ class DirectPredictor:
         self._features[row] = features
         self._offsets[row] = offset
         self._made[row] = made
+        for c, unsettled in enumerate(self._unsettled):
+            if unsettled > 0:
+                self._unsettled[c] = unsettled - self._every
+                self._made[row, :, :, c] = nan
         self._shown[row] = best
         self._shown_half[row] = self._switch.half_width
         self._age[row] = self._calm
@@ -372,7 +380,7 @@ class DirectPredictor:
         values: Array = self._curve[1:] + self._level
         if abs(late_s) > 1e-5:
             values += late_s * self._ahead[1:]
-        blind = [c for c in range(self._n) if self._since[c] < self._taps.shape[1] or self._absent[c] > self._longest_gap]
+        blind = [c for c, since in enumerate(self._since) if since < self._taps.shape[1]]
         if blind:
             values[:, blind] = nan
         return values
@@ -384,8 +392,13 @@ class DirectPredictor:
         taken, known = [], []
         one_step = self._ahead[0].tolist()
         for c, value in enumerate(values):
+            change = abs(value - self._reading[c])
+            self._repeats[c] = self._repeats[c] + 1 if change == 0.0 else 0
+            if 0.0 < change < self._quantum[c]:
+                self._quantum[c] = change
+            self._reading[c] = value
             if self._since[c] == 0:
-                if not isfinite(value):
+                if not isfinite(value) or self._stuck(c):
                     taken.append(0.0)
                     known.append(False)
                     continue
@@ -423,6 +436,7 @@ class DirectPredictor:
         relative = value - self._level[c]
         self._window.flatten(c, relative)
         self._calm[c] = self._absent[c] = 0
+        self._unsettled[c] = self._taps.shape[1]
         self._held[c].clear()
         self._curve[:, c] = self._anchor[:, c] = relative
         self._slope[c] = 0.0
@@ -457,10 +471,6 @@ class DirectPredictor:
 
     def _follow(self, c: int, x: float) -> None:
         """Slow mean and variance; a manoeuvre is motion far outside of them."""
-        change = abs(x - self._previous[c])
-        if 0.0 < change < self._quantum[c]:
-            self._quantum[c] = change
-        self._previous[c] = x
         memory = MEAN_MEMORY_S / self._interval_s
         deviation = x - self._mean[c]
         square = deviation * deviation
@@ -489,14 +499,22 @@ class DirectPredictor:
         spread = float(np.max(np.abs(off - step)))
         if spread < 0.3 * abs(step):
             self._level[c] += step
-            self._previous[c] -= step
             self._window.replace(c, measured - step)
             self.level_steps += 1
+        elif self._stuck(c):
+            self._held[c].clear()
+            return
         else:
             self._window.replace(c, measured)
             self._step_square[c] = max(self._step_square[c], float(np.mean(off * off)) / GATE)
+            self._calm[c] = 0
+            self._unsettled[c] = self._taps.shape[1]
         self._held[c].clear()
         self._absent[c] = 0
+
+    def _stuck(self, c: int) -> bool:
+        """The same reading over and over from an axis that has moved."""
+        return self._repeats[c] >= self._judged - 1 and self._square[c] > 9.0 * min(self._quantum[c], 1.0) ** 2
 
     # -- every half second -----------------------------------------------------------------------------------------
 
@@ -530,7 +548,8 @@ class DirectPredictor:
     def _solve(self, g: int, expert: int) -> None:
         group, size = self._groups[g], self._sizes[expert]
         for c in range(self._n):
-            found = self._equations[g][expert].solve(c, RIDGE * self._step_square[c])
+            quantum = self._quantum[c] if self._quantum[c] < inf else 0.0
+            found = self._equations[g][expert].solve(c, RIDGE * max(self._step_square[c], quantum * quantum))
             if found is not None:
                 self._coefficients[c, group, expert, :size] = found
                 self._coefficients[c, group, expert, size:] = 0.0

@@ -1,11 +1,10 @@
-"""Geometry of the direct predictor: lag knots, the fading-memory extrapolation as taps, interpolation on the sample grid.
+"""Geometry of the direct predictor: lag knots, the fading-memory extrapolation as taps, interpolation between samples.
 
 The past is seen through means about knots whose lags grow geometrically: fine where phase is decided, coarse where only
-the slow motion matters. Each is a weighted mean that falls linearly to zero at the neighbouring knots, so that a
-regression on them is a response that is piecewise linear in the lag. (Plain means over the blocks between the knots make
-it piecewise constant: with equally many of them the best that can be reached 2 s ahead is 1.70 instead of 1.42 times the
-bound for a lightly damped roll.) Differences of one running sum give all of them, at any sample rate, for the price of
-a lookup.
+the slow motion matters. Each is a weighted mean that falls linearly to zero at the neighbouring knots, so a regression
+on them is a response that is piecewise linear in the lag. (Plain means over the blocks between the knots make it
+piecewise constant: with growth 1.2 the best that can be reached 2 s ahead is then 1.70 instead of 1.42 times the bound
+for a lightly damped roll.) Differences of running sums give all of them, at any sample rate, for a lookup.
 """
 
 from __future__ import annotations
