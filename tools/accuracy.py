@@ -3,7 +3,7 @@
 
     tools/accuracy.py heave [T1 T2 T3 S4 S5 S6] [--sensor A|B] [--seeds 3]
     tools/accuracy.py real        real seas (Hebrides wave-rider), where the records are present
-    tools/accuracy.py rock        roll and pitch, 50, 100 and 150 ms ahead
+    tools/accuracy.py rock [--jobs 2]   roll and pitch ahead: the paper's method, the direct predictor, quiet windows
     tools/accuracy.py all
 
 Beside the tables, OUT/results.jsonl gets one line per result, and OUT a figure per scenario.
@@ -27,13 +27,15 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["OMP_NUM_THREADS"] = "1"
 
 import msgspec
-from evidence import heave, rock
+from evidence import heave, quiescence, rock, rock_direct
 from evidence.heave import Setting, Traces
 
 from heaved.simulate.sensors import SENSORS, laser_pattern
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 RECORDS = CHECKOUT.parent / "shared" / "data" / "hebrides_waverider"
+SHIP_RECORD = CHECKOUT.parent / "shared" / "data" / "palmer" / "NBP1406_2014-08-01_seapath330.csv"
+QUIESCENCE_S = 4000.0
 PACKAGES = ("heaved", "numpy", "scipy", "torch")
 
 
@@ -132,8 +134,23 @@ def run_rock(options: argparse.Namespace, output: Output) -> None:
     rows = rock.table(range(1, options.seeds + 1), duration_s)
     output.write("rock", rows)
     print(rock.report(rows))
+    seeds = range(1, options.seeds + 1)
+    direct_s = 600.0 if options.duration is None else options.duration
+    table = rock_direct.table(seeds, direct_s, options.jobs)
+    costs = rock_direct.costs(seeds, direct_s, options.jobs)
+    rates = rock_direct.rates_table(seeds, direct_s, options.jobs)
+    ship = rock_direct.real(SHIP_RECORD) if SHIP_RECORD.exists() else []
+    for found in (table, costs, rates, ship):
+        output.write("rock", found)
+    print(rock_direct.report(table, costs, rates, ship))
+    if not ship:
+        print(f"real ship: skipped, there is no {SHIP_RECORD}")
+    verdicts = quiescence.table(seeds, QUIESCENCE_S if options.duration is None else options.duration, options.jobs)
+    output.write("quiescence", verdicts)
+    print(quiescence.report(verdicts))
     if output.figures:
         rock.figure(output.folder / "rock.png")
+        rock_direct.figure(output.folder / "rock_direct.png", table)
 
 
 def run_all(options: argparse.Namespace, output: Output) -> None:
@@ -159,10 +176,11 @@ def _parser() -> argparse.ArgumentParser:
         "--laser", default="50%", metavar="PATTERN", help="on, off, 50%% (default), or START+LENGTH,... in seconds"
     )
     common.add_argument(
-        "--duration", type=_positive, metavar="S", help="of a record (default 700; real: whole; rock: 240)"
+        "--duration", type=_positive, metavar="S", help="of a record (default 700; real: whole; rock: 240, 600, 4000)"
     )
     common.add_argument("--out", type=Path, default=CHECKOUT / "evidence", metavar="DIR", help="default: evidence/")
     common.add_argument("--no-figures", action="store_true")
+    common.add_argument("--jobs", type=_count, default=1, metavar="N", help="rock: processes at once (default 1)")
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     commands = parser.add_subparsers(dest="command", required=True)
     simulated = commands.add_parser("heave", parents=[common], help="wave trains and irregular seas, simulated")

@@ -3,7 +3,8 @@
     python tools/bench_rock.py [--blocks 20]
 
 CPU time, hot: back to back after 150 s of motion, mean over blocks of 30 s (all that is solved and moved in turn is in
-them), best and median of the blocks. The figures do not carry over between machines; that they hardly depend on the rate does.
+them), best and median of the blocks. The figures do not carry over between machines; that they hardly depend on the
+rate does.
 """
 
 from __future__ import annotations

@@ -64,6 +64,8 @@ STEP_ERROR_MEMORY_S: Final = 30.0
 GATE: Final = 6.0
 """One-step errors beyond so many of their RMS are held back."""
 ARMED_S: Final = 60.0
+WIDENED: Final = 2.0
+"""The gate after each half second of motion that it had held back wrongly."""
 JUDGED_S: Final = 0.5
 """So long a run of held-back samples is no spike."""
 MANOEUVRE: Final = 8.0
@@ -506,7 +508,7 @@ class DirectPredictor:
             return
         else:
             self._window.replace(c, measured)
-            self._step_square[c] = max(self._step_square[c], float(np.mean(off * off)) / GATE)
+            self._step_square[c] *= WIDENED**2
             self._calm[c] = 0
             self._unsettled[c] = self._taps.shape[1]
         self._held[c].clear()
