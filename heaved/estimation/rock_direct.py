@@ -13,15 +13,14 @@ predictions that would let its errors grow.
 * Work is in samples on an even grid (:mod:`heaved.estimation.rock_clock`); equations are taken every 50 ms; once
   or twice a second they are summed and, a few sets in turn, solved.
 
-Disturbances: a sample that stands out of its one-step prediction by six of its errors is held back and the prediction
-put in its place; if the next half second agrees with it, it was a step of the level, and the level moves. Missing
-samples are filled with the prediction. A manoeuvre (the motion leaves its own range) suspends learning.
+Missing samples are filled with the prediction; what else may be wrong with them is dealt with in
+:mod:`heaved.estimation.rock_gate`. While the motion leaves its own range nothing is learned.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import ceil, inf, isfinite, nan, pi, sqrt
+from math import ceil, inf, isfinite, nan, pi
 from typing import Annotated, Final
 
 import msgspec
@@ -31,6 +30,7 @@ from numpy.typing import NDArray
 from heaved.estimation.rock_clock import SampleClock
 from heaved.estimation.rock_equations import NormalEquations
 from heaved.estimation.rock_experts import Switch
+from heaved.estimation.rock_gate import JUDGED_S, Channel, Timing
 from heaved.estimation.rock_lags import (
     SampleWindow,
     between,
@@ -59,20 +59,6 @@ YOUNG_BATCH_S, BATCH_S = 0.5, 1.0
 SOLVED_PER_BATCH: Final = 2
 """Sets of equations (three experts, short and long horizons) solved in a batch, in turn; all of them while young."""
 YOUNG_S: Final = 120.0
-MEAN_MEMORY_S: Final = 120.0
-STEP_ERROR_MEMORY_S: Final = 30.0
-GATE: Final = 6.0
-"""One-step errors beyond so many of their RMS are held back."""
-ARMED_S: Final = 60.0
-WIDENED: Final = 2.0
-"""The gate after each half second of motion that it had held back wrongly."""
-JUDGED_S: Final = 0.5
-"""So long a run of held-back samples is no spike."""
-MANOEUVRE: Final = 8.0
-"""Deviations from the slow mean beyond so many standard deviations are no wave motion."""
-MANOEUVRE_MEAN_S: Final = 10.0
-MANOEUVRE_LASTS_S: Final = 60.0
-"""After which it is the new sea."""
 RATE_LAGS: Final = 4
 RATE_SCALE_S: Final = 0.1
 """Makes an angular rate commensurate with differences of angles over a step or two."""
@@ -107,12 +93,8 @@ class DirectPredictor:
         self._with_rates = rates
         self._no_rates = [0.0] * channels
         self._unknown_values = np.full((len(self.horizons_s), channels), nan)
-        self.failures = 0
-        """Equations that could not be solved."""
-        self.spikes = 0
-        self.level_steps = 0
         self.restarts = 0
-        """Samples held back for good; steps of the level; times the stream was begun anew."""
+        """Times that the stream was begun anew."""
         self.reset()
 
     def reset(self) -> None:
@@ -122,6 +104,7 @@ class DirectPredictor:
         self._backwards = 0
         self._pending: list[tuple[float, Sequence[float], Sequence[float]]] = []
         self._built = False
+        self._channels: list[Channel] = []
         self._switch = Switch(self._horizons, EXPERTS, self._n, self._first_choice())
         self.values = self._unknown_values
 
@@ -149,6 +132,16 @@ class DirectPredictor:
         return self._switch.coverage
 
     @property
+    def spikes(self) -> int:
+        """Samples held back for good since the stream was begun."""
+        return sum(channel.spikes for channel in self._channels)
+
+    @property
+    def level_steps(self) -> int:
+        """Steps of the level since the stream was begun."""
+        return sum(channel.level_steps for channel in self._channels)
+
+    @property
     def experts(self) -> NDArray[np.intp]:
         """The expert in office, (H, n): 0, 1, 2 regressions by their lags, then extrapolation, hold, mean."""
         return self._switch.best
@@ -173,7 +166,9 @@ class DirectPredictor:
         steps = self._clock.step(t_s)
         late_s = self._clock.late_s
         if steps > self._longest_gap:
-            self._begin_lags(range(self._n))
+            for channel in self._channels:
+                channel.lose()
+            self._made[:] = self._shown[:] = self._aims[:] = nan
             steps = 1
         for _ in range(steps - 1):
             self._row(self._unmeasured, self._no_rates, 0.0)
@@ -235,10 +230,10 @@ class DirectPredictor:
         self._target = between(horizons / interval_s)
         self._delay = np.ceil((self._target.first + 3) / self._every).astype(np.intp)
         self._longest_gap = max(round(self._params.max_gap_s / interval_s), 3)
-        self._judged = max(round(JUDGED_S / interval_s), 3)
+        judged = max(round(JUDGED_S / interval_s), 3)
         self._unmeasured = [nan] * n
 
-        keep = int(knots[-1]) + self._every * (self._rows_per_late_batch + 2) + self._judged + 8
+        keep = int(knots[-1]) + self._every * (self._rows_per_late_batch + 2) + judged + 8
         self._window = SampleWindow(knots, 2 * n if self._with_rates else n, max(keep, self._taps.shape[1]))
         self._build_rows(count, n)
         # Horizons that share a set of equations: those whose targets are known early, and the others.
@@ -254,31 +249,16 @@ class DirectPredictor:
         self._flat_coefficients = self._coefficients.reshape(n, count * len(EXPERT_SPANS_S), self._width)
         self._batch_due = False
 
-        # Per channel, as plain numbers: they are looked at one by one.
-        self._level = [0.0] * n
-        self._since = [0] * n
-        """Samples since the channel began, or began anew."""
-        self._calm = [0] * n
-        """Samples since the last manoeuvre at most."""
-        self._absent = [0] * n
-        """Samples in a row that were filled in."""
-        self._held: list[list[tuple[float, float]]] = [[] for _ in range(n)]
-        """Held-back samples in a row: measured, filled in."""
-        self._step_square = [0.0] * n
-        self._step_count = [0] * n
-        self._mean = [0.0] * n
-        self._mean_count = [0.0] * n
-        self._square = [0.0] * n
-        self._manoeuvre = [0] * n
-        self._quantum = [inf] * n
-        """Least change between readings: the step of the register, where it is coarse."""
-        self._unsettled = [0] * n
-        """Samples for which what is in the lags is not worth scoring."""
-        self._reading = [nan] * n
-        self._repeats = [0] * n
-        self._anchor = np.zeros((count + 1, n))
+        timing = Timing(
+            interval_s=interval_s,
+            settling=self._taps.shape[1],
+            longest_gap=self._longest_gap,
+            judged=judged,
+        )
+        self._channels = [Channel(timing, self._gap_weights) for _ in range(n)]
         self._ahead = np.zeros((count + 1, n))
         self._curve = np.zeros((count + 1, n))
+        self._curves = list(self._curve.T)
         self._slope = [0.0] * n
 
     def _build_rows(self, count: int, n: int) -> None:
@@ -302,16 +282,23 @@ class DirectPredictor:
 
     def _row(self, values: Sequence[float], rates: Sequence[float], late_s: float) -> None:
         """One step of the grid: take the sample, look back, predict."""
-        taken, known = self._take(values, late_s)
         window, n = self._window, self._n
+        taken, known = [], []
+        one_step = self._ahead[0].tolist()
+        for c, channel in enumerate(self._channels):
+            x, measured = channel.take(values[c], late_s, one_step[c], self._slope[c], self._curves[c])
+            if channel.since == 1:
+                window.flatten(c, x)
+            taken.append(x)
+            known.append(measured)
         if self._with_rates:
             previous = window.x[window.end - 1, n:].tolist()
             taken += [r if isfinite(r) else p for r, p in zip(rates, previous, strict=True)]
             known += known
         window.append(taken, known)
-        for channel in range(n):
-            if len(self._held[channel]) >= self._judged:
-                self._judge(channel)
+        for c, channel in enumerate(self._channels):
+            if (instead := channel.judge()) is not None:
+                window.replace(c, instead)
 
         self._until_row -= 1
         learned = self._until_row <= 0
@@ -339,7 +326,8 @@ class DirectPredictor:
         means = self._window.means()
         latest = means[0, :n]
         features = np.empty((n, self._width))
-        features[:, 0] = self._mean
+        slow = [channel.mean for channel in self._channels]
+        features[:, 0] = slow
         features[:, 0] -= latest
         features[:, fronts:] = (means[1:, :n] - latest).T
         if self._with_rates:
@@ -352,7 +340,7 @@ class DirectPredictor:
         np.add(regressed.reshape(n, -1, FADING).transpose(1, 2, 0), offset[:, None], out=made[:, :FADING])
         made[:, FADING] = extrapolation
         made[:, HOLD] = latest
-        made[:, MEAN] = self._mean
+        made[:, MEAN] = slow
         self._slope = base[-1].tolist()
         return features, offset, made
 
@@ -367,158 +355,27 @@ class DirectPredictor:
         self._features[row] = features
         self._offsets[row] = offset
         self._made[row] = made
-        for c, unsettled in enumerate(self._unsettled):
-            if unsettled > 0:
-                self._unsettled[c] = unsettled - self._every
+        for c, channel in enumerate(self._channels):
+            if channel.unsettled > 0:
+                channel.unsettled -= self._every
                 self._made[row, :, :, c] = nan
         self._shown[row] = best
         self._shown_half[row] = self._switch.half_width
-        self._age[row] = self._calm
+        self._age[row] = [channel.calm for channel in self._channels]
         self._sample[row] = self._window.end - 1 + self._window.moved
         self._row_end += 1
 
     def _published(self, late_s: float) -> Array:
         """The latest predictions as seen from ``late_s`` after their grid time."""
-        values: Array = self._curve[1:] + self._level
+        values: Array = self._curve[1:] + [channel.level for channel in self._channels]
         if abs(late_s) > 1e-5:
             values += late_s * self._ahead[1:]
-        blind = [c for c, since in enumerate(self._since) if since < self._taps.shape[1]]
+        blind = [c for c, channel in enumerate(self._channels) if not channel.ready]
         if blind:
             values[:, blind] = nan
         return values
 
-    # -- the gate, gaps, steps and manoeuvres ----------------------------------------------------------------------
-
-    def _take(self, values: Sequence[float], late_s: float) -> tuple[list[float], list[bool]]:
-        """What goes into the window for each channel, relative to its level, and whether it was measured."""
-        taken, known = [], []
-        one_step = self._ahead[0].tolist()
-        for c, value in enumerate(values):
-            change = abs(value - self._reading[c])
-            self._repeats[c] = self._repeats[c] + 1 if change == 0.0 else 0
-            if 0.0 < change < self._quantum[c]:
-                self._quantum[c] = change
-            self._reading[c] = value
-            if self._since[c] == 0:
-                if not isfinite(value) or self._stuck(c):
-                    taken.append(0.0)
-                    known.append(False)
-                    continue
-                self._begin_channel(c, value)
-                one_step[c] = value - self._level[c]
-            self._since[c] += 1
-            self._calm[c] += 1
-            absent = self._absent[c]
-            if absent:
-                expected = float(self._gap_weights[min(absent, len(self._gap_weights) - 1)] @ self._anchor[:, c])
-            else:
-                expected = one_step[c]
-            if isfinite(value):
-                relative = value - self._level[c] - self._slope[c] * late_s
-                if self._passes(c, relative, expected, absent):
-                    taken.append(relative)
-                    known.append(True)
-                    continue
-                self._held[c].append((relative, expected))
-            elif self._held[c]:
-                self._held[c].append((nan, expected))
-            if not absent:
-                self._anchor[:, c] = self._curve[:, c]
-            self._absent[c] = absent + 1
-            if absent + 1 > self._longest_gap and not self._held[c]:
-                self._since[c] = 0
-            taken.append(expected)
-            known.append(False)
-        return taken, known
-
-    def _begin_channel(self, c: int, value: float) -> None:
-        """First sample after nothing, or after a long gap: what was learned stays."""
-        if self._mean_count[c] == 0.0:
-            self._level[c] = value
-        relative = value - self._level[c]
-        self._window.flatten(c, relative)
-        self._calm[c] = self._absent[c] = 0
-        self._unsettled[c] = self._taps.shape[1]
-        self._held[c].clear()
-        self._curve[:, c] = self._anchor[:, c] = relative
-        self._slope[c] = 0.0
-
-    def _begin_lags(self, channels: Sequence[int]) -> None:
-        """After a gap too long to fill: the past is gone, what was learned from it stays."""
-        for c in channels:
-            self._since[c] = 0
-        self._made[:] = self._shown[:] = self._aims[:] = nan
-
-    def _passes(self, c: int, x: float, expected: float, absent: int) -> bool:
-        """The gate; a sample that passes is learned from."""
-        error = x - expected
-        square = error * error
-        count = self._step_count[c]
-        if count > ARMED_S / self._interval_s:
-            step = sqrt(self._step_square[c])
-            limit = max(GATE * step, 3.0 * self._quantum[c] if self._quantum[c] < inf else 0.0) * (1 + absent)
-            if abs(error) > limit > 0.0:
-                return False
-            square = min(square, 9.0 * self._step_square[c] + 1e-300) if absent else square
-        if self._held[c]:
-            self.spikes += len(self._held[c])
-            self._held[c].clear()
-        self._absent[c] = 0
-        self._step_count[c] = count + 1
-        if not absent:
-            share = 1.0 / min(count // 2 + 1, STEP_ERROR_MEMORY_S / self._interval_s)
-            self._step_square[c] += share * (square - self._step_square[c])
-        self._follow(c, x)
-        return True
-
-    def _follow(self, c: int, x: float) -> None:
-        """Slow mean and variance; a manoeuvre is motion far outside of them."""
-        memory = MEAN_MEMORY_S / self._interval_s
-        deviation = x - self._mean[c]
-        square = deviation * deviation
-        count = self._mean_count[c]
-        if count > 0.5 * memory and square > MANOEUVRE**2 * self._square[c] and self._square[c] > 0.0:
-            self._manoeuvre[c] += 1
-            if self._manoeuvre[c] < MANOEUVRE_LASTS_S / self._interval_s:
-                self._calm[c] = 0
-                self._mean[c] += deviation * self._interval_s / MANOEUVRE_MEAN_S
-                return
-            self._manoeuvre[c] = 0
-            count = MANOEUVRE_MEAN_S / self._interval_s
-        elif self._manoeuvre[c]:
-            self._manoeuvre[c] -= 1
-        share = 1.0 / min(count + 1.0, memory)
-        self._mean[c] += share * deviation
-        self._square[c] += share * (square - self._square[c])
-        self._mean_count[c] = min(count + 1.0, memory)
-
-    def _judge(self, c: int) -> None:
-        """Held-back samples for half a second: a step of the level if they stand off by the same, else the motion."""
-        measured, filled = np.array(self._held[c]).T
-        off = measured - filled
-        off = off[np.isfinite(off)]
-        step = float(np.median(off))
-        spread = float(np.max(np.abs(off - step)))
-        if spread < 0.3 * abs(step):
-            self._level[c] += step
-            self._window.replace(c, measured - step)
-            self.level_steps += 1
-        elif self._stuck(c):
-            self._held[c].clear()
-            return
-        else:
-            self._window.replace(c, measured)
-            self._step_square[c] *= WIDENED**2
-            self._calm[c] = 0
-            self._unsettled[c] = self._taps.shape[1]
-        self._held[c].clear()
-        self._absent[c] = 0
-
-    def _stuck(self, c: int) -> bool:
-        """The same reading over and over from an axis that has moved."""
-        return self._repeats[c] >= self._judged - 1 and self._square[c] > 9.0 * min(self._quantum[c], 1.0) ** 2
-
-    # -- every half second -----------------------------------------------------------------------------------------
+    # -- once or twice a second ---------------------------------------------------------------------------------------
 
     def _batch(self) -> None:
         """Score what came true, learn from it, solve, choose."""
@@ -549,15 +406,14 @@ class DirectPredictor:
 
     def _solve(self, g: int, expert: int) -> None:
         group, size = self._groups[g], self._sizes[expert]
-        for c in range(self._n):
-            quantum = self._quantum[c] if self._quantum[c] < inf else 0.0
-            found = self._equations[g][expert].solve(c, RIDGE * max(self._step_square[c], quantum * quantum))
+        for c, channel in enumerate(self._channels):
+            found = self._equations[g][expert].solve(c, RIDGE * channel.noise_square)
             if found is not None:
                 self._coefficients[c, group, expert, :size] = found
                 self._coefficients[c, group, expert, size:] = 0.0
 
     def _choose(self) -> None:
-        calm = np.array(self._calm)
+        calm = np.array([channel.calm for channel in self._channels])
         available = np.ones((EXPERTS, self._n), dtype=bool)
         available[:FADING] = calm >= self._spans[:, None]
         self._switch.choose(available)
