@@ -145,9 +145,10 @@ def run_rock(options: argparse.Namespace, output: Output) -> None:
     print(rock_direct.report(table, costs, rates, ship))
     if not ship:
         print(f"real ship: skipped, there is no {SHIP_RECORD}")
-    verdicts = quiescence.table(seeds, QUIESCENCE_S if options.duration is None else options.duration, options.jobs)
-    output.write("quiescence", verdicts)
-    print(quiescence.report(verdicts))
+    if options.duration is None or options.duration > quiescence.SCORED_FROM_S + 300.0:
+        verdicts = quiescence.table(seeds, options.duration or QUIESCENCE_S, options.jobs)
+        output.write("quiescence", verdicts)
+        print(quiescence.report(verdicts))
     if output.figures:
         rock.figure(output.folder / "rock.png")
         rock_direct.figure(output.folder / "rock_direct.png", table)

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.rock_clock import SampleClock
-from heaved.estimation.rock_equations import NormalEquations
+from heaved.estimation.rock_equations import NormalEquations, moments_of
 from heaved.estimation.rock_experts import Switch
 from heaved.estimation.rock_gate import JUDGED_S, Channel, Timing
 from heaved.estimation.rock_lags import (
@@ -56,8 +56,9 @@ RIDGE: Final = 0.1
 """Ridge over the noise variance, for which the square of the one-step error stands."""
 YOUNG_BATCH_S, BATCH_S = 0.5, 1.0
 """Predictions are scored, equations summed and solved so often: while young, and then."""
-SOLVED_PER_BATCH: Final = 2
-"""Sets of equations (three experts, short and long horizons) solved in a batch, in turn; all of them while young."""
+SOLVED_PER_BATCH: Final = 1
+"""Sets of equations (three experts, short and long horizons) solved in a batch, in turn: each every 6 s, a fiftieth of
+the memory. While young all of them."""
 YOUNG_S: Final = 120.0
 RATE_LAGS: Final = 4
 RATE_SCALE_S: Final = 0.1
@@ -220,7 +221,7 @@ class DirectPredictor:
         # Predictions by extrapolation, and the slope now.
         taps = fading_taps(interval_s, np.append(horizons, [0.0, 1e-3]))
         self._taps = np.concatenate([taps[:count], (taps[-1:] - taps[-2:-1]) / 1e-3])
-        self._extrapolated = (horizons <= EXTRAPOLATED_S)[:, None]
+        self._extrapolated = int(np.count_nonzero(horizons <= EXTRAPOLATED_S))
         # Interpolation of the predicted curve: one sample on, and its slope at each horizon.
         ahead_s = interval_s * np.arange(1, ceil(self._horizons[-1] / interval_s) + 2)
         self._gap_weights = curve_weights(horizons, ahead_s)
@@ -334,7 +335,8 @@ class DirectPredictor:
             features[:, 1:fronts] = RATE_SCALE_S * means[:RATE_LAGS, n:].T
         base = self._taps @ self._window.latest(self._taps.shape[1])[:, :n]
         extrapolation = base[:-1]
-        offset = np.where(self._extrapolated, extrapolation, latest)
+        offset = extrapolation.copy()
+        offset[self._extrapolated :] = latest
         made = np.empty((len(offset), EXPERTS, n))
         regressed = self._flat_coefficients @ features[:, :, None]
         np.add(regressed.reshape(n, -1, FADING).transpose(1, 2, 0), offset[:, None], out=made[:, :FADING])
@@ -391,9 +393,14 @@ class DirectPredictor:
             augmented = np.concatenate([wanted, self._features[rows].transpose(1, 0, 2)], axis=2)
             targets = group.stop - group.start
             age = self._age[rows]
+            used = known & (age >= self._spans[0])
+            moments = moments_of(augmented, used)
             for equations, span, size in zip(self._equations[g], self._spans, self._sizes, strict=True):
-                used = (known & (age >= span)).astype(np.float64)
-                equations.add(augmented[:, :, : targets + size], used)
+                if not ((age >= span) | ~used).all():  # fewer equations than of the shorter lags
+                    used &= age >= span
+                    moments = moments_of(augmented, used)
+                width = targets + size
+                equations.add(moments[:, :width, :width], used.sum(axis=0))
         pairs = len(self._groups) * len(self._sizes)
         for i in range(pairs):
             if not young and solved >= SOLVED_PER_BATCH:

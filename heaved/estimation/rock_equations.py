@@ -16,6 +16,14 @@ OVERDETERMINED: Final = 1.5
 """Equations per unknown before they are solved."""
 
 
+def moments_of(rows: Array, used: NDArray[np.bool_]) -> Array:
+    """Sums of products (n, w, w) over those of R equations (n, R, w) that are ``used`` (R, n); others may hold nan."""
+    if not used.all():
+        rows = np.where(used.T[:, :, None], rows, 0.0)
+    moments: Array = rows.transpose(0, 2, 1) @ rows
+    return moments
+
+
 class NormalEquations:
     """Moments of [targets | features] per channel, (n, H + p, H + p): the Gram matrix and the right sides in one."""
 
@@ -26,22 +34,16 @@ class NormalEquations:
         self._moments = np.zeros((channels, targets + features, targets + features))
         self._count = np.zeros(channels)
 
-    def add(self, rows: Array, used: Array) -> None:
-        """R equations, (n, R, H + p); ``used`` (R, n) 1 or 0. Nothing is forgotten where nothing is learned."""
-        count = used.sum(axis=0)
+    def add(self, moments: Array, count: Array) -> None:
+        """Moments of :func:`moments_of`, or their leading part, and of how many equations, (n,).
+
+        Nothing is forgotten where nothing is learned.
+        """
         keep = np.exp(-count / self._memory)
         self._moments *= keep[:, None, None]
-        if count.min() == len(used):
-            self._moments += rows.transpose(0, 2, 1) @ rows
-        else:
-            kept = np.where(used.T[:, :, None] > 0.0, rows, 0.0)
-            self._moments += kept.transpose(0, 2, 1) @ kept
+        self._moments += moments
         self._count *= keep
         self._count += count
-
-    def forget(self, channel: int) -> None:
-        self._moments[channel] = 0.0
-        self._count[channel] = 0.0
 
     def solve(self, channel: int, ridge: float) -> Array | None:
         """Coefficients (H, p) with ``ridge`` per equation added to the diagonal; None: not enough, or not definite."""

@@ -71,6 +71,7 @@ class Channel:
         self.spikes = self.level_steps = 0
         self._reading = nan
         self._repeats = 0
+        self._frozen = False
         self._absent = 0
         self._held: list[tuple[float, float]] = []
         self._step_count = 0
@@ -98,8 +99,12 @@ class Channel:
         if 0.0 < change < self.quantum:
             self.quantum = change
         self._reading = value
+        if self._frozen and change == 0.0:
+            value = nan
+        else:
+            self._frozen = False
         if self.since == 0:
-            if not isfinite(value) or self._stuck():
+            if not isfinite(value):
                 return 0.0, False
             one_step = self._begin(value)
             slope = 0.0
@@ -140,6 +145,7 @@ class Channel:
             self.level_steps += 1
             measured = measured - step
         elif self._stuck():
+            self._frozen = True  # as good as missing until the reading changes
             return None
         else:
             self.step_square *= WIDENED**2
@@ -164,7 +170,8 @@ class Channel:
         """The gate; a sample that passes is learned from."""
         error = x - expected
         count = self._step_count
-        if count > ARMED_S / self._timing.interval_s:
+        settled = self.since > self._timing.settling  # before, the prediction knows little of the motion
+        if settled and count > ARMED_S / self._timing.interval_s:
             limit = GATE * sqrt(self.step_square)
             if self.quantum < inf:
                 limit = max(limit, QUANTA * self.quantum)
@@ -174,8 +181,8 @@ class Channel:
             self.spikes += len(self._held)
             self._held.clear()
         self._absent = 0
-        self._step_count = count + 1
-        if not absent:
+        if settled and not absent:
+            self._step_count = count + 1
             share = 1.0 / min(count // 2 + 1, STEP_ERROR_MEMORY_S / self._timing.interval_s)
             self.step_square += share * (error * error - self.step_square)
         self._follow(x)

@@ -165,7 +165,7 @@ class SampleWindow:
         # The mean of the running sum between two knots is what all samples up to there add, those in between in part.
         steps = self._steps
         steps[0] = self._sum[self.end]
-        sums = self._sum2[self._back + self.end]
+        sums = self._sum2.take(self._back + self.end, axis=0)
         np.multiply(sums[:-1] - sums[1:], self._per_length, out=steps[1:])
         means: Array = (steps[:-1] - steps[1:]) * self._per_weight
         return means

@@ -12,7 +12,7 @@ from evidence.rock import ARCSEC, SCENES, motion, spectrum
 
 from heaved.estimation.rock_clock import SampleClock
 from heaved.estimation.rock_direct import DirectPredictor, DirectRockPredictor, Params
-from heaved.estimation.rock_equations import NormalEquations
+from heaved.estimation.rock_equations import NormalEquations, moments_of
 from heaved.estimation.rock_experts import Switch
 from heaved.estimation.rock_lags import SampleWindow, between, fading_taps, lag_knots
 
@@ -96,7 +96,7 @@ def test_the_equations_are_weighted_ridge_least_squares():
     equations = NormalEquations(1, 2, features, memory)
     for i in range(0, 400, 10):
         rows = np.concatenate([y[i : i + 10], x[i : i + 10]], axis=1)[None]
-        equations.add(rows, np.ones((10, 1)))
+        equations.add(moments_of(rows, np.ones((10, 1), bool)), np.array([10]))
     weight = np.exp(-np.repeat(np.arange(390, -1, -10), 10) / memory)
     count = weight.sum()
     expected = np.linalg.solve(
@@ -109,12 +109,18 @@ def test_the_equations_are_weighted_ridge_least_squares():
 
 def test_equations_that_are_not_used_change_nothing():
     rng = np.random.default_rng(5)
-    plain, masked = NormalEquations(2, 1, 3, 100.0), NormalEquations(2, 1, 3, 100.0)
     rows = rng.standard_normal((2, 40, 4))
-    plain.add(rows, np.ones((40, 2)))
-    masked.add(rows, np.ones((40, 2)))
-    masked.add(np.full((2, 5, 4), nan), np.zeros((5, 2)))
-    np.testing.assert_array_equal(plain.solve(1, 0.1), masked.solve(1, 0.1))
+    used = rng.random((40, 2)) < 0.5
+    masked = rows.copy()
+    masked.transpose(1, 0, 2)[~used] = nan
+    for channel in range(2):
+        kept = rows[channel][used[:, channel]]
+        np.testing.assert_allclose(moments_of(masked, used)[channel], kept.T @ kept, atol=1e-12)
+    equations = NormalEquations(2, 1, 3, 100.0)
+    equations.add(moments_of(rows, np.ones((40, 2), bool)), np.array([40, 40]))
+    before = equations.solve(1, 0.1)
+    equations.add(np.zeros((2, 4, 4)), np.array([0, 0]))
+    np.testing.assert_array_equal(equations.solve(1, 0.1), before)
     assert NormalEquations(1, 1, 3, 100.0).solve(0, 0.1) is None
 
 
