@@ -358,7 +358,7 @@ class DirectPredictor:
         self._offsets[row] = offset
         self._made[row] = made
         for c, channel in enumerate(self._channels):
-            if channel.unsettled > 0:
+            if channel.unsettled > 0 or channel.since == 0:
                 channel.unsettled -= self._every
                 self._made[row, :, :, c] = nan
         self._shown[row] = best
