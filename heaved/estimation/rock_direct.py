@@ -56,6 +56,8 @@ RIDGE: Final = 0.1
 """Ridge over the noise variance, for which the square of the one-step error stands."""
 YOUNG_BATCH_S, BATCH_S = 0.5, 1.0
 """Predictions are scored, equations summed and solved so often: while young, and then."""
+SCORE_S: Final = 0.11
+"""Errors closer together than this are hardly different ones."""
 SOLVED_PER_BATCH: Final = 1
 """Sets of equations (three experts, short and long horizons) solved in a batch, in turn: each every 6 s, a fiftieth of
 the memory. While young all of them."""
@@ -209,6 +211,7 @@ class DirectPredictor:
         self._interval_s = interval_s
         self._every = samples_per_step(interval_s)
         spacing_s = self._spacing_s = self._every * interval_s
+        self._score_every = 2 if 2.0 * spacing_s < SCORE_S else 1
         self._rows_per_batch = max(1, round(YOUNG_BATCH_S / spacing_s))
         self._rows_per_late_batch = max(1, round(BATCH_S / spacing_s))
         knots = lag_knots(interval_s, EXPERT_SPANS_S[-1])
@@ -229,6 +232,7 @@ class DirectPredictor:
         self._curve_weights = np.concatenate([self._gap_weights[:1], slopes])
         # Where the measured value of each horizon lies, in samples and in rows.
         self._target = between(horizons / interval_s)
+        self._whole = bool(np.all(self._target.weights == (0.0, 1.0, 0.0, 0.0)))
         self._delay = np.ceil((self._target.first + 3) / self._every).astype(np.intp)
         self._longest_gap = max(round(self._params.max_gap_s / interval_s), 3)
         judged = max(round(JUDGED_S / interval_s), 3)
@@ -327,9 +331,8 @@ class DirectPredictor:
         means = self._window.means()
         latest = means[0, :n]
         features = np.empty((n, self._width))
-        slow = [channel.mean for channel in self._channels]
-        features[:, 0] = slow
-        features[:, 0] -= latest
+        slow = np.array([channel.mean for channel in self._channels])
+        features[:, 0] = slow - latest
         features[:, fronts:] = (means[1:, :n] - latest).T
         if self._with_rates:
             features[:, 1:fronts] = RATE_SCALE_S * means[:RATE_LAGS, n:].T
@@ -429,19 +432,25 @@ class DirectPredictor:
         rows = self._row_end - 1 - np.arange(self._rows_per_batch)[:, None] - self._delay
         h = np.arange(len(self._delay))
         window, weights = self._window, self._target.weights
-        at = self._sample[rows] - window.moved + self._target.first
-        support = at[:, :, None] + np.arange(4)
-        measured: Array = (weights[:, None, :] @ window.x[support, : self._n])[:, :, 0]
-        known = window.known[support, : self._n] | (weights == 0.0)[:, :, None]
+        first = self._sample[rows] - window.moved + self._target.first
+        if self._whole:
+            measured: Array = window.x[first + 1, : self._n]
+            known = window.known[first + 1, : self._n]
+        else:
+            support = first[:, :, None] + np.arange(4)
+            measured = (weights[:, None, :] @ window.x[support, : self._n])[:, :, 0]
+            known = (window.known[support, : self._n] | (weights == 0.0)[:, :, None]).all(axis=2)
         if not known.all():
-            measured[~known.all(axis=2)] = nan
+            measured[~known] = nan
         self._aims[rows, h] = measured
+        if self._score_every > 1:
+            rows, measured = rows[:: self._score_every], measured[:: self._score_every]
         error = measured[:, :, None, :] - self._made[rows, h]
         filled = self._age[rows][:, :, None, :] >= self._spans[:, None]
         if not filled.all():
             error[:, :, :FADING][~filled] = nan
         shown = measured - self._shown[rows, h]
-        self._switch.score(self._spacing_s, error, shown, self._shown_half[rows, h])
+        self._switch.score(self._score_every * self._spacing_s, error, shown, self._shown_half[rows, h])
 
 
 class DirectRockPredictor:

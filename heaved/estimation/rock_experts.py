@@ -55,9 +55,12 @@ class Switch:
         """Take the errors of R predictions made ``spacing_s`` apart: of the experts (R, H, E, n), of what was published
         (R, H, n), and the half-widths published with it."""
         square = error * error
-        known = square == square
-        count = np.count_nonzero(known, axis=0)
-        mean = np.where(known, square, 0.0).sum(axis=0) / np.maximum(count, 1)
+        mean = square.sum(axis=0) / len(square)
+        count: NDArray[np.intp] = np.full(mean.shape, len(square), dtype=np.intp)
+        if not np.isfinite(mean).all():
+            known = np.isfinite(square)
+            count = np.count_nonzero(known, axis=0)
+            mean = np.where(known, square, 0.0).sum(axis=0) / np.maximum(count, 1)
         elapsed_s = spacing_s * count
         self._seconds += elapsed_s
         memory_s = np.minimum(np.maximum(self._seconds, elapsed_s) / EARLY, self._memory_s)

@@ -121,12 +121,19 @@ class SampleWindow:
         self._sum = np.zeros((capacity + 1, columns))
         self._sum2 = np.zeros((capacity + 1, columns))
         self._back = -knots
-        self._per_length = (1.0 / np.diff(knots))[:, None]
+        # The mean of the running sum between two knots is what all samples up to there add, those in between in part: a
+        # ramp. The difference of two ramps is the mean about a knot. All of it on [sum at the end, sum2 at the knots].
+        count = len(knots)
+        ramp = np.zeros((count, count + 1))
+        ramp[0, 0] = 1.0
+        for j, length in enumerate(np.diff(knots).tolist(), start=1):
+            ramp[j, j : j + 2] = 1.0 / length, -1.0 / length
+        weights = ramp[:-1] - ramp[1:]
         length = np.diff(knots, prepend=knots[:1])
-        # Weights of the mean about a knot: 1 - s / length on either side; before the first there is nothing.
-        self._per_weight = 1.0 / ((length[:-1] + length[1:]) / 2.0)[:, None]
-        self._per_weight[0] = 2.0 / (length[1] + 1.0)
-        self._steps = np.empty((len(knots), columns))
+        total = (length[:-1] + length[1:]) / 2.0  # of 1 - s / length on either side; before the first there is nothing
+        total[0] = (length[1] + 1.0) / 2.0
+        self._weights = weights / total[:, None]
+        self._sums = np.empty((count + 1, columns))
         self.end = keep
         self.moved = 0
         """How far rows have been moved to the front in all: row + moved never changes."""
@@ -162,12 +169,9 @@ class SampleWindow:
 
     def means(self) -> Array:
         """Means about the knots but the last, latest first, (knots - 1, n)."""
-        # The mean of the running sum between two knots is what all samples up to there add, those in between in part.
-        steps = self._steps
-        steps[0] = self._sum[self.end]
-        sums = self._sum2.take(self._back + self.end, axis=0)
-        np.multiply(sums[:-1] - sums[1:], self._per_length, out=steps[1:])
-        means: Array = (steps[:-1] - steps[1:]) * self._per_weight
+        self._sums[0] = self._sum[self.end]
+        self._sum2.take(self._back + self.end, axis=0, out=self._sums[1:], mode="clip")
+        means: Array = self._weights @ self._sums
         return means
 
     def latest(self, count: int) -> Array:
