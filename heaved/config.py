@@ -322,6 +322,8 @@ def _cross_checks(
             if value in seen:
                 faults.append(f"device[{i}].{key}: {value!r} is already the {key} of device[{seen[value]}]")
             seen.setdefault(value, i)
+    if config.laser.role == "aiding" and config.heave.observer != "sea":
+        faults.append("laser.role: 'aiding' needs heave.observer = 'sea'; the harmonic observer can only be compared")
     names = [point.name for point in config.point]
     faults += [f"point[{i}].name: {name!r} is taken" for i, name in enumerate(names) if name in names[:i]]
     if list(config.heave.sea.windows_s) != sorted(set(config.heave.sea.windows_s)) or not config.heave.sea.windows_s:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from heaved.estimation.outlook import Outlook, at_index
 from heaved.estimation.ring import Ring
-from heaved.estimation.sea_filter import SeaFilter
+from heaved.estimation.sea_filter import Offset, SeaFilter
 from heaved.estimation.sea_model import SeaModel, SeaSystem, Steady, heave_std, measurement_variance
 from heaved.estimation.sea_window import Candidate, SeaFit, SeaWindow
 from heaved.estimation.smoother import Divergence, FixedLagSmoother
@@ -52,6 +52,10 @@ NEEDED_S: Final = 60.0
 DIVERGED: Final = 2.5
 """RMS difference from the delayed heave, over the modelled standard deviation, from which the output is in doubt; the
 published standard deviation has grown with it by then."""
+AIDING_LATE_S: Final = 1.0
+"""An aiding laser that comes later than this is not worth the process noise that it would miss."""
+AIDING_WALK_M2PS: Final = (0.01**2) / 60.0
+"""How the constant of a laser wanders: a centimetre in a minute (tide, a target that gives way)."""
 NO_OFFSET: Final = (0.0, 0.0, 0.0)
 LONGEST_PEAK_S: Final = 28.0
 """Longer waves than this are not told from the drift of the sensor."""
@@ -147,6 +151,8 @@ class SeaObserver:
         self.resets: Counter[str] = Counter()
         self._number = 0
         self._filter: SeaFilter | None = None
+        self._unaided: SeaFilter | None = None
+        """The same without the laser, when that is aiding: the smoother's weights are those without it."""
         self._candidates: tuple[Candidate, ...] = ()
         self._start_over()
 
@@ -165,6 +171,7 @@ class SeaObserver:
         self._smoother: FixedLagSmoother | None = None
         self._whiteness, self._waves, self._is_still = 1.0, inf, False
         self._offset, self._spliced_s = NO_OFFSET, -inf
+        self._aided_s, self._unaided = nan, None
         self._number += 1
         self._pending_number = -1
         if self._filter is not None:
@@ -200,6 +207,8 @@ class SeaObserver:
             self._filter.t_s = t_s - self._filter.steady.dt_s
         missed = t_s - self._filter.t_s - self._filter.steady.dt_s
         predicted_m, innovation = self._filter.step(t_s, a_mps2)
+        if self._unaided is not None:
+            predicted_m, innovation = self._unaided.step(t_s, a_mps2)
         if not self._filter.is_sound():
             self._filter = None
             self._reset("not finite")
@@ -207,6 +216,27 @@ class SeaObserver:
         self._moved()
         if self._smoother is not None:
             self._smooth(t_s, missed, predicted_m, innovation)
+
+    def aid(self, t_s: float, laser_m: float, std_m: float) -> None:
+        """Take a laser as a measurement of the heave at ``t_s``, its sign applied; its constant is estimated too."""
+        if self._filter is None or not isfinite(self._filter.t_s) or not self.is_settled:
+            return
+        tau_s = t_s - self._filter.t_s
+        if abs(tau_s) > AIDING_LATE_S:
+            return
+        elapsed = min(t_s - self._aided_s, 60.0) if isfinite(self._aided_s) else 0.0
+        self._aided_s = t_s
+        row = self._outlook.derivatives((tau_s,))[0, 0]
+        if self._unaided is None:
+            f = self._filter
+            self._unaided = SeaFilter(f.system, f.steady, f.t_s, f.x, None if f.P is None else f.P.copy())
+        self._filter.aid(row, laser_m, std_m**2, AIDING_WALK_M2PS * max(elapsed, 0.0))
+        self._moved()
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the covariance says what is known, so that a laser may be weighed against it."""
+        return self.settled_s >= NEEDED_S
 
     def _smooth(self, t_s: float, missed_s: float, predicted_m: float, innovation: float) -> None:
         assert self._filter is not None
@@ -267,8 +297,16 @@ class SeaObserver:
         n = len(system.H)
         steady = _steady(system, fit.dt_s, np.frombuffer(fit.steady_P).reshape(n, n))
         before = self.at(0.0) if self._filter is not None else None
+        before_std_m = at_index(self._stds, self._outlook.index(0.0)) if self._filter is not None else nan
         P = np.frombuffer(fit.P).reshape(n, n).copy() if fit.P else None
+        aided = self._filter.offset if self._filter is not None else None
         self._install(system, steady, fit.t_s, np.frombuffer(fit.x).copy(), P)
+        if aided is not None:
+            # What the laser taught is in the old model's state; its constant stays, and brings the new state back.
+            self._filter_in_use().offset = Offset(aided.value_m, aided.variance_m2, n)
+            self._filter_in_use().P = self._filter_in_use().covariance.copy()
+            unaided_P = None if P is None else P.copy()
+            self._unaided = SeaFilter(system, steady, fit.t_s, np.frombuffer(fit.x).copy(), unaided_P)
         self._candidates, self._looked_s = fit.candidates, fit.t_s
         self._whiteness, self._waves = fit.whiteness, fit.waves
         self._is_still = self._sees_no_waves()
@@ -277,6 +315,11 @@ class SeaObserver:
         self._smoother.fill(fit.t_s, np.frombuffer(fit.predicted_m), np.frombuffer(fit.innovation))
         self._catch_up(fit.t_s)
         self._offset, self._spliced_s = NO_OFFSET, -inf
+        if aided is not None and before is not None:
+            # The laser's knowledge of the heave itself comes over; the rest of the state it teaches again.
+            row = self._outlook.derivatives((self.t_s - self._filter_in_use().t_s,))[0, 0]
+            self._filter_in_use().aid(row, before.heave_m + aided.value_m, before_std_m**2, 0.0)
+            self._moved()
         if before is not None and isfinite(before.heave_m):
             after = self.at(0.0)
             self._offset = (before.heave_m - after.heave_m, before.velocity_mps - after.velocity_mps, self.t_s)
@@ -297,8 +340,13 @@ class SeaObserver:
         assert self._smoother is not None
         for t_s, a_mps2 in self._record.since(from_s).tolist():
             if t_s > self._filter.t_s:
-                self._smoother.push(t_s, *self._filter.step(t_s, a_mps2))
+                said = self._filter.step(t_s, a_mps2)
+                self._smoother.push(t_s, *(said if self._unaided is None else self._unaided.step(t_s, a_mps2)))
         self._moved()
+
+    def _filter_in_use(self) -> SeaFilter:
+        assert self._filter is not None
+        return self._filter
 
     def _install(self, system: SeaSystem, steady: Steady, t_s: float, x: Array, P: Array | None) -> None:
         rejected = 0 if self._filter is None else self._filter.rejected
