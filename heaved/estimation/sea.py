@@ -57,6 +57,8 @@ AIDING_LATE_S: Final = 1.0
 AIDING_WALK_M2PS: Final = (0.01**2) / 60.0
 """How the constant of a laser wanders: a centimetre in a minute (tide, a target that gives way)."""
 NO_OFFSET: Final = (0.0, 0.0, 0.0)
+SMALL_M: Final = 0.01
+"""Differences below this are well whatever the sea."""
 LONGEST_PEAK_S: Final = 28.0
 """Longer waves than this are not told from the drift of the sensor."""
 CONVERGED: Final = 1.5
@@ -485,7 +487,8 @@ class SeaObserver:
             found.append("recovering from a gap")
         if self._whiteness > CHANGED:
             found.append("the sea or the sensor is changing")
-        if self.divergence.ratio > DIVERGED:
+        error_m = self.divergence.ratio * at_index(self._stds, self._outlook.index(0.0)) if self._filter else 0.0
+        if self.divergence.ratio > DIVERGED and error_m > SMALL_M:
             found.append(f"{self.divergence.ratio:.1f} times its standard deviation off the delayed heave")
         if self.sea is not None and not self.sea.is_still and self.sea.peak_period_s > LONGEST_PEAK_S:
             found.append(f"swell of {self.sea.peak_period_s:.0f} s: longer than the sensor can follow")
