@@ -34,6 +34,9 @@ Array = NDArray[np.float64]
 BEAT_S: Final = 0.05
 BEAT_MIN_S: Final = 0.04
 """Rings are sized for beats this short."""
+BEAT_INTERVALS: Final = 101
+BEAT_FIRST_INTERVALS: Final = 7
+"""Intervals from which the usual one is taken, and the first time."""
 EARLY_EVERY_S: Final = 10.0
 """Between fits, until EARLY_S of record: each sees much more than the one before."""
 EARLY_S: Final = 120.0
@@ -101,6 +104,7 @@ class _Beat:
         self._count = 0
         self._t = self._a = self._first_s = self._last_s = 0.0
         self._previous_s = nan
+        self._intervals: list[float] = []
 
     def take(self, t_s: float, a_mps2: float) -> tuple[float, float] | None:
         """The beat that this sample completes, or None."""
@@ -108,10 +112,7 @@ class _Beat:
         self._previous_s = t_s
         done = None
         if isfinite(interval):
-            if not isfinite(self.period_s) or interval < 0.5 * self.period_s:
-                self.period_s = interval
-            elif interval < 2.0 * self.period_s:
-                self.period_s += 0.02 * (interval - self.period_s)
+            self._learn(interval)
             if interval > 2.5 * self.period_s:
                 self._count = 0  # What was begun before a gap does not belong to what comes after it.
         if self._count == 0:
@@ -123,6 +124,14 @@ class _Beat:
             done = self._first_s + self._t / self._count, self._a / self._count
             self._count = 0
         return done
+
+    def _learn(self, interval_s: float) -> None:
+        """The usual interval: a median, because a machine that was held up gives a long one and several short ones."""
+        self._intervals.append(interval_s)
+        wanted = BEAT_INTERVALS if isfinite(self.period_s) else BEAT_FIRST_INTERVALS
+        if len(self._intervals) >= wanted:
+            self.period_s = sorted(self._intervals)[wanted // 2]
+            self._intervals.clear()
 
     @property
     def size(self) -> int:
