@@ -413,7 +413,7 @@ def test_fits_are_counted_and_said_when_they_change(rig):
         rig.acquisition.accept_fit(SeaFit(number=1))
     said = [(line["result"], line["detail"]) for line in logs if "result" in line]
     assert said == [("failed", "too short"), ("accepted", ""), ("rejected", ""), ("accepted", ""), ("failed", "")]
-    counted = [rig.value(f'heaved_sea_fits_total{{result="{result}"}}') for result in ("accepted", "rejected", "failed")]
-    assert counted == [3, 1, 2]
+    results = ("accepted", "rejected", "failed")
+    assert [rig.value(f'heaved_sea_fits_total{{result="{result}"}}') for result in results] == [3, 1, 2]
     assert rig.acquisition.fitted_s == 150.0
     assert rig.acquisition.trainings == 0
