@@ -316,6 +316,8 @@ def _cross_checks(
             faults += _link_faults(f"device[{i}]", device["link"])
     for array, key in (("device", "name"), ("device", "role"), ("point", "name")):
         faults += _twice(tree.get(array), array, key, wrong)
+    if config.laser.role == "aiding" and config.heave.observer != "sea":
+        faults.append("laser.role: 'aiding' needs heave.observer = 'sea'; the harmonic observer can only be compared")
     if list(config.heave.sea.windows_s) != sorted(set(config.heave.sea.windows_s)) or not config.heave.sea.windows_s:
         faults.append(f"heave.sea.windows_s: must be lengths that increase (got {list(config.heave.sea.windows_s)})")
     if not any(".link: " in fault for fault in faults):

@@ -92,6 +92,9 @@ class Columns:
         ]
         fixed = "t_s heave_m heave_std_m heave_velocity_mps observer_m correction_m lead_s quality delayed_heave_m"
         self.names = (*fixed.split(), *forecasts, *rocks)
+        cells = ["%.6f"] * len(self.names)
+        cells[fixed.split().index("quality")] = cells[fixed.split().index("delayed_heave_m")] = "%s"
+        self._format = ",".join(cells) + "\n"
 
     def header(self) -> str:
         return ",".join(self.names) + "\n"
@@ -121,8 +124,11 @@ class Columns:
             predicted += [rock.pitch_rad * _DEGREES, rock.pitch_std_rad * _DEGREES]
         for rock in known:
             predicted += [rock.yaw_rad * _DEGREES, rock.yaw_std_rad * _DEGREES]
-        cells = [*map(_cell, numbers), frame.quality.heave.value, DELAYED, *map(_cell, predicted)]
-        return ",".join(cells) + "\n"
+        text = self._format % (*numbers, frame.quality.heave.value, DELAYED, *predicted)
+        if "inf" in text:
+            cells = [*map(_cell, numbers), frame.quality.heave.value, DELAYED, *map(_cell, predicted)]
+            return ",".join(cells) + "\n"
+        return text.replace("nan", "")
 
 
 class DelayedColumn:

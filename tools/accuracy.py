@@ -7,7 +7,7 @@
     tools/accuracy.py table       those figures, asked and measured, out of OUT/results.jsonl
     tools/accuracy.py limits      the least error that is possible, alone
     tools/accuracy.py gates [--set]    short runs against their regression gates
-    tools/accuracy.py rock        roll and pitch, 50, 100 and 150 ms ahead
+    tools/accuracy.py rock        roll and pitch ahead: the paper's method, the direct predictor, quiet windows
     tools/accuracy.py closed-loop [S6 T3] [--replay]    a hook under a winch that the stream drives, in real time
     tools/accuracy.py all         headline and rock
 
@@ -34,7 +34,7 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["OMP_NUM_THREADS"] = "1"
 
 import msgspec
-from evidence import asked, closed_loop, estimators, gates, heave, rock, scenarios, tables
+from evidence import asked, closed_loop, estimators, gates, heave, quiescence, rock, rock_direct, scenarios, tables
 from evidence.scenarios import Setting
 from evidence.summary import Judged, Result
 
@@ -42,6 +42,8 @@ from heaved.simulate.sensors import SENSORS, laser_pattern
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 RESULTS = "results.jsonl"
+SHIP_RECORD = CHECKOUT.parent / "shared" / "data" / "palmer" / "NBP1406_2014-08-01_seapath330.csv"
+QUIESCENCE_S = 4000.0
 PACKAGES = ("heaved", "numpy", "scipy", "torch")
 
 
@@ -175,8 +177,24 @@ def run_rock(options: argparse.Namespace, output: Output) -> None:
     rows = rock.table(range(1, options.seeds + 1), duration_s)
     output.write("rock", rows)
     print(rock.report(rows))
+    seeds = range(1, options.seeds + 1)
+    direct_s = 600.0 if options.duration is None else options.duration
+    table = rock_direct.table(seeds, direct_s, options.jobs)
+    costs = rock_direct.costs(seeds, direct_s, options.jobs)
+    rates = rock_direct.rates_table(seeds, direct_s, options.jobs)
+    ship = rock_direct.real(SHIP_RECORD) if SHIP_RECORD.exists() else []
+    for found in (table, costs, rates, ship):
+        output.write("rock", found)
+    print(rock_direct.report(table, costs, rates, ship))
+    if not ship:
+        print(f"real ship: skipped, there is no {SHIP_RECORD}")
+    if options.duration is None or options.duration > quiescence.SCORED_FROM_S + 300.0:
+        verdicts = quiescence.table(seeds, options.duration or QUIESCENCE_S, options.jobs)
+        output.write("quiescence", verdicts)
+        print(quiescence.report(verdicts))
     if output.figures:
         rock.figure(output.folder / "rock.png")
+        rock_direct.figure(output.folder / "rock_direct.png", table)
 
 
 def run_closed_loop(options: argparse.Namespace, output: Output) -> None:

@@ -36,6 +36,7 @@ class LaserTeacher:
         self, laser: reference.Params, comparison: lead.Params, correction: ResidualCorrection, max_rate_hz: float
     ) -> None:
         self._params = comparison
+        self._is_aiding, self._noise_std_m = laser.role == "aiding", laser.noise_std_m
         self._correction = correction
         self.reference = reference.Reference(laser)
         self.lead = lead.LeadTracker(comparison)
@@ -68,7 +69,7 @@ class LaserTeacher:
         """Take the readings whose heave is known by now; every refresh, compare the lead."""
         while self._waiting and not self._waiting[0].t_s > self._output_t_s:
             self._take(self._waiting.popleft(), observer)
-        if self._params.enabled and not t_s - self._lead_t_s < self._params.refresh_s:
+        if self._params.enabled and not self._is_aiding and not t_s - self._lead_t_s < self._params.refresh_s:
             self._lead_t_s = t_s
             self._learn_lead(t_s, observer)
 
@@ -85,7 +86,10 @@ class LaserTeacher:
         if verdict is reference.Verdict.RESTARTED:
             self._compared.clear()
             self._correction.forget_rows()
-        if verdict is reference.Verdict.ACCEPTED:
+        if verdict is reference.Verdict.ACCEPTED and self._is_aiding:
+            assert isinstance(observer, SeaObserver)
+            observer.aid(sample.t_s, self.reference.signed(sample.laser_m), self._noise_std_m)
+        elif verdict is reference.Verdict.ACCEPTED:
             signed = self.reference.signed(sample.laser_m)
             self._compared.push((sample.t_s, heave_m, velocity_mps, signed))
             if observer.settled_s >= LEARN_AFTER_S:

@@ -27,6 +27,8 @@ SCALE_LIMITS: Final = (0.2, 10.0)
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[laser]``: how the gauge's reading becomes a heave reference: ``sign * reading`` less a slow constant."""
 
+    role: Literal["reference", "aiding"] = "reference"
+    """"reference": lead, gain and network are learned from it; "aiding": it is a measurement in the sea observer."""
     sign: Literal[1, -1] = 1
     """+1: the reading grows as the ship heaves up."""
     max_age_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 0.5

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from heaved.estimation.outlook import Outlook, at_index
 from heaved.estimation.ring import Ring
-from heaved.estimation.sea_filter import SeaFilter
+from heaved.estimation.sea_filter import Offset, SeaFilter
 from heaved.estimation.sea_model import SeaModel, SeaSystem, Steady, heave_std, measurement_variance
 from heaved.estimation.sea_window import Candidate, SeaFit, SeaWindow
 from heaved.estimation.smoother import Divergence, FixedLagSmoother
@@ -52,6 +52,13 @@ NEEDED_S: Final = 60.0
 DIVERGED: Final = 2.5
 """RMS difference from the delayed heave, over the modelled standard deviation, from which the output is in doubt; the
 published standard deviation has grown with it by then."""
+AIDING_LATE_S: Final = 1.0
+"""An aiding laser that comes later than this is not worth the process noise that it would miss."""
+AIDING_WALK_M2PS: Final = (0.01**2) / 60.0
+"""How the constant of a laser wanders: a centimetre in a minute (tide, a target that gives way)."""
+NO_OFFSET: Final = (0.0, 0.0, 0.0)
+SMALL_M: Final = 0.01
+"""Differences below this are well whatever the sea."""
 LONGEST_PEAK_S: Final = 28.0
 """Longer waves than this are not told from the drift of the sensor."""
 CONVERGED: Final = 1.5
@@ -146,6 +153,8 @@ class SeaObserver:
         self.resets: Counter[str] = Counter()
         self._number = 0
         self._filter: SeaFilter | None = None
+        self._unaided: SeaFilter | None = None
+        """The same without the laser, when that is aiding: the smoother's weights are those without it."""
         self._candidates: tuple[Candidate, ...] = ()
         self._start_over()
 
@@ -163,7 +172,8 @@ class SeaObserver:
         self.divergence = Divergence()
         self._smoother: FixedLagSmoother | None = None
         self._whiteness, self._waves, self._is_still = 1.0, inf, False
-        self._offset = (0.0, 0.0, nan)
+        self._offset, self._spliced_s = NO_OFFSET, -inf
+        self._aided_s, self._unaided = nan, None
         self._number += 1
         self._pending_number = -1
         if self._filter is not None:
@@ -199,6 +209,8 @@ class SeaObserver:
             self._filter.t_s = t_s - self._filter.steady.dt_s
         missed = t_s - self._filter.t_s - self._filter.steady.dt_s
         predicted_m, innovation = self._filter.step(t_s, a_mps2)
+        if self._unaided is not None:
+            predicted_m, innovation = self._unaided.step(t_s, a_mps2)
         if not self._filter.is_sound():
             self._filter = None
             self._reset("not finite")
@@ -207,6 +219,27 @@ class SeaObserver:
         if self._smoother is not None:
             self._smooth(t_s, missed, predicted_m, innovation)
 
+    def aid(self, t_s: float, laser_m: float, std_m: float) -> None:
+        """Take a laser as a measurement of the heave at ``t_s``, its sign applied; its constant is estimated too."""
+        if self._filter is None or not isfinite(self._filter.t_s) or not self.is_settled:
+            return
+        tau_s = t_s - self._filter.t_s
+        if abs(tau_s) > AIDING_LATE_S:
+            return
+        elapsed = min(t_s - self._aided_s, 60.0) if isfinite(self._aided_s) else 0.0
+        self._aided_s = t_s
+        row = self._outlook.derivatives((tau_s,))[0, 0]
+        if self._unaided is None:
+            f = self._filter
+            self._unaided = SeaFilter(f.system, f.steady, f.t_s, f.x, None if f.P is None else f.P.copy())
+        self._filter.aid(row, laser_m, std_m**2, AIDING_WALK_M2PS * max(elapsed, 0.0))
+        self._moved()
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the covariance says what is known, so that a laser may be weighed against it."""
+        return self.settled_s >= NEEDED_S
+
     def _smooth(self, t_s: float, missed_s: float, predicted_m: float, innovation: float) -> None:
         assert self._filter is not None
         assert self._smoother is not None
@@ -214,8 +247,8 @@ class SeaObserver:
         for i in range(min(round(missed_s / dt), 1000), 0, -1):
             self._smoother.push(t_s - i * dt, nan, 0.0)
         self._smoother.push(t_s, predicted_m, innovation)
-        said = self.at(t_s - self.t_s)
-        self._said.push((t_s, said.heave_m, at_index(self._stds, self._outlook.index(0.0))))
+        said_m = float(self._filter.system.heave.dot(self._filter.x)) + self._offset_at(t_s)[0]
+        self._said.push((t_s, said_m, at_index(self._stds, self._outlook.index(0.0))))
         delayed = self._smoother.value()
         if delayed is not None and (self.delayed is None or delayed.t_s > self.delayed.t_s):
             self.delayed = delayed
@@ -266,8 +299,16 @@ class SeaObserver:
         n = len(system.H)
         steady = _steady(system, fit.dt_s, np.frombuffer(fit.steady_P).reshape(n, n))
         before = self.at(0.0) if self._filter is not None else None
+        before_std_m = at_index(self._stds, self._outlook.index(0.0)) if self._filter is not None else nan
         P = np.frombuffer(fit.P).reshape(n, n).copy() if fit.P else None
+        aided = self._filter.offset if self._filter is not None else None
         self._install(system, steady, fit.t_s, np.frombuffer(fit.x).copy(), P)
+        if aided is not None:
+            # What the laser taught is in the old model's state; its constant stays, and brings the new state back.
+            self._filter_in_use().offset = Offset(aided.value_m, aided.variance_m2, n)
+            self._filter_in_use().P = self._filter_in_use().covariance.copy()
+            unaided_P = None if P is None else P.copy()
+            self._unaided = SeaFilter(system, steady, fit.t_s, np.frombuffer(fit.x).copy(), unaided_P)
         self._candidates, self._looked_s = fit.candidates, fit.t_s
         self._whiteness, self._waves = fit.whiteness, fit.waves
         self._is_still = self._sees_no_waves()
@@ -275,10 +316,16 @@ class SeaObserver:
         self._smoother = FixedLagSmoother(system, steady, self._params.delay_s)
         self._smoother.fill(fit.t_s, np.frombuffer(fit.predicted_m), np.frombuffer(fit.innovation))
         self._catch_up(fit.t_s)
-        self._offset = (0.0, 0.0, nan)
+        self._offset, self._spliced_s = NO_OFFSET, -inf
+        if aided is not None and before is not None:
+            # The laser's knowledge of the heave itself comes over; the rest of the state it teaches again.
+            row = self._outlook.derivatives((self.t_s - self._filter_in_use().t_s,))[0, 0]
+            self._filter_in_use().aid(row, before.heave_m + aided.value_m, before_std_m**2, 0.0)
+            self._moved()
         if before is not None and isfinite(before.heave_m):
             after = self.at(0.0)
             self._offset = (before.heave_m - after.heave_m, before.velocity_mps - after.velocity_mps, self.t_s)
+            self._spliced_s = self.t_s + 12.0 * SPLICE_S
         if fit.sea is not None:
             self.sea = msgspec.structs.replace(
                 fit.sea,
@@ -295,8 +342,13 @@ class SeaObserver:
         assert self._smoother is not None
         for t_s, a_mps2 in self._record.since(from_s).tolist():
             if t_s > self._filter.t_s:
-                self._smoother.push(t_s, *self._filter.step(t_s, a_mps2))
+                said = self._filter.step(t_s, a_mps2)
+                self._smoother.push(t_s, *(said if self._unaided is None else self._unaided.step(t_s, a_mps2)))
         self._moved()
+
+    def _filter_in_use(self) -> SeaFilter:
+        assert self._filter is not None
+        return self._filter
 
     def _install(self, system: SeaSystem, steady: Steady, t_s: float, x: Array, P: Array | None) -> None:
         rejected = 0 if self._filter is None else self._filter.rejected
@@ -307,12 +359,14 @@ class SeaObserver:
         self._omega = sqrt(float(system.velocity @ system.stationary @ system.velocity)) / self._heave_std_m
         self._plain = self._outlook.derivatives((0.0,))[0]
         self._learned_s = nan
+        self._usual: dict[float, int] = {}
         self._stds = self._steady_stds = self._outlook.stds(SeaFilter(system, steady, t_s, x, None).covariance)
         self._moved()
 
     def _moved(self) -> None:
         """The state has changed: what is derived from it."""
         self._values: list[list[float]] | None = None
+        self._modelled: dict[float, float] = {}
         assert self._filter is not None
         self._stds = self._steady_stds if self._filter.is_steady else self._outlook.stds(self._filter.covariance)
 
@@ -336,17 +390,19 @@ class SeaObserver:
             self._learned_s, self._values = learned_lead_s, None
         if self._values is None:
             self._values = (self._rows @ self._filter.x).tolist()
-        late = self.t_s - self._filter.t_s
+        values, usual_places, late = self._values, self._usual, self.t_s - self._filter.t_s
         motions = []
         for shift in shifts_s:
-            place = self._usual.get(shift)
+            place = usual_places.get(shift)
             if place is not None:
-                series = self._values[place]
+                motion = _along(values[place], late)
             else:
-                series = (self._outlook.derivatives([shift - learned_lead_s])[0] @ self._filter.x).tolist()
-            offset, drift = self._offset_at(self.t_s + shift)
-            motion = _along(series, late)
-            motions.append(Motion(motion.heave_m + offset, motion.velocity_mps + drift))
+                rows = self._outlook.derivatives([shift - learned_lead_s])[0]
+                motion = _along((rows @ self._filter.x).tolist(), late)
+            if self.t_s < self._spliced_s:
+                offset, drift = self._offset_at(self.t_s + shift)
+                motion = Motion(motion.heave_m + offset, motion.velocity_mps + drift)
+            motions.append(motion)
         return motions
 
     def unshifted(self) -> Motion:
@@ -363,14 +419,16 @@ class SeaObserver:
         """
         if self._filter is None or not isfinite(self._filter.t_s):
             return nan
-        return self._std_m(shift_s) * scale
-
-    def _std_m(self, shift_s: float) -> float:
-        assert self._filter is not None
-        learned = self._learned_s if isfinite(self._learned_s) else 0.0
-        late = self.t_s - self._filter.t_s
-        modelled = at_index(self._stds, self._outlook.index(shift_s + late - learned))
-        return hypot(modelled * self._own_scale(), self._offset_at(self.t_s + shift_s)[0])
+        modelled = self._modelled.get(shift_s)
+        if modelled is None:
+            learned = self._learned_s if isfinite(self._learned_s) else 0.0
+            tau_s = shift_s + self.t_s - self._filter.t_s - learned
+            modelled = at_index(self._stds, self._outlook.index(tau_s)) * self._own_scale()
+            if shift_s in self._usual:
+                self._modelled[shift_s] = modelled  # Until the next beat: it changes less within one than it is known.
+        if self.t_s < self._spliced_s:
+            modelled = hypot(modelled, self._offset_at(self.t_s + shift_s)[0])
+        return modelled * scale
 
     def _own_scale(self) -> float:
         shown = max(1.0, sqrt(0.5 * self._whiteness), self.divergence.ratio)
@@ -379,7 +437,7 @@ class SeaObserver:
     def _offset_at(self, t_s: float) -> tuple[float, float]:
         """What is left at ``t_s`` of the difference between the old model and the new: heave and velocity."""
         heave, velocity, since_s = self._offset
-        if not isfinite(since_s) or t_s - since_s > 12.0 * SPLICE_S:
+        if not t_s < self._spliced_s:
             return 0.0, 0.0
         elapsed = max(t_s - since_s, 0.0)
         fade, slope = exp(-elapsed / SPLICE_S), velocity + heave / SPLICE_S
@@ -429,7 +487,8 @@ class SeaObserver:
             found.append("recovering from a gap")
         if self._whiteness > CHANGED:
             found.append("the sea or the sensor is changing")
-        if self.divergence.ratio > DIVERGED:
+        error_m = self.divergence.ratio * at_index(self._stds, self._outlook.index(0.0)) if self._filter else 0.0
+        if self.divergence.ratio > DIVERGED and error_m > SMALL_M:
             found.append(f"{self.divergence.ratio:.1f} times its standard deviation off the delayed heave")
         if self.sea is not None and not self.sea.is_still and self.sea.peak_period_s > LONGEST_PEAK_S:
             found.append(f"swell of {self.sea.peak_period_s:.0f} s: longer than the sensor can follow")

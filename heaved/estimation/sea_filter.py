@@ -33,6 +33,19 @@ EXACT_DELTA_S: Final = 1e-7
 """A shorter rest of the interval than this changes nothing."""
 
 
+class Offset:
+    """The constant of an aiding laser (mounting, tide), one more state of the filter.
+
+    Attributes:
+        value_m, variance_m2: what is known of it.
+        c: (n,) its covariance with the state of the sea, m times the state's units.
+    """
+
+    def __init__(self, value_m: float, variance_m2: float, n: int) -> None:
+        self.value_m, self.variance_m2 = value_m, variance_m2
+        self.c = np.zeros(n)
+
+
 class SeaFilter:
     """State and covariance at the time of the last sample.
 
@@ -52,6 +65,29 @@ class SeaFilter:
         self._steady_variances = np.diag(self._steady_P).copy()
         self._seen = steady.S
         self._outside = 0
+        self.offset: Offset | None = None
+
+    def aid(self, row: Array, laser_m: float, variance_m2: float, walk_m2: float) -> None:
+        """Take a distance to a fixed target, with the sign of heave: ``row`` x + offset + noise.
+
+        row: (n,) heave at the laser's time from the state at ``t_s``. walk_m2: what the constant has wandered since the
+        last one. The first one only sets the constant.
+        """
+        P, expected_m = self.covariance, float(row.dot(self.x))
+        if self.offset is None:
+            self.offset = Offset(laser_m - expected_m, float(row.dot(P).dot(row)) + variance_m2, len(row))
+            self.offset.c = -P.dot(row)
+            self.P = P.copy()
+            return
+        offset = self.offset
+        offset.variance_m2 += walk_m2
+        PH, cross = P.dot(row) + offset.c, float(row.dot(offset.c)) + offset.variance_m2
+        S = float(row.dot(PH)) + cross + variance_m2
+        y = laser_m - expected_m - offset.value_m
+        self.x, self.P = self.x + PH * (y / S), P - np.outer(PH, PH) / S
+        offset.value_m += cross / S * y
+        offset.c = offset.c - PH * (cross / S)
+        offset.variance_m2 -= cross * cross / S
 
     @property
     def covariance(self) -> Array:
@@ -78,6 +114,8 @@ class SeaFilter:
             F, Q = self.system.transition(dt)
             x = F.dot(x)
             P = _symmetric(F.dot(self.covariance).dot(F.T) + Q)
+        if self.offset is not None:
+            self.offset.c = (steady.F if is_usual else F).dot(self.offset.c)
         self.t_s = t_s
         predicted_m = float(self.system.heave.dot(x))
         y = a_mps2 - float(H.dot(x))
@@ -91,6 +129,11 @@ class SeaFilter:
             self.x = x + steady.K * y
         else:
             self.x, self.P = x + PH * (y / S), P - np.outer(PH, PH) / S
+            if self.offset is not None:
+                cross = float(H.dot(self.offset.c))
+                self.offset.value_m += cross / S * y
+                self.offset.c = self.offset.c - PH * (cross / S)
+                self.offset.variance_m2 -= cross * cross / S
             self._settle()
         return predicted_m, y
 
@@ -118,6 +161,8 @@ class SeaFilter:
 
     def _settle(self) -> None:
         assert self.P is not None
+        if self.offset is not None:
+            return  # The laser knows more than the steady filter will ever.
         if float(np.max(np.abs(np.diag(self.P) / self._steady_variances - 1.0))) < STEADY:
             self.P = None
 

@@ -1,0 +1,211 @@
+"""What of one channel goes into the direct predictor's lags: spikes, gaps, level steps, stuck readings, manoeuvres.
+
+The prediction one step ahead is the yardstick. A sample that stands out of it by six of its errors is held back and the
+prediction put in its place. If half a second of samples in a row stands out, it is no spike: a step of the level if all
+stand off by the same (the level moves, the past with it), a stuck sensor if all are the same (as good as missing), else
+the motion itself, which then goes into the lags after all.
+"""
+
+from __future__ import annotations
+
+from math import inf, isfinite, nan, sqrt
+from typing import Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+MEAN_MEMORY_S: Final = 120.0
+STEP_ERROR_MEMORY_S: Final = 30.0
+GATE: Final = 6.0
+"""One-step errors beyond so many of their RMS are held back."""
+QUANTA: Final = 3.0
+"""Steps of a coarse register that never are."""
+ARMED_S: Final = 60.0
+WIDENED: Final = 2.0
+"""The gate after each half second of motion that it had held back wrongly."""
+JUDGED_S: Final = 0.5
+"""So long a run of held-back samples is no spike."""
+AGREED: Final = 0.3
+"""Deviations that scatter by less than this share of their median are a step."""
+MANOEUVRE: Final = 8.0
+"""Deviations from the slow mean beyond so many standard deviations are no wave motion."""
+MANOEUVRE_MEAN_S: Final = 10.0
+MANOEUVRE_LASTS_S: Final = 60.0
+"""After which it is the new sea."""
+
+
+class Timing(msgspec.Struct, frozen=True, kw_only=True):
+    """Lengths of time in samples."""
+
+    interval_s: float
+    settling: int
+    """Until the shortest memory, that of the extrapolation, holds nothing but the motion."""
+    longest_gap: int
+    judged: int
+
+
+class Channel:
+    """One channel; values are relative to ``level``."""
+
+    def __init__(self, timing: Timing, gap_weights: Array) -> None:
+        """``gap_weights`` (steps, H + 1): of a predicted curve, for the value 1, 2, ... samples on."""
+        self._timing = timing
+        self._gap_weights = gap_weights
+        self._anchor = np.zeros(gap_weights.shape[1])
+        self.level = 0.0
+        self.since = 0
+        """Samples since it began, or began anew after a long gap; 0: there is nothing."""
+        self.calm = 0
+        """Samples since a manoeuvre, or other motion that should not be learned from."""
+        self.unsettled = 0
+        """Samples until predictions are worth scoring again."""
+        self.mean = 0.0
+        """Slow mean."""
+        self.step_square = 0.0
+        """Mean square of the one-step errors."""
+        self.quantum = inf
+        """Least change between readings: the step of the register, where it is coarse."""
+        self.spikes = self.level_steps = 0
+        self._reading = nan
+        self._repeats = 0
+        self._frozen = False
+        self._absent = 0
+        self._held: list[tuple[float, float]] = []
+        self._step_count = 0
+        self._mean_count = 0.0
+        self._square = 0.0
+        self._manoeuvre = 0
+
+    @property
+    def ready(self) -> bool:
+        return self.since >= self._timing.settling
+
+    @property
+    def noise_square(self) -> float:
+        """What stands for the variance of the sensor's noise."""
+        return max(self.step_square, self.quantum**2 if self.quantum < inf else 0.0)
+
+    def take(self, value: float, late_s: float, one_step: float, slope: float, curve: Array) -> tuple[float, bool]:
+        """What goes into the lags, and whether it was measured.
+
+        ``late_s``: how long after its grid time the sample was read; ``one_step``, ``slope``: the value expected and
+        how it changes; ``curve`` (H + 1,): the latest value and predictions. After the first sample ``since`` is 1.
+        """
+        change = abs(value - self._reading)
+        self._repeats = self._repeats + 1 if change == 0.0 else 0
+        if 0.0 < change < self.quantum:
+            self.quantum = change
+        self._reading = value
+        if self._frozen and change == 0.0:
+            value = nan
+        else:
+            self._frozen = False
+        if self.since == 0:
+            if not isfinite(value):
+                return 0.0, False
+            one_step = self._begin(value)
+            slope = 0.0
+        self.since += 1
+        self.calm += 1
+        absent = self._absent
+        if absent:
+            one_step = float(self._gap_weights[min(absent, len(self._gap_weights) - 1)] @ self._anchor)
+        if isfinite(value):
+            x = value - self.level - slope * late_s
+            if self._passes(x, one_step, absent):
+                return x, True
+            self._held.append((x, one_step))
+        elif self._held:
+            self._held.append((nan, one_step))
+        if not absent:
+            self._anchor[:] = curve
+        self._absent = absent + 1
+        if absent >= self._timing.longest_gap and not self._held:
+            self.since = 0
+        return one_step, False
+
+    def lose(self) -> None:
+        """After a gap too long to fill: the past is gone, what was learned from it stays."""
+        self.since = 0
+
+    def judge(self) -> Array | None:
+        """Once samples have been held back for long enough: what should replace the latest of them (nan: nothing)."""
+        if len(self._held) < self._timing.judged:
+            return None
+        measured, filled = np.array(self._held).T
+        self._held.clear()
+        off = measured - filled
+        off = off[np.isfinite(off)]
+        step = float(np.median(off))
+        if float(np.max(np.abs(off - step))) < AGREED * abs(step):
+            self.level += step
+            self.level_steps += 1
+            measured = measured - step
+        elif self._stuck():
+            self._frozen = True  # as good as missing until the reading changes
+            return None
+        else:
+            self.step_square *= WIDENED**2
+            self.calm = 0
+            self.unsettled = self._timing.settling
+        self._absent = 0
+        return np.asarray(measured, dtype=np.float64)
+
+    def _begin(self, value: float) -> float:
+        if self._mean_count == 0.0:
+            self.level = value
+        self.calm = self._absent = 0
+        self.unsettled = self._timing.settling
+        self._held.clear()
+        return value - self.level
+
+    def _stuck(self) -> bool:
+        """The same reading over and over from an axis that has moved."""
+        return self._repeats >= self._timing.judged - 1 and self._square > 9.0 * min(self.quantum, 1.0) ** 2
+
+    def _passes(self, x: float, expected: float, absent: int) -> bool:
+        """The gate; a sample that passes is learned from."""
+        error = x - expected
+        count = self._step_count
+        settled = self.since > self._timing.settling  # before, the prediction knows little of the motion
+        if settled and count > ARMED_S / self._timing.interval_s:
+            limit = GATE * sqrt(self.step_square)
+            if self.quantum < inf:
+                limit = max(limit, QUANTA * self.quantum)
+            if abs(error) > limit * (1 + absent) > 0.0:
+                return False
+        if self._held:
+            self.spikes += len(self._held)
+            self._held.clear()
+        self._absent = 0
+        if settled and not absent:
+            self._step_count = count + 1
+            share = 1.0 / min(count // 2 + 1, STEP_ERROR_MEMORY_S / self._timing.interval_s)
+            self.step_square += share * (error * error - self.step_square)
+        self._follow(x)
+        return True
+
+    def _follow(self, x: float) -> None:
+        """Slow mean and variance; a manoeuvre is motion far outside of them."""
+        interval_s = self._timing.interval_s
+        memory = MEAN_MEMORY_S / interval_s
+        deviation = x - self.mean
+        square = deviation * deviation
+        count = self._mean_count
+        if count > 0.5 * memory and square > MANOEUVRE**2 * self._square > 0.0:
+            self._manoeuvre += 1
+            if self._manoeuvre < MANOEUVRE_LASTS_S / interval_s:
+                self.calm = 0
+                self.mean += deviation * interval_s / MANOEUVRE_MEAN_S
+                return
+            self._manoeuvre = 0
+            count = MANOEUVRE_MEAN_S / interval_s
+        elif self._manoeuvre:
+            self._manoeuvre -= 1
+        share = 1.0 / min(count + 1.0, memory)
+        self.mean += share * deviation
+        self._square += share * (square - self._square)
+        self._mean_count = min(count + 1.0, memory)
