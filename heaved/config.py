@@ -128,7 +128,7 @@ def parse(document: Mapping[str, Any], *, file: str, directory: Path) -> Config:
         ]
     _check(Config, tree, "", faults)
     sound, tables = _sound_parts(tree)
-    faults += _cross_checks(tree.get("device"), sound, tables, [fault.partition(":")[0] for fault in faults])
+    faults += _cross_checks(tree, sound, tables, [fault.partition(":")[0] for fault in faults])
     if faults:
         # Alone, a rate beyond the line is no reason to refuse a file; beside others it shall not wait for its turn.
         faults += _overload_faults(tuple(sound.values()))
@@ -285,7 +285,7 @@ def _sound_parts(tree: Mapping[str, Any]) -> tuple[dict[int, DeviceSpec], Config
             devices[i] = msgspec.convert(device, DeviceSpec)
     tables: dict[str, Any] = {}
     for field in msgspec.structs.fields(Config):
-        if field.name in tree and field.name != "device":
+        if field.name in tree and _table_of(field.type) is not None:
             with suppress(msgspec.ValidationError):
                 tables[field.name] = msgspec.convert(_sound_keys(field.type, tree[field.name]), field.type)
     return devices, Config(**tables)
@@ -305,27 +305,19 @@ def _sound_keys(kind: Any, table: Any) -> dict[str, Any]:
 
 
 def _cross_checks(
-    listed: Any, devices: Mapping[int, DeviceSpec], config: Config, wrong: Collection[str]
+    tree: Mapping[str, Any], devices: Mapping[int, DeviceSpec], config: Config, wrong: Collection[str]
 ) -> list[str]:
-    """What no single key can get wrong alone. ``listed``: the devices as written; ``devices`` and ``config``: what is
-    sound of the file; ``wrong``: the paths that have a fault already."""
+    """What no single key can get wrong alone. ``tree``: the file as written; ``devices`` and ``config``: what is
+    sound of it; ``wrong``: the paths that have a fault already."""
+    listed = tree.get("device")
     faults = [fault for i, device in devices.items() for fault in _device_faults(f"device[{i}]", device)]
     for i, device in enumerate(listed if isinstance(listed, list) else ()):
         if i not in devices and isinstance(device, dict) and isinstance(device.get("link"), str):
             faults += _link_faults(f"device[{i}]", device["link"])
-    for key in ("name", "role"):
-        seen: dict[str, int] = {}
-        for i, device in enumerate(listed if isinstance(listed, list) else ()):
-            value = device.get(key) if isinstance(device, dict) else None
-            if not isinstance(value, str) or f"device[{i}].{key}" in wrong:
-                continue
-            if value in seen:
-                faults.append(f"device[{i}].{key}: {value!r} is already the {key} of device[{seen[value]}]")
-            seen.setdefault(value, i)
+    for array, key in (("device", "name"), ("device", "role"), ("point", "name")):
+        faults += _twice(tree.get(array), array, key, wrong)
     if config.laser.role == "aiding" and config.heave.observer != "sea":
         faults.append("laser.role: 'aiding' needs heave.observer = 'sea'; the harmonic observer can only be compared")
-    names = [point.name for point in config.point]
-    faults += [f"point[{i}].name: {name!r} is taken" for i, name in enumerate(names) if name in names[:i]]
     if list(config.heave.sea.windows_s) != sorted(set(config.heave.sea.windows_s)) or not config.heave.sea.windows_s:
         faults.append(f"heave.sea.windows_s: must be lengths that increase (got {list(config.heave.sea.windows_s)})")
     if not any(".link: " in fault for fault in faults):
@@ -345,6 +337,20 @@ def _cross_checks(
     same = config.stream.port == config.http.port != 0 and config.stream.host == config.http.host
     if config.http.enabled and same and not {"stream.port", "http.port"} & set(wrong):
         faults.append(f"http.port: {config.http.port} is also stream.port")
+    return faults
+
+
+def _twice(listed: Any, array: str, key: str, wrong: Collection[str]) -> list[str]:
+    """Tables of ``array`` that have the ``key`` of an earlier one. ``listed``: as written."""
+    faults = []
+    seen: dict[str, int] = {}
+    for i, table in enumerate(listed if isinstance(listed, list) else ()):
+        value = table.get(key) if isinstance(table, dict) else None
+        if not isinstance(value, str) or f"{array}[{i}].{key}" in wrong:
+            continue
+        if value in seen:
+            faults.append(f"{array}[{i}].{key}: {value!r} is already the {key} of {array}[{seen[value]}]")
+        seen.setdefault(value, i)
     return faults
 
 

@@ -9,13 +9,26 @@ import msgspec
 
 from heaved.config import HttpParams, StateParams, StreamParams, data_directory, load
 from heaved.daemon import Daemon
+from heaved.estimation import heave
+from heaved.estimation.sea import Params as SeaParams
+from heaved.estimation.sea_model import SeaModel
 from heaved.outputs import wire
+from heaved.pipeline import PipelineState
 from heaved.simulate.instruments import Instruments
 from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.seaway import seaway
 
+SWELL = SeaModel(
+    stages=8, frequency_hz=(0.2,), damping=(0.3,), level_m2phz=(4.0,), noise_psd=4e-6, bias_walk_psd=9e-10
+)
+"""Broad about 5 s, of the size that the default sea observer takes: what an earlier run may have left behind."""
 PATIENCE_S = 20.0
 """For what normally takes a fraction of a second, on a machine that has other things to do."""
+
+
+# For each observer: [heave], what it may have learned with it, and [heave] which that does not fit.
+HARMONIC = heave.Params(observer="harmonic"), PipelineState(frequencies_hz=(0.0987,)), {"components": 2}
+SEA = heave.Params(), PipelineState(sea=SWELL), {"sea": SeaParams(stages=4)}
 
 
 def demo_config(directory, **changes):

@@ -11,6 +11,7 @@ from structlog.testing import capture_logs
 from heaved.acquisition import IDLE_RATE_HZ, Acquisition
 from heaved.config import data_directory, load
 from heaved.devices.modbus import PollResult
+from heaved.estimation.sea_window import SeaFit
 from heaved.metrics import Metrics
 from heaved.samples import (
     CorrectionState,
@@ -57,6 +58,14 @@ class FakePipeline:
     def accept(self, network):
         if "accept" in self.error:
             raise self.error["accept"]
+        return self.verdict
+
+    def fit_due(self):
+        return self.pasts.pop() if self.pasts else None
+
+    def accept_fit(self, fit):
+        if "accept_fit" in self.error:
+            raise self.error["accept_fit"]
         return self.verdict
 
 
@@ -353,6 +362,7 @@ def test_a_window_is_handed_on_once(rig):
     rig.pipeline.windows = [window]
     rig.run(0.1, well)
     assert rig.windows == [window]
+    assert rig.pasts == []
 
 
 def test_results_are_counted_and_said_when_they_change(rig):
@@ -368,3 +378,42 @@ def test_results_are_counted_and_said_when_they_change(rig):
     assert rig.value('heaved_training_runs_total{result="failed"}') == 1
     assert rig.acquisition.accepted_s == 140.0
     assert rig.acquisition.trainings == 6
+
+
+# ---- fits of the sea -------------------------------------------------------------------------------------------------
+
+
+def test_a_past_is_handed_on_once(rig):
+    past = SimpleNamespace(number=1)
+    rig.pipeline.pasts = [past]
+    rig.run(0.1, well)
+    assert rig.pasts == [past]
+    assert rig.windows == []
+
+
+def test_a_bug_in_handing_out_work_is_said_once_and_the_stream_goes_on(rig, monkeypatch):
+    def broken():
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(rig.pipeline, "fit_due", broken)
+    with capture_logs() as logs:
+        rig.run(1.0, well)
+    assert [frame.heave_m for frame in rig.frames] == [1.0] * 100
+    assert sum(line["log_level"] == "error" for line in logs) == 1
+    assert rig.value('heaved_filter_resets_total{filter="pipeline",reason="work: ZeroDivisionError"}') == 100
+
+
+def test_fits_are_counted_and_said_when_they_change(rig):
+    with capture_logs() as logs:
+        for verdict in ["failed", "accepted", "accepted", "rejected", "accepted"]:
+            rig.pipeline.verdict = verdict
+            rig.now_s += 10.0
+            rig.acquisition.accept_fit(SeaFit(number=1, message="too short" if verdict == "failed" else ""))
+        rig.pipeline.error["accept_fit"] = ValueError("wrong size")
+        rig.acquisition.accept_fit(SeaFit(number=1))
+    said = [(line["result"], line["detail"]) for line in logs if "result" in line]
+    assert said == [("failed", "too short"), ("accepted", ""), ("rejected", ""), ("accepted", ""), ("failed", "")]
+    results = ("accepted", "rejected", "failed")
+    assert [rig.value(f'heaved_sea_fits_total{{result="{result}"}}') for result in results] == [3, 1, 2]
+    assert rig.acquisition.fitted_s == 150.0
+    assert rig.acquisition.trainings == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import tomllib
 from collections.abc import Callable, Iterator
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 
 from heaved.config import Config, ConfigError, data_directory, load, parse, rate_faults
 from heaved.devices.profile import Block, DeviceSpec, Field, Profile
+from heaved.estimation.points import Point
 
 IMU_PROFILE = """
 [device.profile]
@@ -68,6 +70,10 @@ def test_a_device_with_an_inline_profile() -> None:
 
 
 def test_values_reach_their_tables() -> None:
+    ahead = "[heave.sea]\nwindows_s = [60, 240]\n[compensation]\nlead_s = 0.25"
+    config = read(f'[[point]]\nname = "tip"\nup_m = 30\n{ahead}')
+    assert config.point == (Point(name="tip", up_m=30.0),)
+    assert (config.heave.sea.windows_s, config.compensation.lead_s) == ((60.0, 240.0), 0.25)
     config = read('[heave]\ncomponents = 3\n[heave.lead]\nenabled = false\n[stream]\nport = 0\nallow = ["10.0.0.0/8"]')
     assert (config.heave.components, config.heave.lead.enabled, config.stream.port) == (3, False, 0)
     assert config.stream.allow == ("10.0.0.0/8",)
@@ -81,7 +87,7 @@ FAULTS: dict[str, tuple[str, str]] = {
     "missing key of a device": (IMU.replace("rate_hz = 100", "") + IMU_PROFILE, "device[0].rate_hz: missing"),
     "wrong type": ('[stream]\nport = "5570"', "stream.port: Expected `int`, got `str` (got '5570')"),
     "out of range": ("[stream]\nport = 70000", "stream.port: Expected `int` <= 65535 (got 70000)"),
-    "no such choice": ('[heave]\nobserver = "kalman"', "heave.observer: must be 'harmonic' (got 'kalman')"),
+    "no such choice": ('[heave]\nobserver = "kalman"', "heave.observer: must be 'harmonic' or 'sea' (got 'kalman')"),
     "no such role": (LASER.replace('role = "laser"', 'role = "imu2"'), "must be 'imu' or 'laser' (got 'imu2')"),
     "neither sign": ("[laser]\nsign = 2", "laser.sign: must be 1 or -1 (got 2)"),
     "nan": ("[heave]\nmax_gap_s = nan", "heave.max_gap_s: "),
@@ -90,6 +96,24 @@ FAULTS: dict[str, tuple[str, str]] = {
     "a number beyond floats": (f"[heave]\nmax_gap_s = {10**400}", "heave.max_gap_s: "),
     "band upside down": ("[heave]\nband_hz = [0.6, 0.04]", "heave.band_hz: must be a lower and a higher frequency"),
     "horizon twice": ("[heave]\nforecast_horizons_s = [1, 1.0]", "heave.forecast_horizons_s: names a horizon twice"),
+    "no window": ("[heave.sea]\nwindows_s = []", "heave.sea.windows_s: must be lengths that increase (got [])"),
+    "windows that shrink": ("[heave.sea]\nwindows_s = [300, 120]", "heave.sea.windows_s: must be lengths that incr"),
+    "a window twice": ("[heave.sea]\nwindows_s = [120, 120.0]", "heave.sea.windows_s: must be lengths that increase"),
+    "a window too short": ("[heave.sea]\nwindows_s = [59, 300]", "heave.sea.windows_s: Expected `float` >= 60.0"),
+    "a window that is nan": ("[heave.sea]\nwindows_s = [120, nan]", "heave.sea.windows_s: "),
+    "rock horizon twice": ("[rock]\nhorizons_s = [0.1, 0.5, 0.1]", "rock.horizons_s: names a horizon twice"),
+    "horizon of zero": ("[heave]\nforecast_horizons_s = [0]", "heave.forecast_horizons_s: "),
+    "lead backwards": ("[compensation]\nlead_s = -0.1", "compensation.lead_s: Expected `float` >= 0.0 (got -0.1)"),
+    "points as one table": ('[point]\nname = "tip"', "point: is one table; write [[point]]"),
+    "points as a value": ("point = false", "point: Expected `array`, got `bool` (got False)"),
+    "point without name": ("[[point]]\nup_m = 3", "point[0].name: missing"),
+    "name with a space": ('[[point]]\nname = "crane tip"', "point[0].name: Expected `str` matching regex"),
+    "name with a line end": ('[[point]]\nname = "tip\\n"', "point[0].name: Expected `str` matching regex"),
+    "point at infinity": ('[[point]]\nname = "tip"\nport_m = inf', "point[0].port_m: must be finite (got inf)"),
+    "two points of one name": (
+        '[[point]]\nname = "tip"\n[[point]]\nname = "pool"\n[[point]]\nname = "tip"\nup_m = 9',
+        "point[2].name: 'tip' is already the name of point[0]",
+    ),
     "table where a value is": ("[stream.port]\na = 1", "stream.port: Expected `int`, got `object`"),
     "value where a table is": ("stream = 5", "stream: Expected `object`, got `int`"),
     "device as one table": ('[device]\nname = "imu"', "device: is one table; write [[device]]"),
@@ -166,13 +190,18 @@ def test_a_wrong_key_hides_no_other_fault_of_its_table() -> None:
     [http]
     port = 5570
     allow = ["10.0.0.0/33", 3]
+    [[point]]
+    name = "tip"
+    up = 3
+    [[point]]
+    name = "tip"
     {(IMU + IMU_PROFILE).replace("tcp:", "udp:")}
     {LASER.replace('"laser"', '"imu"', 1).replace('role = "laser"', 'role = "imu"').replace("rate_hz = 20", "")}
     {LASER.replace('"laser"', '"imu"', 1).replace("tcp:", "serial:").replace("rate_hz = 20", "rate_hz = -1")}
     """
     assert sorted({fault.split(":")[0] for fault in faults_of(text)}) == sorted((
         "heave.windows", "heave.band_hz", "heave.lead.limit_s", "rock.points", "rock.horizons_s",
-        "stream.port", "stream.host", "http.allow", "device[0].link",
+        "stream.port", "stream.host", "http.allow", "point[0].up", "point[1].name", "device[0].link",
         "device[1].name", "device[1].role", "device[1].rate_hz",
         "device[2].name", "device[2].link", "device[2].rate_hz",
     ))  # fmt: skip
@@ -232,7 +261,8 @@ ARRAYS = ("device", "point")
 """Tables of which there may be several."""
 
 _KEYS = sorted(
-    {field.name for kind in (Config, DeviceSpec, Profile, Block, Field) for field in msgspec.structs.fields(kind)}
+    {field.name for kind in (Config, DeviceSpec, Profile, Block, Field, Point)
+       for field in msgspec.structs.fields(kind)}
     | {field.name for table in Config() .__struct_fields__ if table not in ARRAYS
        for field in msgspec.structs.fields(getattr(Config(), table))}
 )  # fmt: skip
@@ -255,6 +285,44 @@ def test_no_document_raises_anything_but_config_error(document: dict[str, Any]) 
         assert error.faults  # noqa: PT017 - either outcome is right, an empty refusal is not
     else:
         assert isinstance(config, Config)
+
+
+_POINTS = st.lists(
+    st.dictionaries(
+        st.sampled_from([field.name for field in msgspec.structs.fields(Point)] * 5 + ["up"]),
+        _LEAVES | st.floats(-100.0, 100.0) | st.sampled_from(("tip", "moon-pool", "A.1", "tip\n", "x" * 32, "x" * 33)),
+        max_size=4,
+    ),
+    max_size=4,
+)
+
+
+def is_sound_point(table: dict[str, Any]) -> bool:
+    """As the manual has it: a name of up to 32 letters, digits, ``_``, ``.`` or ``-``, and finite metres."""
+    metres = [table.get(key, 0.0) for key in ("forward_m", "port_m", "up_m")]
+    name = table.get("name")
+    return (
+        set(table) <= {"name", "forward_m", "port_m", "up_m"}
+        and isinstance(name, str)
+        and re.fullmatch(r"[A-Za-z0-9_.-]{1,32}", name) is not None
+        and all(type(metre) in (int, float) and math.isfinite(metre) for metre in metres)
+    )
+
+
+@given(_POINTS)
+def test_points_are_taken_as_written_or_the_wrong_ones_are_named(listed: list[dict[str, Any]]) -> None:
+    wrong = {i for i, table in enumerate(listed) if not is_sound_point(table)}
+    names = [table.get("name") for table in listed]
+    doubled = {i for i, name in enumerate(names) if isinstance(name, str) and name in names[:i]}
+    try:
+        config = parse({"point": listed}, file="x.toml", directory=Path("/nonexistent"))
+    except ConfigError as error:
+        named = {int(re.match(r"point\[(\d)\]\.", fault)[1]) for fault in error.faults}  # type: ignore[index]
+        assert named - doubled == wrong - doubled
+        assert wrong <= named
+    else:
+        assert not wrong | doubled
+        assert config.point == tuple(Point(**table) for table in listed)
 
 
 # ---- the files that come with the program ----------------------------------------------------------------------------

@@ -7,12 +7,23 @@ from contextlib import closing
 
 import msgspec
 import pytest
-from running import demo_config, frames_of, get, median_period_s, metric, plant_of, running, stream_of, until
+from running import (
+    HARMONIC,
+    SEA,
+    demo_config,
+    frames_of,
+    get,
+    median_period_s,
+    metric,
+    plant_of,
+    running,
+    stream_of,
+    until,
+)
 from structlog.testing import capture_logs
 
 from heaved.config import HttpParams, StreamParams
 from heaved.daemon import Daemon
-from heaved.estimation import heave
 from heaved.samples import MotionFrame
 from heaved.sdnotify import Notifier
 from heaved.tasks import supervise
@@ -41,7 +52,7 @@ async def test_status_knows_it_all(tmp_path):
     assert record["rate_hz"] == pytest.approx(100.0, rel=0.5)  # Measured: a busy machine skips some.
     assert {device["name"]: device["up"] for device in record["devices"]} == {"imu": True, "laser": True}
     assert record["devices"][0]["wanted_rate_hz"] == 100.0
-    assert record["observer"]["name"] == "harmonic"
+    assert record["observer"]["name"] == "sea"
     assert record["clock"]["steps"] == 0
     assert record["state_file"] == str(tmp_path / "state" / "state.json")
     assert record["quality"]["heave"] == "settling"
@@ -85,14 +96,16 @@ async def test_http_off(tmp_path):
 # ---- state -----------------------------------------------------------------------------------------------------------
 
 
-async def test_a_restart_remembers(tmp_path):
-    config = demo_config(tmp_path, device=())
+@pytest.mark.parametrize(("params", "learned", "frequency_hz"), [(*HARMONIC[:2], 0.0987), (*SEA[:2], 0.2)])
+async def test_a_restart_remembers(tmp_path, params, learned, frequency_hz):
+    config = demo_config(tmp_path, device=(), heave=params)
     async with running(config) as daemon:
-        learned = msgspec.structs.replace(daemon.acquisition.pipeline.state(), frequencies_hz=(0.0987,))
+        assert daemon.acquisition.pipeline.state() != learned
         daemon.acquisition.pipeline.restore(learned)
     async with running(config) as daemon:
         assert daemon.acquisition.pipeline.state() == learned
-        assert daemon.status().observer.frequencies_hz == (0.0987,)
+        assert daemon.status().observer.frequencies_hz == (frequency_hz,)
+        assert metric(daemon, 'heaved_state_loads_total{result="restored"}') == 1
 
 
 async def test_the_state_is_saved_now_and_then(tmp_path):
@@ -114,7 +127,8 @@ def to_toml(config):
         lines += [f'profile = "{device.profile.name}"']
     lines += ["[stream]", f"port = {config.stream.port}", "[http]", f"port = {config.http.port}"]
     lines += ["[state]", f"directory = {json.dumps(config.state.directory)}", "[correction]", "enabled = false"]
-    return "\n".join([*lines, "[heave]", f"components = {config.heave.components}", ""])
+    lines += ["[heave]", f'observer = "{config.heave.observer}"', f"components = {config.heave.components}"]
+    return "\n".join([*lines, "[heave.sea]", f"stages = {config.heave.sea.stages}", ""])
 
 
 async def test_reload_restarts_only_what_has_changed(tmp_path):
@@ -141,23 +155,39 @@ async def test_reload_restarts_only_what_has_changed(tmp_path):
             assert metric(daemon, 'heaved_config_reloads_total{result="applied"}') == 2
 
 
-async def test_reload_of_an_estimator_keeps_what_was_learned(tmp_path):
+@pytest.mark.parametrize(("params", "learned", "other"), [HARMONIC, SEA])
+async def test_reload_of_an_estimator_keeps_what_was_learned(tmp_path, params, learned, other):
     path = tmp_path / "heaved.toml"
-    config = demo_config(tmp_path, device=())
+    config = demo_config(tmp_path, device=(), heave=params)
     async with running(config, path) as daemon:
-        learned = msgspec.structs.replace(daemon.acquisition.pipeline.state(), lead_learned_s=0.125)
-        daemon.acquisition.pipeline.restore(learned)
+        daemon.acquisition.pipeline.restore(msgspec.structs.replace(learned, lead_learned_s=0.125))
         laser = msgspec.structs.replace(config.laser, sign=-1)
         path.write_text(to_toml(config) + "[laser]\nsign = -1\n")
         await daemon.reload()
         assert daemon.config.laser == laser
-        assert daemon.acquisition.pipeline.state().lead_learned_s == 0.125
+        assert daemon.acquisition.pipeline.state() == msgspec.structs.replace(learned, lead_learned_s=0.125)
         with capture_logs() as logs:
-            path.write_text(to_toml(msgspec.structs.replace(config, heave=heave.Params(components=2))))
+            path.write_text(to_toml(msgspec.structs.replace(config, heave=msgspec.structs.replace(params, **other))))
             await daemon.reload()
         assert any("start cold" in line["event"] for line in logs)
         frame = await until(daemon, lambda record: True)
         assert frame["quality"]["heave"] == "invalid"
+
+
+async def test_a_fitter_runs_for_the_observer_that_needs_it_and_only_then(tmp_path):
+    path = tmp_path / "heaved.toml"
+    sea = demo_config(tmp_path, device=())
+    harmonic = msgspec.structs.replace(sea, heave=HARMONIC[0])
+    async with running(sea, path) as daemon:
+        first = daemon._fitter
+        assert first is not None
+        for config, name in ((harmonic, "harmonic"), (sea, "sea")):
+            path.write_text(to_toml(config))
+            await daemon.reload()
+            assert (daemon._fitter is not None) == (name == "sea")
+            assert daemon.status().observer.name == name
+        assert daemon._fitter is not first
+        await until(daemon, lambda record: True)
 
 
 async def test_reload_says_what_needs_a_restart(tmp_path):

@@ -13,15 +13,17 @@ from contextlib import asynccontextmanager, closing
 import msgspec
 import pytest
 import structlog
-from running import PATIENCE_S, demo_config, metric, plant_of, running, stream_of, until
+from running import HARMONIC, PATIENCE_S, SEA, demo_config, metric, plant_of, running, stream_of, until
 from structlog.testing import capture_logs
 
 from heaved import daemon as daemon_module
 from heaved.config import HttpParams, StreamParams
 from heaved.daemon import Daemon, run
 from heaved.outputs.access import ListenError
+from heaved.pipeline import PipelineState
 from heaved.realtime import set_real_time
 from heaved.simulate.faults import FaultKind, PlannedFault
+from heaved.state import StateFile
 from heaved.training.process import Worker
 
 FOR_EVER_S = 1e6
@@ -252,26 +254,40 @@ async def test_a_corrupt_state(tmp_path):
     assert (tmp_path / "state" / "state.corrupt").read_text() == '{"version":1,"sha'
 
 
-async def test_a_state_of_other_parameters(tmp_path):
-    config = demo_config(tmp_path, device=())
-    async with running(config):
-        pass
-    heave = msgspec.structs.replace(config.heave, components=3)
+@pytest.mark.parametrize(("params", "learned", "other"), [HARMONIC, SEA])
+async def test_a_state_of_other_parameters(tmp_path, params, learned, other):
+    config = demo_config(tmp_path, device=(), heave=params)
+    async with running(config) as daemon:
+        daemon.acquisition.pipeline.restore(learned)
+    heave = msgspec.structs.replace(params, **other)
     with capture_logs() as logs:
         async with running(msgspec.structs.replace(config, heave=heave)) as daemon:
             await until(daemon, lambda record: True)
     assert "does not fit this configuration" in next(line for line in logs if "reason" in line)["reason"]
 
 
-# ---- trainer ---------------------------------------------------------------------------------------------------------
+# ---- trainer and fitter ----------------------------------------------------------------------------------------------
+
+
+def let_die(monkeypatch, name):
+    """The worker of that name dies again and again; the other is well."""
+    dying = {"command": (sys.executable, "-c", "import sys; sys.exit('no such module')"), "first_backoff_s": 0.01}
+
+    def make(called, *arguments, **options):
+        return Worker(called, *arguments, **(options | dying if called == name else options))
+
+    monkeypatch.setattr("heaved.daemon.Worker", make)
+
+
+def check_said_once(logs, name):
+    (line,) = [line for line in logs if "has failed" in line["event"]]
+    assert name in line["event"]
+    assert line["log_level"] == "warning"
+    assert "no such module" in line["reason"]
 
 
 async def test_the_trainer_dies_again_and_again(tmp_path, monkeypatch):
-    command = (sys.executable, "-c", "import sys; sys.exit('no module named torch')")
-    monkeypatch.setattr(
-        "heaved.daemon.Worker",
-        lambda *arguments, **options: Worker(*arguments, command=command, first_backoff_s=0.01),
-    )
+    let_die(monkeypatch, "trainer")
     config = demo_config(tmp_path)
     correction = msgspec.structs.replace(config.correction, enabled=True)
     async with plant_of(msgspec.structs.replace(config, correction=correction)) as (_, config):
@@ -279,9 +295,30 @@ async def test_the_trainer_dies_again_and_again(tmp_path, monkeypatch):
             async with running(config) as daemon:
                 await until(daemon, lambda record: metric(daemon, 'heaved_training_runs_total{result="failed"}') >= 3)
                 await until(daemon, lambda record: record["quality"]["heave"] == "settling")
-    (line,) = [line for line in logs if "trainer" in line["event"]]
-    assert line["log_level"] == "warning"
-    assert "no module named torch" in line["reason"]
+                assert metric(daemon, 'heaved_sea_fits_total{result="failed"}') == 0
+    check_said_once(logs, "trainer")
+
+
+async def test_the_fitter_dies_again_and_again(tmp_path, monkeypatch):
+    """The stream goes on without a gap, with what was learned: here the sea of an earlier run."""
+    let_die(monkeypatch, "fitter")
+    config = demo_config(tmp_path, heave=SEA[0])
+    StateFile(tmp_path / "state", PipelineState).write(StateFile.encode(SEA[1]))
+    async with plant_of(config) as (_, config):
+        with capture_logs() as logs:
+            async with running(config) as daemon:
+                await until(daemon, lambda record: metric(daemon, 'heaved_sea_fits_total{result="failed"}') >= 3)
+                first = await until(daemon, lambda record: "heave_m" in record)
+                frames = []
+                async with asyncio.timeout(PATIENCE_S), stream_of(daemon) as records:
+                    while len(frames) < 100:
+                        record = await anext(records)
+                        frames += [record] if record["class"] == "MOTION" else []
+                assert [frame["seq"] for frame in frames] == list(range(frames[0]["seq"], frames[0]["seq"] + 100))
+                assert frames[0]["seq"] > first["seq"]
+                assert {frame["quality"]["heave"] for frame in frames} == {"settling"}
+                assert daemon._fitter.failures >= 3
+    check_said_once(logs, "fitter")
 
 
 # ---- configuration ---------------------------------------------------------------------------------------------------

@@ -5,12 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
+import msgspec
 import pytest
 from prometheus_client import Metric
 from prometheus_client.parser import text_string_to_metric_families
 
 from heaved.metrics import Metrics
-from heaved.samples import CorrectionState, Fault, HeaveState, LaserState, MotionFrame, Quality
+from heaved.samples import (
+    CorrectionState,
+    DelayedHeave,
+    Fault,
+    HeaveState,
+    LaserState,
+    MotionFrame,
+    Quality,
+    SeaState,
+)
 
 # As published: name, type, labels. Change one only with a line in the change log.
 CONTRACT = {
@@ -28,6 +38,11 @@ CONTRACT = {
     ("heaved_quality", "gauge", ("state",)),
     ("heaved_training_runs", "counter", ("result",)),
     ("heaved_training_age_seconds", "gauge", ()),
+    ("heaved_sea_fits", "counter", ("result",)),
+    ("heaved_significant_heave_meters", "gauge", ()),
+    ("heaved_peak_period_seconds", "gauge", ()),
+    ("heaved_mean_period_seconds", "gauge", ()),
+    ("heaved_delayed_heave_meters", "gauge", ()),
     ("heaved_clients", "gauge", ()),
     ("heaved_frames_sent", "counter", ()),
     ("heaved_frames_dropped", "counter", ("reason",)),
@@ -44,6 +59,13 @@ CONTRACT = {
 def frame(heave: HeaveState, heave_m: float = math.nan, reference_m: float = math.nan) -> MotionFrame:
     quality = Quality(heave=heave, laser=LaserState.VALID, correction=CorrectionState.OFF)
     return MotionFrame(t_s=1.0, quality=quality, heave_m=heave_m, heave_std_m=0.02, lead_s=0.1, reference_m=reference_m)
+
+
+def with_sea(plain: MotionFrame) -> MotionFrame:
+    sea = SeaState(
+        significant_height_m=2.5, peak_period_s=9.0, mean_period_s=7.5, systems=(), frequencies_hz=(), spectrum_m2phz=()
+    )
+    return msgspec.structs.replace(plain, sea=sea, delayed=DelayedHeave(t_s=-59.0, heave_m=-0.75, std_m=0.01))
 
 
 def families(metrics: Metrics) -> dict[str, Metric]:
@@ -71,6 +93,8 @@ def exercise(metrics: Metrics) -> None:
     metrics.record_frame(frame(HeaveState.VALID, 1.5, 1.25), age_s=0.003, step_s=0.0002)
     metrics.tick_lateness.observe(0.0001)
     metrics.training_runs.labels("accepted").inc()
+    metrics.sea_fits.labels("rejected").inc()
+    metrics.record_sea(with_sea(frame(HeaveState.VALID, 1.5)))
     metrics.training_age.set(30.0)
     metrics.filter_resets.labels("heave", "not_finite").inc()
     metrics.set_clients(2)
@@ -100,6 +124,7 @@ def test_what_can_go_wrong_is_counted_from_zero() -> None:
     metrics = Metrics("1.2.3")
     for name, label, first in (
         ("heaved_training_runs_total", "result", "failed"),
+        ("heaved_sea_fits_total", "result", "failed"),
         ("heaved_state_saves_total", "result", "failed"),
         ("heaved_state_loads_total", "result", "refused"),
         ("heaved_config_reloads_total", "result", "refused"),
@@ -128,6 +153,12 @@ def test_values() -> None:
     assert value(metrics, "heaved_heave_std_meters") == 0.02
     assert value(metrics, "heaved_reference_error_meters") == 0.25
     assert value(metrics, "heaved_lead_seconds") == 0.1
+    assert value(metrics, "heaved_sea_fits_total", result="rejected") == 1.0
+    assert value(metrics, "heaved_sea_fits_total", result="accepted") == 0.0
+    assert value(metrics, "heaved_significant_heave_meters") == 2.5
+    assert value(metrics, "heaved_peak_period_seconds") == 9.0
+    assert value(metrics, "heaved_mean_period_seconds") == 7.5
+    assert value(metrics, "heaved_delayed_heave_meters") == -0.75
     assert value(metrics, "heaved_clients") == 2.0
     assert value(metrics, "heaved_frames_sent_total") == 2.0
     assert value(metrics, "heaved_frames_dropped_total", reason="slow_client") == 1.0
@@ -141,6 +172,17 @@ def test_what_is_not_known_is_nan() -> None:
     metrics.record_frame(frame(HeaveState.VALID, 1.5), age_s=0.003, step_s=0.0002)
     assert value(metrics, "heaved_heave_meters") == 1.5
     assert math.isnan(value(metrics, "heaved_reference_error_meters"))
+
+
+def test_what_was_not_fitted_is_nan_and_a_delayed_heave_that_ends_is_too() -> None:
+    metrics = Metrics("1.2.3")
+    names = ("heaved_significant_heave_meters", "heaved_peak_period_seconds", "heaved_mean_period_seconds")
+    metrics.record_sea(frame(HeaveState.SETTLING))
+    assert all(math.isnan(value(metrics, name)) for name in (*names, "heaved_delayed_heave_meters"))
+    metrics.record_sea(with_sea(frame(HeaveState.VALID, 1.5)))
+    metrics.record_sea(frame(HeaveState.SETTLING))  # After a reset: the sea is what it was, the heave is not known.
+    assert value(metrics, "heaved_significant_heave_meters") == 2.5
+    assert math.isnan(value(metrics, "heaved_delayed_heave_meters"))
 
 
 def test_quality_is_one_hot() -> None:

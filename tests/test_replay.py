@@ -13,9 +13,10 @@ import pytest
 from heaved.config import Config
 from heaved.devices.recording import RecordingError
 from heaved.estimation import correction, heave, lead, rock
-from heaved.replay import Columns, OutputError, Summary, replay
+from heaved.replay import MAX_STEP_S, Columns, DelayedColumn, OutputError, Summary, replay
 from heaved.samples import (
     CorrectionState,
+    DelayedHeave,
     HeaveForecast,
     HeaveState,
     LaserState,
@@ -142,12 +143,81 @@ def test_the_columns_hold_what_their_names_say() -> None:
         "yaw_0.15s_deg,yaw_0.15s_std_deg,yaw_1s_deg,yaw_1s_std_deg\n"
     )
     assert columns.row(frame) == (
-        "12.500000,1.000000,0.100000,-0.500000,0.900000,0.100000,-0.250000,degraded,,"
+        "12.500000,1.000000,0.100000,-0.500000,0.900000,0.100000,-0.250000,degraded,~,"
         ",,3.000000,0.300000,"
         ",4.000000,,,,,1.000000,,"
         ",5.000000,,,,,2.000000,,"
         ",6.000000,,,,,3.000000,\n"
     )
+
+
+# ---- the delayed heave, put in where it belongs ----------------------------------------------------------------------
+
+
+def delayed(t_s: float, heave_m: float) -> DelayedHeave:
+    return DelayedHeave(t_s=t_s, heave_m=heave_m, std_m=0.01)
+
+
+def merged(arrivals: list[tuple[float, DelayedHeave | None]]) -> tuple[list[str], list[int]]:
+    """Cells in the order of writing, and how many rows were out after each arrival."""
+    written: list[str] = []
+    column = DelayedColumn(written.append)
+    out = []
+    for t_s, newest in arrivals:
+        column.put(t_s, f"{t_s:g},~,x~\n", newest)
+        out.append(len(written))
+    column.flush()
+    assert [row.split(",")[0] for row in written] == [f"{t_s:g}" for t_s, _ in arrivals]
+    assert all(row.endswith(",x~\n") for row in written)  # One place per row, the first.
+    return [row.split(",")[1] for row in written], out
+
+
+def test_a_delayed_heave_goes_into_the_row_of_its_own_time() -> None:
+    """Rows every 0.1 s, delayed heaves 0.3 s old from 0.5 s on: at the very times, so as they are."""
+    values = {0.2: 1.0, 0.3: -2.0, 0.4: 3.5}
+    arrivals = [(round(0.1 * k, 1), None) for k in range(5)]
+    arrivals += [(0.5, delayed(0.2, 1.0)), (0.6, delayed(0.3, -2.0)), (0.7, delayed(0.4, 3.5))]
+    cells, out = merged(arrivals)
+    assert cells == [f"{values[t_s]:.6f}" if t_s in values else "" for t_s, _ in arrivals]
+    assert out == [0, 0, 0, 0, 0, 3, 4, 5]  # As soon as it is known, and in order.
+
+
+def test_between_two_delayed_heaves_it_is_linear() -> None:
+    """Four rows to one of them; the same one is offered with each of its rows."""
+    first, second = delayed(0.0, 1.0), delayed(0.4, 2.0)
+    cells, _ = merged([(0.0, None), (0.1, first), (0.2, first), (0.3, first), (0.4, first), (0.5, second)])
+    assert cells == ["1.000000", "1.250000", "1.500000", "1.750000", "2.000000", ""]
+
+
+def test_a_hole_in_the_delayed_heaves_stays_blank() -> None:
+    """Linear over MAX_STEP_S at most, whose two ends are known all the same."""
+    before, after = delayed(0.0, 1.0), delayed(MAX_STEP_S + 0.1, 2.0)
+    cells, _ = merged([(0.0, before), (0.3, before), (MAX_STEP_S + 0.1, after), (0.7, after)])
+    assert cells == ["1.000000", "", "2.000000", ""]
+
+
+def test_without_any_delayed_heave_all_rows_come_out_with_a_blank() -> None:
+    cells, out = merged([(0.1 * k, None) for k in range(50)])
+    assert cells == [""] * 50
+    assert out == [0] * 50
+
+
+def test_the_column_is_the_delayed_heave(tmp_path: Path) -> None:
+    """Of a whole replay: known from the end of the first minute, over which the filter starts, up to the smoother's lag
+    before the end, near the truth there; blank elsewhere."""
+    sea = record(seaway("T3", seed=3), 150.0, imu_rate_hz=20.0, laser="off", seed=3)
+    path, out = tmp_path / "in.csv", tmp_path / "out.csv"
+    write_recording(path, sea)
+    replay(path, out, Config())
+    rows = rows_of(out)
+    assert len(rows) == sea.t_s.size
+    assert [float(row["t_s"]) for row in rows] == pytest.approx(sea.t_s.tolist(), abs=1e-6)
+    known = np.array([bool(row["delayed_heave_m"]) for row in rows])
+    assert not known[sea.t_s > 90.1].any()
+    assert known[(sea.t_s > 61.0) & (sea.t_s < 89.8)].all()
+    delayed_m = np.array([float(row["delayed_heave_m"] or "nan") for row in rows])
+    error = (delayed_m - sea.truth.heave_m)[known]
+    assert np.sqrt(np.mean(error**2)) < 0.1 * np.std(sea.truth.heave_m)
 
 
 # ---- the file that is written ----------------------------------------------------------------------------------------

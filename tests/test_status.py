@@ -24,6 +24,7 @@ def acquisition():
         metrics=Metrics("test"),
         publish=lambda frame: None,
         train=lambda window: None,
+        fit=lambda past: None,
         clock=lambda: 110.0,
     )
     acquisition.set_devices(CONFIG.device)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import cos, isfinite, nan, sin
 from typing import Final
 
+from heaved.estimation.spikes import PLAUSIBLE_MPS2
 from heaved.samples import GRAVITY_MPS2
 
 
@@ -42,7 +43,10 @@ class Levelling:
         self._t_s = nan
 
     def take(self, t_s: float, fx: float, fy: float, fz: float, roll_rad: float, pitch_rad: float) -> None:
-        """One sample: specific force in m/s2, body axes, and the attitude in rad."""
+        """One sample: specific force in m/s2, body axes, and the attitude in rad. One that cannot be is passed over: it
+        would stay in the mean for good (nan) or for as long as that lasts."""
+        if not all(abs(off) <= PLAUSIBLE_MPS2 for off in (fx, fy, fz - GRAVITY_MPS2)):
+            return
         dt = min(t_s - self._t_s, 1.0) if isfinite(self._t_s) else 0.0
         self._t_s = t_s
         if dt <= 0.0:

@@ -13,7 +13,7 @@ from heaved.samples import PointMotion
 class Point(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[[point]]``: a place on the vessel, from the IMU, in metres."""
 
-    name: Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,32}$")]
+    name: Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,32}\Z")]
     forward_m: float = 0.0
     port_m: float = 0.0
     up_m: float = 0.0

@@ -34,7 +34,7 @@ async def until_clients(served: Served, count: int) -> None:
 async def test_version_comes_first_then_every_frame_at_once(serve: Serve) -> None:
     served = await serve()
     peer = Peer(*await asyncio.open_connection(served.host, served.port))
-    assert await peer.record() == {"class": "VERSION", "release": "1.2.3", "proto_major": 1, "proto_minor": 0}
+    assert await peer.record() == {"class": "VERSION", "release": "1.2.3", "proto_major": 1, "proto_minor": 1}
     served.publish(3)
     records = await peer.records(3)
     assert [(record["class"], record["seq"], record["dropped"]) for record in records] == [
@@ -208,20 +208,25 @@ async def test_status_and_version_are_answered(serve: Serve, connect: Connect) -
 
 
 async def test_watch_chooses_classes(serve: Serve, connect: Connect) -> None:
-    class SeaRecord(msgspec.Struct, tag_field="class", tag="SEA"):
-        hs_m: float
-
+    sea_record = wire.SeaRecord(
+        time="2026-01-01T00:00:00.000000Z", significant_height_m=2.5, peak_period_s=9.0, mean_period_s=7.5,
+        is_still=False, systems=(), frequencies_hz=(), spectrum_m2phz=(), model="", window_s=600.0,
+    )  # fmt: skip
     served = await serve()
     both, sea, nothing = [await connect(served) for _ in range(3)]
+    assert not served.publisher.is_watched("SEA")
     await both.ask('?WATCH={"classes":["MOTION","SEA"]}')
     await sea.ask('?WATCH={"classes":["SEA"]}')
     await nothing.ask('?WATCH={"classes":[]}')
     for peer in (both, sea, nothing):
         assert await peer.settle() == []
     served.publish()
-    served.publisher.publish_record(SeaRecord(2.5))
+    assert served.publisher.is_watched("SEA")
+    assert not served.publisher.is_watched("DELAYED")
+    served.publisher.publish_record(sea_record)
+    served.publisher.publish_record(wire.DelayedRecord(time="", mono_s=1.0, heave_m=0.5, std_m=0.01))
     assert [record["class"] for record in await both.settle()] == ["MOTION", "SEA"]
-    assert await sea.settle() == [{"class": "SEA", "hs_m": 2.5}]
+    assert [msgspec.convert(record, wire.SeaRecord) for record in await sea.settle()] == [sea_record]
     assert await nothing.settle() == []
     assert served.counts.sent == 1
 

@@ -14,12 +14,16 @@ from hypothesis import strategies as st
 from heaved.outputs import wire
 from heaved.samples import (
     CorrectionState,
+    DelayedHeave,
     HeaveForecast,
     HeaveState,
     LaserState,
     MotionFrame,
+    PointMotion,
     Quality,
     RockPrediction,
+    SeaState,
+    WaveSystem,
 )
 
 numbers = st.floats(allow_nan=True, allow_infinity=True)
@@ -42,6 +46,7 @@ rocks = st.builds(
     yaw_std_rad=numbers,
 )
 forecasts = st.builds(HeaveForecast, horizon_s=horizons, heave_m=numbers, std_m=numbers)
+points = st.builds(PointMotion, name=st.text(min_size=1, max_size=10), heave_m=numbers, heave_velocity_mps=numbers)
 frames = st.builds(
     MotionFrame,
     t_s=st.floats(min_value=0.0, max_value=1e8),
@@ -59,6 +64,8 @@ frames = st.builds(
     yaw_rad=numbers,
     rock=st.lists(rocks, max_size=3).map(tuple),
     forecast=st.lists(forecasts, max_size=3).map(tuple),
+    points=st.lists(points, max_size=3).map(tuple),
+    compensation_lead_s=st.floats(min_value=0.0, max_value=5.0),
 )
 
 
@@ -110,6 +117,11 @@ def test_any_frame_is_one_strict_line_with_class_first(frame: MotionFrame, seq: 
         assert sent["horizon_s"] == forecast.horizon_s
         check_value(sent, "heave_m", forecast.heave_m)
         check_value(sent, "std_m", forecast.std_m)
+    for sent, point in zip(record.get("points", []), frame.points, strict=True):
+        assert sent["name"] == point.name
+        check_value(sent, "heave_m", point.heave_m)
+        check_value(sent, "heave_velocity_mps", point.heave_velocity_mps)
+    assert record.get("compensation_lead_s", 0.0) == frame.compensation_lead_s
     assert record["quality"] == {
         "heave": frame.quality.heave.value,
         "laser": frame.quality.laser.value,
@@ -135,6 +147,61 @@ def test_golden_motion_line() -> None:
         b'"forecast":[{"horizon_s":2.0,"heave_m":0.25}],'
         b'"quality":{"heave":"degraded","laser":"stale","correction":"holding","reasons":["swell"]},'
         b'"age_s":0.002000,"dropped":3}\n'
+    )
+
+
+def test_golden_motion_line_of_a_stream_that_is_ahead_of_time_with_points() -> None:
+    """Neither is on a line when it is not configured: see the golden line before."""
+    frame = MotionFrame(
+        t_s=12.5,
+        quality=Quality(heave=HeaveState.VALID, laser=LaserState.OFF, correction=CorrectionState.OFF),
+        heave_m=0.5,
+        compensation_lead_s=0.25,
+        points=(
+            PointMotion(name="crane tip", heave_m=1.0000004, heave_velocity_mps=-0.5),
+            PointMotion(name="moon pool", heave_m=math.nan),
+        ),
+    )
+    assert wire.encode_motion(frame, seq=7, utc_s=1767225600.0, sent_mono_s=12.5) == (
+        b'{"class":"MOTION","seq":7,"time":"2026-01-01T00:00:00.000000Z","mono_s":12.5,"heave_m":0.5,'
+        b'"compensation_lead_s":0.25,'
+        b'"points":[{"name":"crane tip","heave_m":1.0,"heave_velocity_mps":-0.5},{"name":"moon pool"}],'
+        b'"quality":{"heave":"valid","laser":"off","correction":"off","reasons":[]},'
+        b'"age_s":0.000000,"dropped":0}\n'
+    )
+
+
+SEA = SeaState(
+    significant_height_m=2.50004,
+    peak_period_s=11.0,
+    mean_period_s=8.1234,
+    systems=(
+        WaveSystem(kind="swell", significant_height_m=2.0, peak_period_s=12.0),
+        WaveSystem(kind="wind sea", significant_height_m=1.5, peak_period_s=6.0),
+    ),
+    frequencies_hz=(0.05, 0.123456),
+    spectrum_m2phz=(0.0123456, 12.5),
+    t_s=100.0,
+    window_s=300.0,
+    model="3 chains of 8 resonators",
+)
+
+
+def test_golden_sea_line() -> None:
+    assert wire.encode_record(wire.sea_record(SEA, 1767225600.5)) == (
+        b'{"class":"SEA","time":"2026-01-01T00:00:00.500000Z","significant_height_m":2.5,"peak_period_s":11.0,'
+        b'"mean_period_s":8.123,"is_still":false,'
+        b'"systems":[{"kind":"swell","significant_height_m":2.0,"peak_period_s":12.0},'
+        b'{"kind":"wind sea","significant_height_m":1.5,"peak_period_s":6.0}],'
+        b'"frequencies_hz":[0.05,0.12346],"spectrum_m2phz":[0.01235,12.5],'
+        b'"model":"3 chains of 8 resonators","window_s":300.0}\n'
+    )
+
+
+def test_golden_delayed_line() -> None:
+    delayed = DelayedHeave(t_s=12.5000004, heave_m=-1.23456789, std_m=0.0125)
+    assert wire.encode_record(wire.delayed_record(delayed, 1767225600.0)) == (
+        b'{"class":"DELAYED","time":"2026-01-01T00:00:00.000000Z","mono_s":12.5,"heave_m":-1.234568,"std_m":0.0125}\n'
     )
 
 
@@ -164,7 +231,7 @@ def test_records_that_are_not_known_are_left_out() -> None:
         "quality": {"heave": "invalid", "laser": "off", "correction": "off", "reasons": []},
     }  # fmt: skip
     assert wire.encode_record(wire.VersionRecord(release="1.2.3")) == (
-        b'{"class":"VERSION","release":"1.2.3","proto_major":1,"proto_minor":0}\n'
+        b'{"class":"VERSION","release":"1.2.3","proto_major":1,"proto_minor":1}\n'
     )
     assert wire.encode_record(wire.ErrorRecord(message="no")) == b'{"class":"ERROR","message":"no"}\n'
 
