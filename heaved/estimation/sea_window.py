@@ -7,7 +7,7 @@ since, and the likelihood of their innovations, with a memory of a few looks, pi
 
 from __future__ import annotations
 
-from math import log, sqrt
+from math import isfinite, log, sqrt
 from typing import Final
 
 import msgspec
@@ -57,7 +57,7 @@ class SeaWindow(msgspec.Struct, frozen=True, kw_only=True, tag="sea"):
     delay_s: float
     """Lag of the smoother."""
     looked_s: float
-    """End of the past at the last look; nan: there was none."""
+    """End of the past at the last look; nan: there was none, or that past was forgotten."""
     candidates: tuple[Candidate, ...] = ()
     """Of the last look."""
 
@@ -139,7 +139,9 @@ def look(window: SeaWindow) -> SeaFit:
 
 def _scores(window: SeaWindow, record: sea_run.Record) -> dict[float, float]:
     """Each length's score with what came since the last look."""
-    fresh = min(len(record.a_mps2), round((record.end_s - window.looked_s) / record.dt_s)) if window.candidates else 0
+    fresh = 0
+    if window.candidates and isfinite(window.looked_s):  # Not after a reset: the candidates outlive the past.
+        fresh = min(len(record.a_mps2), round((record.end_s - window.looked_s) / record.dt_s))
     if fresh < 2:
         return {candidate.window_s: candidate.score for candidate in window.candidates}
     span = min(len(record.a_mps2), fresh + round(SETTLE_S / record.dt_s))
