@@ -31,6 +31,8 @@ WHITENESS_S: Final = 2.0
 """Innovations are averaged over this: engines and slams cancel, what a wrong sea leaves stays."""
 WHITENESS_OVER_S: Final = 60.0
 MIN_RECORD_S: Final = 20.0
+MIN_STRETCH_S: Final = 40.0
+"""A record with holes is fitted between them, and not at all when that is shorter and there is a model already."""
 
 
 class Candidate(msgspec.Struct, frozen=True, kw_only=True):
@@ -106,6 +108,9 @@ def look(window: SeaWindow) -> SeaFit:
     if float(np.ptp(a)) <= 0.0:
         return SeaFit(number=window.number, message="the record is constant")
     record = sea_run.even(t, a)
+    stretch_s = len(longest_stretch(record, round(min(window.windows_s) / record.dt_s))) * record.dt_s
+    if stretch_s < (MIN_STRETCH_S if window.candidates else MIN_RECORD_S) and stretch_s < len(t) * record.dt_s:
+        return SeaFit(number=window.number, message="the record has too many holes")
     scores = _scores(window, record)
     candidates, waves = _fit_all(window, record, scores)
     best = max(candidates, key=lambda candidate: candidate.score)
@@ -171,8 +176,9 @@ def _fit_all(
     waves = 0.0
     for length in sorted(window.windows_s):
         span = min(length, seconds)
-        sp = sea_fit.spectrum(record.a_mps2[-round(span * rate) :], rate)
-        components = window.components if span >= FEW_COMPONENTS_BELOW_S else min(2, window.components)
+        stretch = longest_stretch(record, round(span * rate))
+        sp = sea_fit.spectrum(stretch, rate)
+        components = window.components if len(stretch) >= FEW_COMPONENTS_BELOW_S * rate else min(2, window.components)
         warm = earlier.get(length)
         fitted = sea_fit.fit(sp, window.stages, components, window.bias_walk_psd, warm)
         if not candidates:
@@ -183,6 +189,19 @@ def _fit_all(
         if span < length:
             break
     return tuple(candidates), waves
+
+
+def longest_stretch(record: sea_run.Record, count: int) -> Array:
+    """The longest run of samples without a hole among the last ``count``.
+
+    A spectrum cannot bridge a hole: whatever stands in it has power at low frequencies, four decades above the skirt of
+    the waves that the error of the heave depends on.
+    """
+    known = record.is_known[-count:]
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], known, [False])).astype(np.int8)))
+    runs = edges.reshape(-1, 2)
+    first, end = runs[int(np.argmax(runs[:, 1] - runs[:, 0]))]
+    return record.a_mps2[-count:][first:end]
 
 
 def whiteness(innovation: Array, steady: Steady) -> float:
