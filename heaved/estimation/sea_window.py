@@ -27,6 +27,8 @@ FEW_COMPONENTS_BELOW_S: Final = 120.0
 """A shorter record does not bear more than two components."""
 SETTLE_S: Final = 120.0
 """Before the samples that a model is judged on, its filter runs this long."""
+NEWEST_S: Final = 60.0
+"""The newest stretch is taken when it is that long: the sea may have changed in the hole."""
 WHITENESS_S: Final = 2.0
 """Innovations are averaged over this: engines and slams cancel, what a wrong sea leaves stays."""
 WHITENESS_OVER_S: Final = 60.0
@@ -108,7 +110,7 @@ def look(window: SeaWindow) -> SeaFit:
     if float(np.ptp(a)) <= 0.0:
         return SeaFit(number=window.number, message="the record is constant")
     record = sea_run.even(t, a)
-    stretch_s = len(longest_stretch(record, round(min(window.windows_s) / record.dt_s))) * record.dt_s
+    stretch_s = len(unbroken(record, round(max(window.windows_s) / record.dt_s))) * record.dt_s
     if stretch_s < (MIN_STRETCH_S if window.candidates else MIN_RECORD_S) and stretch_s < len(t) * record.dt_s:
         return SeaFit(number=window.number, message="the record has too many holes")
     scores = _scores(window, record)
@@ -176,7 +178,7 @@ def _fit_all(
     waves = 0.0
     for length in sorted(window.windows_s):
         span = min(length, seconds)
-        stretch = longest_stretch(record, round(span * rate))
+        stretch = unbroken(record, round(span * rate))
         sp = sea_fit.spectrum(stretch, rate)
         components = window.components if len(stretch) >= FEW_COMPONENTS_BELOW_S * rate else min(2, window.components)
         warm = earlier.get(length)
@@ -191,8 +193,8 @@ def _fit_all(
     return tuple(candidates), waves
 
 
-def longest_stretch(record: sea_run.Record, count: int) -> Array:
-    """The longest run of samples without a hole among the last ``count``.
+def unbroken(record: sea_run.Record, count: int) -> Array:
+    """Samples without a hole among the last ``count``: the newest NEWEST_S or more of them, else the longest run.
 
     A spectrum cannot bridge a hole: whatever stands in it has power at low frequencies, four decades above the skirt of
     the waves that the error of the heave depends on.
@@ -200,7 +202,9 @@ def longest_stretch(record: sea_run.Record, count: int) -> Array:
     known = record.is_known[-count:]
     edges = np.flatnonzero(np.diff(np.concatenate(([False], known, [False])).astype(np.int8)))
     runs = edges.reshape(-1, 2)
-    first, end = runs[int(np.argmax(runs[:, 1] - runs[:, 0]))]
+    lengths = runs[:, 1] - runs[:, 0]
+    enough = np.flatnonzero(lengths * record.dt_s >= NEWEST_S)
+    first, end = runs[int(enough[-1]) if len(enough) else int(np.argmax(lengths))]
     return record.a_mps2[-count:][first:end]
 
 

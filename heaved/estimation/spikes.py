@@ -57,6 +57,8 @@ knows its own resolution says so sooner (``stuck_after_s``)."""
 SOON_S: Final = 0.1
 """While the vessel moves, a reading that repeats for this long stands still, and so does one of RUNS usual runs."""
 RUNS: Final = 3.0
+LONGEST_RUN_S: Final = 0.5
+"""A device that measures less often is of no use for waves."""
 RUN_MEMORY_S: Final = 60.0
 MOVES: Final = 20.0
 """The vessel moves when the RMS of the readings about their mean is that many steps of the resolution."""
@@ -91,7 +93,7 @@ class StuckGate:
         self._t_s = t_s
         held_s = t_s - self._since_s
         is_moving = sqrt(self._mean_square) > MOVES * self._resolution
-        patience_s = min(STUCK_S, SOON_S + RUNS * self._run_s) if is_moving else STUCK_S
+        patience_s = SOON_S + RUNS * self._run_s if is_moving else STUCK_S
         self.is_stuck = held_s >= patience_s - 1e-6
         if self.is_stuck:
             self._stops[value] = t_s
@@ -108,7 +110,7 @@ class StuckGate:
             self._run_s *= exp(-elapsed / RUN_MEMORY_S)
             run_s = self._t_s - self._since_s
             passes = (value - self._value) * (self._value - self._before) > 0.0
-            if passes and run_s < STUCK_S and elapsed < 2.0 * run_s + SOON_S:
+            if passes and run_s < LONGEST_RUN_S and elapsed < 2.0 * run_s + SOON_S:
                 self._run_s = max(self._run_s, run_s)
             self._resolution = min(self._resolution, abs(value - self._value))
             weight = min(1.0, elapsed / SPREAD_TIME_S)
