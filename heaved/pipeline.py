@@ -30,6 +30,7 @@ from heaved.estimation.rock import RockPredictor, carried
 from heaved.estimation.sea import SeaObserver
 from heaved.estimation.sea_model import SeaModel
 from heaved.estimation.sea_window import SeaFit, SeaWindow
+from heaved.estimation.spikes import PLAUSIBLE_MPS2
 from heaved.samples import (
     GRAVITY_MPS2,
     CorrectionState,
@@ -49,6 +50,8 @@ ATTITUDE_HOLD_S: Final = 0.5
 """The last attitude serves this long; then the tilt is unknown."""
 MAX_RATE_HZ: Final = 250.0
 """Sizes the rings; a faster sensor is served too, with a shorter memory of late lasers."""
+TILT_LASTS_S: Final = 5.0
+"""With the tilt removed for that long, or not removed, the record is of one kind."""
 LAG_S: Final = 0.005
 """A smaller lag of the accelerometers than this is not worth going back for."""
 MISSING_MEMORY_S: Final = 60.0
@@ -132,7 +135,7 @@ class Pipeline:
         self._attitude, self._attitude_t_s = (nan, nan, nan), nan
         self._attitudes = Ring(int(MAX_RATE_HZ), 3)
         self._levelling = Levelling()
-        self._tilt_removed = False
+        self._tilt_removed, self._tilt_since_s = False, nan
         self._imu_fault = Fault.NONE
         self._trained: Counter[str] = Counter()
         self._fitted: Counter[str] = Counter()
@@ -185,7 +188,7 @@ class Pipeline:
     def _observe(self, sample: ImuSample) -> None:
         """Tilt out, then through the heave chain."""
         t, up, before_s = sample.t_s, sample.az_mps2 - GRAVITY_MPS2, self._chain.good_t_s
-        self._tilt_removed = self._tilt_known(t) and isfinite(sample.ax_mps2 + sample.ay_mps2)
+        self._note_tilt(t, self._tilt_known(t) and isfinite(sample.ax_mps2 + sample.ay_mps2))
         if self._tilt_removed:
             roll, pitch = self._attitude_of_acceleration(t)
             force = (sample.ax_mps2, sample.ay_mps2, sample.az_mps2)
@@ -194,10 +197,17 @@ class Pipeline:
             up = up_acceleration(*force, roll + off_roll, pitch + off_pitch)
         if isfinite(self._chain.observe(t, up, sample.az_mps2)):
             self._note_interval(t - before_s)
-        elif self._chain.stuck.is_stuck:
+        elif self._chain.stuck.is_stuck and abs(up) <= PLAUSIBLE_MPS2:
             self._imu_fault = Fault.STUCK
         else:
             self._imu_fault = Fault.OUT_OF_RANGE if isfinite(sample.az_mps2) else Fault.NOT_FINITE
+
+    def _note_tilt(self, t_s: float, is_removed: bool) -> None:
+        """Whether the tilt is removed; one that comes and goes with a slow attitude sensor is one state, not two."""
+        if is_removed != self._tilt_removed:
+            if t_s - self._tilt_since_s > TILT_LASTS_S:
+                self._chain.interrupt()
+            self._tilt_removed, self._tilt_since_s = is_removed, t_s
 
     def _note_interval(self, interval_s: float) -> None:
         """The usual interval of good samples, and the share of those that are missing."""

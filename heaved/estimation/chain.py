@@ -92,6 +92,11 @@ class HeaveChain:
             self._note(t_s)
         return up
 
+    def interrupt(self) -> None:
+        """The vertical acceleration is made otherwise from now on: with the tilt removed, or without."""
+        if isinstance(self.observer, SeaObserver):
+            self.observer.cut()
+
     def _note(self, t_s: float) -> None:
         observer, taught = self.observer, self.laser.lead
         now, unshifted = observer.at(0.0, taught.learned_s), observer.unshifted()

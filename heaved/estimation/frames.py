@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from math import cos, isfinite, nan, sin
+from math import cos, hypot, isfinite, nan, sin
 from typing import Final
 
-from heaved.estimation.spikes import PLAUSIBLE_MPS2
 from heaved.samples import GRAVITY_MPS2
 
 
@@ -27,6 +26,8 @@ LEVEL_MIN_S: Final = 60.0
 LEVEL_SHARE: Final = 0.75
 """How much of a mean is taken for a crooked mounting, the rest for bias: mountings are off by half a degree, biases of
 0.05 m/s2 look like 0.3 degrees; 0.5^2 / (0.5^2 + 0.3^2)."""
+LEVEL_FORCE: Final = (0.5, 1.5)
+"""Shares of gravity between which a force is believed: registers that read zero, or nothing, say nothing of angles."""
 LEVEL_LIMIT_RAD: Final = 0.05
 """A sensor that is off by more was not mounted, but dropped: its profile wants correcting."""
 
@@ -43,9 +44,9 @@ class Levelling:
         self._t_s = nan
 
     def take(self, t_s: float, fx: float, fy: float, fz: float, roll_rad: float, pitch_rad: float) -> None:
-        """One sample: specific force in m/s2, body axes, and the attitude in rad. One that cannot be is passed over: it
-        would stay in the mean for good (nan) or for as long as that lasts."""
-        if not all(abs(off) <= PLAUSIBLE_MPS2 for off in (fx, fy, fz - GRAVITY_MPS2)):
+        """One sample: specific force in m/s2, body axes, and the attitude in rad. What cannot be true is passed over."""
+        low, high = LEVEL_FORCE
+        if not low * GRAVITY_MPS2 <= hypot(fx, fy, fz) <= high * GRAVITY_MPS2:
             return
         dt = min(t_s - self._t_s, 1.0) if isfinite(self._t_s) else 0.0
         self._t_s = t_s

@@ -61,7 +61,7 @@ class Reference:
         """Start the constant again (the observer was restarted, or the target has changed)."""
         self._constant_m = 0.0
         self._seconds = 0.0
-        self._mean_square = 0.0
+        self._mean_square = self._mean_modelled = 0.0
         self._t_s = nan
         self._outlier_since_s = nan
         self.value_m = nan
@@ -113,10 +113,16 @@ class Reference:
         memory = min(1.0, dt / min(0.5 * self._seconds, ERROR_TIME_S))
         self._mean_square += memory * (deviation**2 - self._mean_square)
         self.value_m, self.value_t_s = self.signed(laser_m) - self._constant_m, t_s
-        if self._seconds >= 2.0 * CONSTANT_MIN_S and isfinite(modelled_std_m) and modelled_std_m > 0.0:
+        if not (isfinite(modelled_std_m) and modelled_std_m > 0.0):
+            return Verdict.ACCEPTED
+        # Of the same time as the deviations: after a gap both are large for a while.
+        modelled2 = modelled_std_m**2
+        memory = memory if self._mean_modelled > 0.0 else 1.0
+        self._mean_modelled += memory * (modelled2 - self._mean_modelled)
+        if self._seconds >= 2.0 * CONSTANT_MIN_S:
             shown = max(self._mean_square - self._params.noise_std_m**2, (0.25 * self._params.noise_std_m) ** 2)
             low, high = SCALE_LIMITS
-            scale2 = min(max(shown / modelled_std_m**2, low**2), high**2)
+            scale2 = min(max(shown / self._mean_modelled, low**2), high**2)
             self._scale2 += (1.0 - exp(-dt / ERROR_TIME_S)) * (scale2 - self._scale2)
         return Verdict.ACCEPTED
 

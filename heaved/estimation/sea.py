@@ -42,6 +42,8 @@ EARLY_EVERY_S: Final = 10.0
 EARLY_S: Final = 120.0
 CHANGED: Final = 3.0
 """Whiteness of the innovations above which the sea is changing: the next fit comes sooner."""
+CHANGED_NOW: Final = 9.0
+"""The same in the last seconds, which are fewer."""
 SPLICE_S: Final = 1.5
 """Time constant with which the difference between old and new model is faded out."""
 STILL_LIKELIHOOD: Final = 15.0
@@ -64,6 +66,8 @@ SMALL_M: Final = 0.01
 """Differences below this are well whatever the sea."""
 LONGEST_PEAK_S: Final = 28.0
 """Longer waves than this are not told from the drift of the sensor."""
+CUT_BEATS: Final = 4
+"""Beats left out of the record where it is cut: a hole for whoever fits it."""
 CONVERGED: Final = 1.5
 """The covariance has converged when the error of the heave is within this factor of that of the steady filter."""
 
@@ -172,6 +176,7 @@ class SeaObserver:
         self.t_s = nan
         self.acceleration_mps2 = nan
         self._beat = _Beat()
+        self._cut = 0
         self._record.clear()
         self._said.clear()
         self._looked_s = self._asked_s = self._started_s = nan
@@ -211,13 +216,16 @@ class SeaObserver:
         newest = self._record.last(1)
         if len(newest) and t_s <= newest[0, 0]:
             return
-        self._record.push((t_s, a_mps2))
         if self._filter is None:
+            self._store(t_s, a_mps2)
             return
         if not isfinite(self._filter.t_s):
             self._filter.t_s = t_s - self._filter.steady.dt_s
         missed = t_s - self._filter.t_s - self._filter.steady.dt_s
+        rejected = self._filter.rejected
         predicted_m, innovation = self._filter.step(t_s, a_mps2)
+        if self._filter.rejected == rejected:
+            self._store(t_s, a_mps2)
         if self._unaided is not None:
             predicted_m, innovation = self._unaided.step(t_s, a_mps2)
         if not self._filter.is_sound():
@@ -249,6 +257,17 @@ class SeaObserver:
         """Whether the covariance says what is known, so that a laser may be weighed against it."""
         return self.settled_s >= NEEDED_S
 
+    def _store(self, t_s: float, a_mps2: float) -> None:
+        """For the fits. What the gate has kept out is missing there too: half a second of it would spoil minutes."""
+        if self._cut > 0:
+            self._cut -= 1
+        else:
+            self._record.push((t_s, a_mps2))
+
+    def cut(self) -> None:
+        """What comes is measured otherwise than what was: no spectrum is taken across."""
+        self._cut = CUT_BEATS
+
     def _smooth(self, t_s: float, missed_s: float, predicted_m: float, innovation: float) -> None:
         assert self._filter is not None
         assert self._smoother is not None
@@ -276,7 +295,7 @@ class SeaObserver:
         seconds = self.settled_s
         if not seconds >= p.first_fit_s:
             return None
-        early = seconds < EARLY_S or self._whiteness > CHANGED
+        early = seconds < EARLY_S or self.surprise > CHANGED
         every = min(EARLY_EVERY_S, p.refresh_s) if early else p.refresh_s
         if self._asked_s > self._started_s and self.t_s - self._asked_s < every:
             return None
@@ -440,7 +459,7 @@ class SeaObserver:
         return modelled * scale
 
     def _own_scale(self) -> float:
-        shown = max(1.0, sqrt(0.5 * self._whiteness), self.divergence.ratio)
+        shown = max(1.0, sqrt(0.5 * self.surprise), self.divergence.ratio)
         return OVERCONFIDENCE * min(shown, SCALE_LIMIT)
 
     def _offset_at(self, t_s: float) -> tuple[float, float]:
@@ -485,6 +504,11 @@ class SeaObserver:
         error_m = at_index(self._steady_stds, self._outlook.index(0.0))
         return self._waves < STILL_LIKELIHOOD or error_m > STILL_SHARE * self._heave_std_m
 
+    @property
+    def surprise(self) -> float:
+        """Variance of the averaged innovations over the model's, at the last fit or in the last seconds."""
+        return max(self._whiteness, self._filter.surprise if self._filter is not None else 1.0)
+
     needed_s: Final = NEEDED_S
     """Seconds of record from which it counts as settled."""
 
@@ -494,7 +518,7 @@ class SeaObserver:
         found = []
         if self._filter is not None and not self.is_converged and self.settled_s > NEEDED_S:
             found.append("recovering from a gap")
-        if self._whiteness > CHANGED:
+        if self._whiteness > CHANGED or self.surprise > CHANGED_NOW:
             found.append("the sea or the sensor is changing")
         error_m = self.divergence.ratio * at_index(self._stds, self._outlook.index(0.0)) if self._filter else 0.0
         if self.divergence.ratio > DIVERGED and error_m > SMALL_M:

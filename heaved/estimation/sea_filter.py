@@ -29,6 +29,12 @@ GATE_MEMORY: Final = 0.02
 """Weight of one innovation in the variance that opens the gate for a sea that grows."""
 GATE_LASTS: Final = 10
 """What is outside for that many samples on end is no outlier."""
+OPENING: Final = 3.0
+"""One innovation counts in that variance with at most as many standard deviations: a sea does not grow in a sample."""
+DRIFT_S: Final = 1.0
+"""Innovations are averaged over this before they are held against the model: noise cancels, a wrong sea stays."""
+SURPRISE_S: Final = 5.0
+"""Memory of how far they were off."""
 EXACT_DELTA_S: Final = 1e-7
 """A shorter rest of the interval than this changes nothing."""
 
@@ -54,12 +60,15 @@ class SeaFilter:
         x: (n,) filtered state.
         P: (n, n) its covariance; None: the steady one.
         rejected: samples that the gate has kept out.
+        surprise: variance of averaged innovations over that of the model, in the last seconds; 1 when it is right.
     """
 
     def __init__(self, system: SeaSystem, steady: Steady, t_s: float, x: Array, P: Array | None) -> None:
         self.system, self.steady = system, steady
         self.t_s, self.x, self.P = t_s, x, P
         self.rejected = 0
+        self.surprise = 1.0
+        self._drift = 0.0
         self._R = measurement_variance(system.model.noise_psd, steady.dt_s)
         self._steady_P = steady.P - np.outer(steady.K, steady.K) * steady.S
         self._steady_variances = np.diag(self._steady_P).copy()
@@ -121,10 +130,17 @@ class SeaFilter:
         y = a_mps2 - float(H.dot(x))
         PH = None if P is None else P.dot(H)
         S = steady.S if PH is None else float(H.dot(PH)) + self._R
+        self._compare(y, S)
         if self._is_outlier(y, S):
             self.rejected += 1
             self.x, self.P = x, steady.P if P is None else P
             return predicted_m, 0.0
+        if self._outside >= GATE_LASTS:
+            # It lasts, so it is true, and what was thought to be known is not.
+            self._outside = 0
+            P = self.system.stationary
+            PH = P.dot(H)
+            S = float(H.dot(PH)) + self._R
         if P is None or PH is None:
             self.x = x + steady.K * y
         else:
@@ -150,14 +166,23 @@ class SeaFilter:
         return total
 
     def _is_outlier(self, y: float, S: float) -> bool:
-        limit = GATE * sqrt(max(S, self._seen))
-        self._seen += GATE_MEMORY * (min(y * y, limit * limit) - self._seen)
-        if abs(y) <= limit or self._outside >= GATE_LASTS:
-            if abs(y) <= limit:
-                self._outside = 0
-            return not isfinite(y)
-        self._outside += 1
-        return True
+        variance = max(S, self._seen)
+        self._seen += GATE_MEMORY * (min(y * y, OPENING**2 * variance) - self._seen)
+        if abs(y) <= GATE * sqrt(variance):
+            self._outside = 0
+        elif isfinite(y) and self._outside >= GATE_LASTS:
+            return False
+        else:
+            self._outside += 1
+        return self._outside > 0
+
+    def _compare(self, y: float, S: float) -> None:
+        """Hold an innovation of variance ``S`` against the model."""
+        weight = self.steady.dt_s / DRIFT_S
+        limit = GATE * sqrt(S)
+        self._drift += weight * (min(max(y, -limit), limit) - self._drift)
+        ratio = self._drift**2 / (S * weight / (2.0 - weight))
+        self.surprise += self.steady.dt_s / SURPRISE_S * (ratio - self.surprise)
 
     def _settle(self) -> None:
         assert self.P is not None

@@ -19,7 +19,7 @@ Velocities are kept as x'/w, so that every element of the state is in metres and
 from __future__ import annotations
 
 from functools import cached_property
-from math import sqrt
+from math import ceil, log2, sqrt
 from typing import Final
 
 import msgspec
@@ -109,6 +109,9 @@ class SeaSystem:
 
     def transition(self, dt_s: float) -> tuple[Array, Array]:
         """F = expm(A dt) and Q of the same step (n, n) each, exact (Van Loan 1978). ``dt_s`` > 0."""
+        # Van Loan's exponential runs backwards too, where a damped chain explodes: a long step is doubled from a short.
+        doublings = max(0, ceil(log2(max(dt_s * float(np.max(np.abs(self.A))), 1.0))))
+        dt_s /= 2.0**doublings
         n, M2 = len(self.H), 2 * self.model.stages
         F, Q = np.eye(n), np.zeros((n, n))
         for at in range(0, n - 1, M2):
@@ -122,6 +125,9 @@ class SeaSystem:
             q = F[block, block] @ e[:M2, M2:]
             Q[block, block] = 0.5 * (q + q.T)
         Q[-1, -1] = self.diffusion[-1] * dt_s
+        for _ in range(doublings):
+            Q = Q + F @ Q @ F.T
+            F, Q = F @ F, 0.5 * (Q + Q.T)
         return F, Q
 
     def moved(self, tau_s: float) -> Array:

@@ -7,7 +7,7 @@ since, and the likelihood of their innovations, with a memory of a few looks, pi
 
 from __future__ import annotations
 
-from math import log, sqrt
+from math import isfinite, log, sqrt
 from typing import Final
 
 import msgspec
@@ -27,10 +27,14 @@ FEW_COMPONENTS_BELOW_S: Final = 120.0
 """A shorter record does not bear more than two components."""
 SETTLE_S: Final = 120.0
 """Before the samples that a model is judged on, its filter runs this long."""
+NEWEST_S: Final = 60.0
+"""The newest stretch is taken when it is that long: the sea may have changed in the hole."""
 WHITENESS_S: Final = 2.0
 """Innovations are averaged over this: engines and slams cancel, what a wrong sea leaves stays."""
 WHITENESS_OVER_S: Final = 60.0
 MIN_RECORD_S: Final = 20.0
+MIN_STRETCH_S: Final = 40.0
+"""A record with holes is fitted between them, and not at all when that is shorter and there is a model already."""
 
 
 class Candidate(msgspec.Struct, frozen=True, kw_only=True):
@@ -57,7 +61,7 @@ class SeaWindow(msgspec.Struct, frozen=True, kw_only=True, tag="sea"):
     delay_s: float
     """Lag of the smoother."""
     looked_s: float
-    """End of the past at the last look; nan: there was none."""
+    """End of the past at the last look; nan: there was none, or that past was forgotten."""
     candidates: tuple[Candidate, ...] = ()
     """Of the last look."""
 
@@ -106,6 +110,9 @@ def look(window: SeaWindow) -> SeaFit:
     if float(np.ptp(a)) <= 0.0:
         return SeaFit(number=window.number, message="the record is constant")
     record = sea_run.even(t, a)
+    stretch_s = len(unbroken(record, round(max(window.windows_s) / record.dt_s))) * record.dt_s
+    if stretch_s < (MIN_STRETCH_S if window.candidates else MIN_RECORD_S) and stretch_s < len(t) * record.dt_s:
+        return SeaFit(number=window.number, message="the record has too many holes")
     scores = _scores(window, record)
     candidates, waves = _fit_all(window, record, scores)
     best = max(candidates, key=lambda candidate: candidate.score)
@@ -139,7 +146,9 @@ def look(window: SeaWindow) -> SeaFit:
 
 def _scores(window: SeaWindow, record: sea_run.Record) -> dict[float, float]:
     """Each length's score with what came since the last look."""
-    fresh = min(len(record.a_mps2), round((record.end_s - window.looked_s) / record.dt_s)) if window.candidates else 0
+    fresh = 0
+    if window.candidates and isfinite(window.looked_s):  # Not after a reset: the candidates outlive the past.
+        fresh = min(len(record.a_mps2), round((record.end_s - window.looked_s) / record.dt_s))
     if fresh < 2:
         return {candidate.window_s: candidate.score for candidate in window.candidates}
     span = min(len(record.a_mps2), fresh + round(SETTLE_S / record.dt_s))
@@ -169,8 +178,9 @@ def _fit_all(
     waves = 0.0
     for length in sorted(window.windows_s):
         span = min(length, seconds)
-        sp = sea_fit.spectrum(record.a_mps2[-round(span * rate) :], rate)
-        components = window.components if span >= FEW_COMPONENTS_BELOW_S else min(2, window.components)
+        stretch = unbroken(record, round(span * rate))
+        sp = sea_fit.spectrum(stretch, rate)
+        components = window.components if len(stretch) >= FEW_COMPONENTS_BELOW_S * rate else min(2, window.components)
         warm = earlier.get(length)
         fitted = sea_fit.fit(sp, window.stages, components, window.bias_walk_psd, warm)
         if not candidates:
@@ -181,6 +191,21 @@ def _fit_all(
         if span < length:
             break
     return tuple(candidates), waves
+
+
+def unbroken(record: sea_run.Record, count: int) -> Array:
+    """Samples without a hole among the last ``count``: the newest NEWEST_S or more of them, else the longest run.
+
+    A spectrum cannot bridge a hole: whatever stands in it has power at low frequencies, four decades above the skirt of
+    the waves that the error of the heave depends on.
+    """
+    known = record.is_known[-count:]
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], known, [False])).astype(np.int8)))
+    runs = edges.reshape(-1, 2)
+    lengths = runs[:, 1] - runs[:, 0]
+    enough = np.flatnonzero(lengths * record.dt_s >= NEWEST_S)
+    first, end = runs[int(enough[-1]) if len(enough) else int(np.argmax(lengths))]
+    return record.a_mps2[-count:][first:end]
 
 
 def whiteness(innovation: Array, steady: Steady) -> float:

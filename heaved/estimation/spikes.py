@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import isfinite, nan, sqrt
+from math import exp, inf, isfinite, nan, sqrt
 from typing import Final
 
 WIDTH: Final = 8.0
@@ -54,18 +54,68 @@ class SpikeGate:
 STUCK_S: Final = 5.0
 """The very same reading for this long is no measurement. A ship in dock shakes a sensor more than that; a device that
 knows its own resolution says so sooner (``stuck_after_s``)."""
+SOON_S: Final = 0.1
+"""While the vessel moves, a reading that repeats for this long stands still, and so does one of RUNS usual runs."""
+RUNS: Final = 3.0
+LONGEST_RUN_S: Final = 0.5
+"""A device that measures less often is of no use for waves."""
+RUN_MEMORY_S: Final = 60.0
+MOVES: Final = 20.0
+"""The vessel moves when the RMS of the readings about their mean is that many steps of the resolution."""
+SPREAD_TIME_S: Final = 10.0
+STOP_MEMORY_S: Final = 60.0
+MANY_STOPS: Final = 4
 
 
 class StuckGate:
-    """Tells when the readings have been one and the same for STUCK_S."""
+    """Tells when the readings repeat and are no measurement: a sensor that hangs, or that is at the end of its range.
+
+    Coarse registers and devices that are asked more often than they measure repeat themselves too, but the readings go
+    on in the same direction afterwards; the longest such run is the patience. The end of a range is turned back from,
+    and is reached again and again: what was a stop is one from its first reading on.
+    """
 
     def __init__(self) -> None:
-        self._value = self._since_s = nan
         self.is_stuck = False
+        self._value = self._before = self._since_s = self._t_s = nan
+        self._run_s = 0.0
+        self._resolution = inf
+        self._mean = self._mean_square = 0.0
+        self._stops: dict[float, float] = {}
 
     def __call__(self, t_s: float, value: float) -> bool:
         """Whether ``value`` is a repetition that must not be used any more."""
+        if not isfinite(value):
+            self.is_stuck = False
+            return False
         if value != self._value:
-            self._value, self._since_s = value, t_s
-        self.is_stuck = t_s - self._since_s >= STUCK_S
+            self._changed(t_s, value)
+        self._t_s = t_s
+        held_s = t_s - self._since_s
+        is_moving = sqrt(self._mean_square) > MOVES * self._resolution
+        patience_s = SOON_S + RUNS * self._run_s if is_moving else STUCK_S
+        self.is_stuck = held_s >= patience_s - 1e-6
+        if self.is_stuck:
+            self._stops[value] = t_s
+            if len(self._stops) > MANY_STOPS:
+                del self._stops[min(self._stops, key=lambda stop: self._stops[stop])]
+        elif t_s - self._stops.get(value, -inf) < STOP_MEMORY_S:
+            self.is_stuck = True
         return self.is_stuck
+
+    def _changed(self, t_s: float, value: float) -> None:
+        """A new reading: what the last one and its run say."""
+        elapsed = t_s - self._since_s
+        if isfinite(elapsed):
+            self._run_s *= exp(-elapsed / RUN_MEMORY_S)
+            run_s = self._t_s - self._since_s
+            passes = (value - self._value) * (self._value - self._before) > 0.0
+            if passes and run_s < LONGEST_RUN_S and elapsed < 2.0 * run_s + SOON_S:
+                self._run_s = max(self._run_s, run_s)
+            self._resolution = min(self._resolution, abs(value - self._value))
+            weight = min(1.0, elapsed / SPREAD_TIME_S)
+            self._mean += weight * (value - self._mean)
+            self._mean_square += weight * ((value - self._mean) ** 2 - self._mean_square)
+        else:
+            self._mean = value
+        self._before, self._value, self._since_s = self._value, value, t_s
