@@ -18,7 +18,7 @@ from heaved.estimation import points
 from heaved.estimation.chain import Heave, HeaveChain
 from heaved.estimation.correction import Params as CorrectionParams
 from heaved.estimation.correction import Saved
-from heaved.estimation.frames import Levelling, up_acceleration
+from heaved.estimation.frames import up_acceleration
 from heaved.estimation.heave import HarmonicObserver
 from heaved.estimation.heave import Params as HeaveParams
 from heaved.estimation.points import Attitude, Point
@@ -134,7 +134,6 @@ class Pipeline:
         self._accepted_t_s = self._fitted_t_s = nan
         self._attitude, self._attitude_t_s = (nan, nan, nan), nan
         self._attitudes = Ring(int(MAX_RATE_HZ), 3)
-        self._levelling = Levelling()
         self._tilt_removed, self._tilt_since_s = False, nan
         self._imu_fault = Fault.NONE
         self._trained: Counter[str] = Counter()
@@ -192,9 +191,7 @@ class Pipeline:
         if self._tilt_removed:
             roll, pitch = self._attitude_of_acceleration(t)
             force = (sample.ax_mps2, sample.ay_mps2, sample.az_mps2)
-            self._levelling.take(t, *force, roll, pitch)
-            off_roll, off_pitch = self._levelling.angles()
-            up = up_acceleration(*force, roll + off_roll, pitch + off_pitch)
+            up = up_acceleration(*force, roll, pitch)
         if isfinite(self._chain.observe(t, up, sample.az_mps2)):
             self._note_interval(t - before_s)
         elif self._chain.stuck.is_stuck and abs(up) <= PLAUSIBLE_MPS2:
@@ -283,7 +280,7 @@ class Pipeline:
             rock=rock,
             forecast=heave.forecast,
             compensation_lead_s=self._lead_s,
-            delayed=observer.delayed,
+            delayed=self._chain.delayed(),
             sea=observer.sea,
         )
 

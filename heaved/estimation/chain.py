@@ -22,7 +22,7 @@ from heaved.estimation.laser import LaserTeacher
 from heaved.estimation.reference import Params as LaserParams
 from heaved.estimation.sea import SeaObserver
 from heaved.estimation.spikes import SpikeGate, StuckGate
-from heaved.samples import HeaveForecast
+from heaved.samples import DelayedHeave, HeaveForecast
 
 
 class Heave(msgspec.Struct, frozen=True, gc=False, kw_only=True):
@@ -66,6 +66,8 @@ class HeaveChain:
         self.correction = ResidualCorrection(correction, max_rate_hz)
         self.laser = LaserTeacher(laser, heave.lead, self.correction, max_rate_hz)
         self.good_t_s = nan
+        self._delayed_of: DelayedHeave | None = None
+        self._delayed: DelayedHeave | None = None
         self.resets: Counter[tuple[str, str]] = Counter()
 
     def _new_observer(self) -> HarmonicObserver | SeaObserver:
@@ -137,6 +139,20 @@ class HeaveChain:
                 ]
             ),
         )
+
+    def delayed(self) -> DelayedHeave | None:
+        """The newest delayed heave, with what the laser has taught: the sensor's lag and its scale."""
+        newest = self.observer.delayed
+        if newest is not self._delayed_of:
+            self._delayed_of, self._delayed = newest, None
+            if newest is not None:
+                taught = self.laser.lead
+                self._delayed = DelayedHeave(
+                    t_s=newest.t_s + taught.learned_s,
+                    heave_m=taught.gain * newest.heave_m,
+                    std_m=taught.gain * newest.std_m,
+                )
+        return self._delayed
 
     def start_over(self) -> None:
         """An observer that knows nothing, after a restoration that failed."""

@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 SCORE_MEMORY: Final = 0.7
 """Share of the score of a length that is kept from look to look."""
+PATIENCE: Final = 6.0
+"""Log-likelihood that a length must be ahead of the next longer one: differences of this size come by chance."""
 FEW_COMPONENTS_BELOW_S: Final = 120.0
 """A shorter record does not bear more than two components."""
 SETTLE_S: Final = 120.0
@@ -115,7 +117,9 @@ def look(window: SeaWindow) -> SeaFit:
         return SeaFit(number=window.number, message="the record has too many holes")
     scores = _scores(window, record)
     candidates, waves = _fit_all(window, record, scores)
-    best = max(candidates, key=lambda candidate: candidate.score)
+    # Candidates come shortest first: a longer past is exact where the sea is steady, a shorter one has to earn it.
+    patience = dict(zip((c.window_s for c in candidates), range(len(candidates)), strict=True))
+    best = max(candidates, key=lambda candidate: candidate.score + PATIENCE * patience[candidate.window_s])
     system = SeaSystem(best.model)
     steady = system.steady(record.dt_s)
     if steady is None:
