@@ -266,6 +266,22 @@ def test_coasting_advances_nothing_and_samples_bring_it_back(short: Recording) -
     assert not pipe.resets
 
 
+@pytest.mark.parametrize("odd", [0, 700], ids=["at the start", "later"])
+@pytest.mark.parametrize("early_s", [0.005, 0.045])
+@pytest.mark.parametrize("observer", ["harmonic", "sea"])
+def test_one_interval_that_is_far_too_short_changes_little(
+    longer: Recording, observer: Observer, odd: int, early_s: float
+) -> None:
+    """A poll that was held up is followed by its successor at once: the sample after ``odd`` comes early."""
+    imu = imu_only(longer.samples())
+    held_up = list(imu)
+    held_up[odd + 1] = changed(imu[odd + 1], t_s=imu[odd + 1].t_s - early_s)  # type: ignore[call-overload]
+    frames = run(pipeline(heave_params=heave.Params(observer=observer), has_laser=False), held_up)
+    late = longer.t_s > 80.0
+    assert {frame.quality.heave for frame in np.array(frames)[late]} == {HeaveState.VALID}
+    assert rms(column(frames, "heave_m")[late] - longer.truth.heave_m[late]) < 0.1 * np.std(longer.truth.heave_m)
+
+
 def test_a_gap_does_not_blunt_the_sense_for_the_next(at_61_s: tuple[Pipeline, list[Sample]]) -> None:
     pipe = copy.deepcopy(at_61_s[0])
     run(pipe, (s for s in at_61_s[1] if 65.0 <= s.t_s < 65.2))

@@ -94,10 +94,15 @@ class Motion(msgspec.Struct, frozen=True, gc=False):
 
 
 class _Beat:
-    """Averages a handful of samples into one; their mean time with them."""
+    """Averages a handful of samples into one; their mean time with them.
+
+    The period is a mean, to which one interval adds little, be it short (a late sample and its successor) or long (a
+    gap counts as two periods): it follows the sensor whatever happens, so that beats never cease.
+    """
 
     def __init__(self) -> None:
         self.period_s = nan
+        self._intervals = 0
         self._count = 0
         self._t = self._a = self._first_s = self._last_s = 0.0
         self._previous_s = nan
@@ -108,10 +113,11 @@ class _Beat:
         self._previous_s = t_s
         done = None
         if isfinite(interval):
-            if not isfinite(self.period_s) or interval < 0.5 * self.period_s:
+            self._intervals += 1
+            if not isfinite(self.period_s):
                 self.period_s = interval
-            elif interval < 2.0 * self.period_s:
-                self.period_s += 0.02 * (interval - self.period_s)
+            weight = max(0.02, 1.0 / self._intervals)
+            self.period_s += weight * (min(interval, 2.0 * self.period_s) - self.period_s)
             if interval > 2.5 * self.period_s:
                 self._count = 0  # What was begun before a gap does not belong to what comes after it.
         if self._count == 0:
