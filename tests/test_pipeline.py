@@ -614,6 +614,20 @@ def test_what_is_published_of_the_sea_is_json(seen: Pipeline, longer: Recording)
     assert frame.delayed.t_s == pytest.approx(longer.t_s[-1] - 60.0, abs=0.1)
 
 
+def test_the_sea_is_fitted_again_after_a_gap_that_starts_it_over(short: Recording) -> None:
+    pipe = pipeline(heave_params=heave.Params(), has_laser=False)
+    imu = imu_only(short.samples())
+    run(pipe, imu)
+    before = pipe.summary().fitted["accepted"]
+    frames = run(pipe, (changed(s, t_s=s.t_s + 3600.0) for s in imu))  # type: ignore[misc]
+    assert dict(pipe.resets) == {("heave", "gap"): 1}
+    assert pipe.summary().fitted == {"accepted": 2 * before}
+    # Nothing but the gap itself is held against it.
+    assert all("samples missing" in reason for reason in frames[-1].quality.reasons)
+    assert frames[-1].quality.heave is not HeaveState.SETTLING
+    assert isfinite(frames[-1].heave_m)
+
+
 # --- the nature of the thing -----------------------------------------------------------------------------------------
 
 

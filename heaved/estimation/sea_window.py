@@ -7,7 +7,7 @@ since, and the likelihood of their innovations, with a memory of a few looks, pi
 
 from __future__ import annotations
 
-from math import log, sqrt
+from math import isfinite, log, sqrt
 from typing import Final
 
 import msgspec
@@ -139,7 +139,9 @@ def look(window: SeaWindow) -> SeaFit:
 
 def _scores(window: SeaWindow, record: sea_run.Record) -> dict[float, float]:
     """Each length's score with what came since the last look."""
-    fresh = min(len(record.a_mps2), round((record.end_s - window.looked_s) / record.dt_s)) if window.candidates else 0
+    since_s = record.end_s - window.looked_s if window.candidates else 0.0
+    # After a long gap there are models, and no look at this record yet.
+    fresh = min(len(record.a_mps2), round(since_s / record.dt_s)) if isfinite(since_s) else 0
     if fresh < 2:
         return {candidate.window_s: candidate.score for candidate in window.candidates}
     span = min(len(record.a_mps2), fresh + round(SETTLE_S / record.dt_s))
