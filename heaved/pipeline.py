@@ -25,8 +25,8 @@ from heaved.estimation.points import Attitude, Point
 from heaved.estimation.quality import COAST_S, Facts, judge
 from heaved.estimation.reference import Params as LaserParams
 from heaved.estimation.ring import Ring
+from heaved.estimation.rock import STANDARD_HORIZONS_S, RockPredictor, carried
 from heaved.estimation.rock import Params as RockParams
-from heaved.estimation.rock import RockPredictor, carried
 from heaved.estimation.sea import SeaObserver
 from heaved.estimation.sea_model import SeaModel
 from heaved.estimation.sea_window import SeaFit, SeaWindow
@@ -129,6 +129,7 @@ class Pipeline:
         )
         self._rock = RockPredictor(rock)
         self._predicted = tuple(RockPrediction(horizon_s=h) for h in self._rock.horizons_s)
+        self._rate_between = tuple(self._rock.horizons_s.index(h) for h in STANDARD_HORIZONS_S[:2])
         self._imu_t_s = self._period_s = nan
         self._missing = 0.0
         self._accepted_t_s = self._fitted_t_s = nan
@@ -288,9 +289,11 @@ class Pipeline:
         self, heave: Heave, roll_rad: float, pitch_rad: float, rock: tuple[RockPrediction, ...]
     ) -> tuple[PointMotion, ...]:
         """Each point, for the moment that the heave is for: the attitude moves on with its present rates."""
-        soon = rock[0]
-        roll_rate = (soon.roll_rad - roll_rad) / soon.horizon_s
-        pitch_rate = (soon.pitch_rad - pitch_rad) / soon.horizon_s
+        # Between two predictions: the noise of the measured attitude, over 50 ms, would be most of the rate.
+        soon, later = (rock[i] for i in self._rate_between)
+        apart_s = later.horizon_s - soon.horizon_s
+        roll_rate = (later.roll_rad - soon.roll_rad) / apart_s
+        pitch_rate = (later.pitch_rad - soon.pitch_rad) / apart_s
         attitude = Attitude(
             roll_rad=roll_rad + self._lead_s * roll_rate,
             pitch_rad=pitch_rad + self._lead_s * pitch_rate,

@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 
 from heaved.estimation import correction, heave, reference, rock
+from heaved.estimation.points import Point
 from heaved.estimation.sea_window import look
 from heaved.pipeline import Pipeline
 from heaved.samples import ImuSample, LaserSample, MotionFrame, RockPrediction, Sample
@@ -32,6 +33,8 @@ def pipeline(
     heave_params: heave.Params = NO_FORECASTS,
     laser_params: reference.Params | None = None,
     correction_params: correction.Params | None = None,
+    point: tuple[Point, ...] = (),
+    lead_s: float = 0.0,
 ) -> Pipeline:
     built = Pipeline(
         heave=heave_params,
@@ -39,6 +42,8 @@ def pipeline(
         correction=correction_params or correction.Params(),
         rock=rock.Params(),
         has_laser=has_laser,
+        point=point,
+        lead_s=lead_s,
     )
     if not with_rock:
         built._rock = NoRock()  # type: ignore[assignment]

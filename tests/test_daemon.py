@@ -4,6 +4,7 @@ import asyncio
 import json
 import socket
 from contextlib import closing
+from datetime import datetime
 
 import msgspec
 import pytest
@@ -24,7 +25,15 @@ from structlog.testing import capture_logs
 
 from heaved.config import HttpParams, StreamParams
 from heaved.daemon import Daemon
-from heaved.samples import MotionFrame
+from heaved.samples import (
+    CorrectionState,
+    DelayedHeave,
+    HeaveState,
+    LaserState,
+    MotionFrame,
+    Quality,
+    SeaState,
+)
 from heaved.sdnotify import Notifier
 from heaved.tasks import supervise
 
@@ -67,6 +76,49 @@ async def test_who_watches_status_gets_it_without_asking(tmp_path):
                 pass
         writer.close()
     assert record["devices"] == []
+
+
+async def test_sea_and_delayed_heave_are_sent_once_each_to_who_watches_them(tmp_path):
+    state = SeaState(
+        significant_height_m=2.5, peak_period_s=9.0, mean_period_s=7.5, systems=(), frequencies_hz=(0.1,),
+        spectrum_m2phz=(3.0,), t_s=40.0, window_s=300.0,
+    )  # fmt: skip
+    async with running(demo_config(tmp_path, device=())) as daemon:
+        reader, writer = await asyncio.open_connection(*daemon.addresses["stream"])
+
+        async def until_status():
+            writer.write(b"?STATUS\n")
+            records = []
+            while not records or records[-1]["class"] != "STATUS":
+                records.append(json.loads(await reader.readline()))
+            return records[:-1]
+
+        writer.write(b'?WATCH={"classes":["SEA","DELAYED"]}\n')
+        await until_status()
+        early, late = (DelayedHeave(t_s=40.0 + k, heave_m=-0.5 * k, std_m=0.01) for k in (1, 2))
+        for number, delayed in enumerate((early, early, late)):
+            quality = Quality(heave=HeaveState.VALID, laser=LaserState.OFF, correction=CorrectionState.OFF)
+            frame = MotionFrame(t_s=100.0 + number, quality=quality, sea=state, delayed=delayed)
+            daemon._publish(frame)
+            daemon.acquisition.last_frame = frame
+            daemon.keep_house()
+        records = await until_status()
+        writer.close()
+        assert [record["class"] for record in records] == ["DELAYED", "SEA", "DELAYED"]
+        first, sea, second = records
+        assert [(record["mono_s"], record["heave_m"], record["std_m"]) for record in (first, second)] == [
+            (41.0, -0.5, 0.01), (42.0, -1.0, 0.01),
+        ]  # fmt: skip
+        # Each at its own time of validity.
+        assert utc_s(second["time"]) - utc_s(first["time"]) == pytest.approx(1.0, abs=1e-5)
+        assert utc_s(first["time"]) - utc_s(sea["time"]) == pytest.approx(1.0, abs=1e-5)
+        assert (sea["significant_height_m"], sea["spectrum_m2phz"], sea["window_s"]) == (2.5, [3.0], 300.0)
+        assert metric(daemon, "heaved_delayed_heave_meters") == -1.0
+        assert metric(daemon, "heaved_peak_period_seconds") == 9.0
+
+
+def utc_s(text):
+    return datetime.fromisoformat(text).timestamp()
 
 
 async def test_http_says_alive_and_not_yet_ready_without_sensors(tmp_path):

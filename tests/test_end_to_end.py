@@ -6,15 +6,16 @@ import math
 import statistics
 import time
 
-import msgspec
 import numpy as np
-from running import PATIENCE_S, demo_config, metric, plant_of, running, stream_of
+import pytest
+from running import PATIENCE_S, SWELL, demo_config, metric, plant_of, running, stream_of
 
+from heaved.estimation import heave
+from heaved.pipeline import PipelineState
 from heaved.simulate.vessel import Motion
+from heaved.state import StateFile
 
 GROWTH_S = 6.0
-AFTER_FIRST_S = 1.0
-"""From the first heave, which comes 15 s after the first sample, until it is looked at."""
 LOOK_S = 4.0
 
 
@@ -51,16 +52,26 @@ def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-async def test_the_clients_see_the_motion_of_the_ship(tmp_path):
+QUICK = heave.Params(
+    observer="harmonic", window_s=15.0, refresh_s=1.0, highpass_period_s=12.0, initial_period_s=5.0
+)
+
+
+@pytest.mark.parametrize(
+    ("params", "learned", "wait_s"),
+    [(QUICK, PipelineState(), 1.0), (heave.Params(), PipelineState(sea=SWELL), 3.0 * 5.0)],
+    ids=["harmonic", "sea, of which an earlier run knew the period"],
+)
+async def test_the_clients_see_the_motion_of_the_ship(tmp_path, params, learned, wait_s):
+    """``wait_s``: from the first heave (harmonic: 15 s after the first sample; sea: at once, so three periods more)
+    until it is looked at."""
     sea = Swell()
-    config = demo_config(tmp_path)
-    quick = msgspec.structs.replace(
-        config.heave, window_s=15.0, refresh_s=1.0, highpass_period_s=12.0, initial_period_s=5.0
-    )
+    config = demo_config(tmp_path, heave=params)
+    StateFile(tmp_path / "state", PipelineState).write(StateFile.encode(learned))
     frames = []
     async with (
         plant_of(config, sea=sea) as (plant, config),
-        running(msgspec.structs.replace(config, heave=quick)) as daemon,
+        running(config) as daemon,
         asyncio.timeout(4.0 * PATIENCE_S),
         stream_of(daemon) as records,
     ):
@@ -71,7 +82,7 @@ async def test_the_clients_see_the_motion_of_the_ship(tmp_path):
                 t_s = record["mono_s"] - epoch_s
                 frames.append((t_s, record))
                 if begin_s == math.inf and "heave_m" in record:
-                    begin_s = t_s + AFTER_FIRST_S
+                    begin_s = t_s + wait_s
                 if t_s > begin_s + LOOK_S:
                     break
         # Nothing is lost on the way, and nothing is made twice.

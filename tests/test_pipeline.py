@@ -10,10 +10,12 @@ import msgspec
 import numpy as np
 import pytest
 from pipelines import column, imu_only, laser_only, numbers, pipeline, rms, run, sea
+from scipy.spatial.transform import Rotation
 
 from heaved.estimation import correction, heave
 from heaved.estimation import sea as sea_observer
 from heaved.estimation.network import Network, Output
+from heaved.estimation.points import Point
 from heaved.estimation.sea_window import SeaFit, look
 from heaved.pipeline import Pipeline, PipelineState
 from heaved.samples import (
@@ -169,6 +171,50 @@ def test_a_short_outage_of_the_attitude_is_held_and_a_longer_one_flagged(short: 
     assert np.abs(error).max() < 0.01
 
 
+# --- points, and a stream that is ahead of time ---------------------------------------------------------------------
+
+
+def test_points_move_with_the_heave_and_the_attitude(longer: Recording) -> None:
+    """Oracle: scipy's rotations, from body to level axes; pitch is bow up, the other way round than about y."""
+    lever = np.array([40.0, -8.0, 30.0])
+    tip, here = Point(name="tip", forward_m=40.0, port_m=-8.0, up_m=30.0), Point(name="imu")
+    frames = run(
+        pipeline(heave_params=heave.Params(), has_laser=False, with_rock=True, point=(tip, here)), longer.samples()
+    )
+    late = longer.t_s > 80.0
+    assert {tuple(point.name for point in frame.points) for frame in frames} == {("tip", "imu")}
+    moved = np.array([[p.heave_m for p in f.points] + [p.heave_velocity_mps for p in f.points] for f in frames]).T
+
+    def lift(roll_rad: np.ndarray, pitch_rad: np.ndarray) -> np.ndarray:
+        angles = np.stack([np.zeros(len(roll_rad)), -pitch_rad, roll_rad], axis=1)
+        return np.asarray(Rotation.from_euler("ZYX", angles).apply(lever)[:, 2] - lever[2])
+
+    own, own_velocity = column(frames, "heave_m"), column(frames, "heave_velocity_mps")
+    lifted = lift(column(frames, "roll_rad"), column(frames, "pitch_rad"))
+    assert moved[0][late] == pytest.approx((own + lifted)[late], abs=1e-9)
+    assert moved[1][late] == pytest.approx(own[late], abs=1e-12)
+    assert moved[3][late] == pytest.approx(own_velocity[late], abs=1e-12)
+    # The velocity of the lever arm is that of the true one, to what the rates of the attitude are known.
+    true_rate = np.gradient(lift(longer.truth.roll_rad, longer.truth.pitch_rad), longer.t_s)[late]
+    assert rms((moved[2] - own_velocity)[late] - true_rate) < 0.3 * rms(true_rate)
+    assert all(isnan(value) for value in moved[:, 0])
+
+
+@pytest.mark.parametrize("observer", ["harmonic", "sea"])
+def test_a_lead_for_the_consumer_publishes_what_was_the_forecast(longer: Recording, observer: Observer) -> None:
+    params = heave.Params(observer=observer, forecast_horizons_s=(0.5, 2.0))
+    usual, ahead = (
+        run(pipeline(heave_params=params, has_laser=False, lead_s=lead_s), longer.samples()) for lead_s in (0.0, 0.5)
+    )
+    assert {frame.compensation_lead_s for frame in usual} == {0.0}
+    assert {frame.compensation_lead_s for frame in ahead} == {0.5}
+    for before, after in zip(usual[1500:], ahead[1500:], strict=True):
+        assert after.heave_m == pytest.approx(before.forecast[0].heave_m, abs=1e-4)
+        assert after.heave_std_m == pytest.approx(before.forecast[0].std_m, rel=0.02)
+    error = column(ahead[1500:-10], "heave_m") - longer.truth.heave_m[1510:]
+    assert rms(error) < 0.25 * np.std(longer.truth.heave_m)
+
+
 # --- faults and order of the IMU -------------------------------------------------------------------------------------
 
 
@@ -264,6 +310,22 @@ def test_coasting_advances_nothing_and_samples_bring_it_back(short: Recording) -
             assert bytes_of([frame]) == bytes_of([other])  # type: ignore[list-item]
     assert frame is None or frame.quality.heave is HeaveState.VALID
     assert not pipe.resets
+
+
+@pytest.mark.parametrize("odd", [0, 700], ids=["at the start", "later"])
+@pytest.mark.parametrize("early_s", [0.005, 0.045])
+@pytest.mark.parametrize("observer", ["harmonic", "sea"])
+def test_one_interval_that_is_far_too_short_changes_little(
+    longer: Recording, observer: Observer, odd: int, early_s: float
+) -> None:
+    """A poll that was held up is followed by its successor at once: the sample after ``odd`` comes early."""
+    imu = imu_only(longer.samples())
+    held_up = list(imu)
+    held_up[odd + 1] = changed(imu[odd + 1], t_s=imu[odd + 1].t_s - early_s)  # type: ignore[call-overload]
+    frames = run(pipeline(heave_params=heave.Params(observer=observer), has_laser=False), held_up)
+    late = longer.t_s > 80.0
+    assert {frame.quality.heave for frame in np.array(frames)[late]} == {HeaveState.VALID}
+    assert rms(column(frames, "heave_m")[late] - longer.truth.heave_m[late]) < 0.1 * np.std(longer.truth.heave_m)
 
 
 def test_a_gap_does_not_blunt_the_sense_for_the_next(at_61_s: tuple[Pipeline, list[Sample]]) -> None:
@@ -550,6 +612,20 @@ def test_what_is_published_of_the_sea_is_json(seen: Pipeline, longer: Recording)
     # Significant height: 4 standard deviations of the heave. In two minutes there are fifteen waves.
     assert frame.sea.significant_height_m == pytest.approx(4.0 * np.std(longer.truth.heave_m), rel=0.25)
     assert frame.delayed.t_s == pytest.approx(longer.t_s[-1] - 60.0, abs=0.1)
+
+
+def test_the_sea_is_fitted_again_after_a_gap_that_starts_it_over(short: Recording) -> None:
+    pipe = pipeline(heave_params=heave.Params(), has_laser=False)
+    imu = imu_only(short.samples())
+    run(pipe, imu)
+    before = pipe.summary().fitted["accepted"]
+    frames = run(pipe, (changed(s, t_s=s.t_s + 3600.0) for s in imu))  # type: ignore[misc]
+    assert dict(pipe.resets) == {("heave", "gap"): 1}
+    assert pipe.summary().fitted == {"accepted": 2 * before}
+    # Nothing but the gap itself is held against it.
+    assert all("samples missing" in reason for reason in frames[-1].quality.reasons)
+    assert frames[-1].quality.heave is not HeaveState.SETTLING
+    assert isfinite(frames[-1].heave_m)
 
 
 # --- the nature of the thing -----------------------------------------------------------------------------------------

@@ -101,10 +101,15 @@ class Motion(msgspec.Struct, frozen=True, gc=False):
 
 
 class _Beat:
-    """Averages a handful of samples into one; their mean time with them."""
+    """Averages a handful of samples into one; their mean time with them.
+
+    The period is a mean, to which one interval adds little, be it short (a late sample and its successor) or long (a
+    gap counts as two periods): it follows the sensor whatever happens, so that beats never cease.
+    """
 
     def __init__(self) -> None:
         self.period_s = nan
+        self._intervals = 0
         self._count = 0
         self._t = self._a = self._first_s = self._last_s = 0.0
         self._previous_s = nan

@@ -210,16 +210,27 @@ def test_replay_gets_a_message_and_a_new_process(script: str, reason: str, tmp_p
     assert child_pids() == set()
 
 
+@pytest.fixture(autouse=True)
+def _others() -> None:
+    """Children that were there before the test are not of a worker: the resource tracker of multiprocessing, which a
+    pool of another test has started, lives as long as we do."""
+    _OTHERS.clear()
+    _OTHERS.update(child_pids())
+
+
+_OTHERS: set[int] = set()
+
+
 def tasks(name: str) -> list[asyncio.Task[object]]:
     return [task for task in asyncio.all_tasks() if task.get_name() == name]
 
 
 def child_pids() -> set[int]:
-    """Our children, living or unburied, as the kernel lists them."""
+    """Our children since the test began, living or unburied, as the kernel lists them."""
     children = set()
     for path in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):  # it ended while we looked
             parent = path.read_text().rpartition(")")[2].split()[1]
             if int(parent) == os.getpid():
                 children.add(int(path.parent.name))
-    return children
+    return children - _OTHERS
