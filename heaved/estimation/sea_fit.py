@@ -106,6 +106,19 @@ def fit(sp: Spectrum, stages: int, components: int, bias_walk_psd: float, warm: 
     return Fitted(model, float(cost[best]))
 
 
+def measured_share(sp: Spectrum, model: SeaModel) -> float:
+    """Variance of the heave that the periodogram shows, over that of ``model``: where waves stand out of the noise the
+    periodogram counts, and the noise is left out as a Wiener filter would.
+
+    The likelihood weighs all frequencies alike, so that a model whose skirts are right may be a third too high at the
+    peak: no matter to the filter, but not what people call the height of the sea.
+    """
+    waves = model.heave_spectrum(sp.f_hz)
+    seen = waves * sp.power / model.acceleration_spectrum(sp.f_hz)
+    whole = float(np.trapezoid(waves, sp.f_hz))
+    return float(np.trapezoid(seen, sp.f_hz)) / whole if whole > 0.0 else 1.0
+
+
 def noise_cost(sp: Spectrum, bias_walk_psd: float) -> float:
     """The cost of the best model without waves: white noise of any level, and the bias."""
     floor = 2.0 * bias_walk_psd / (2.0 * pi * sp.f_hz) ** 2
