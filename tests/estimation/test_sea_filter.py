@@ -118,7 +118,7 @@ def test_the_steady_gain_is_used_when_it_makes_no_difference(
     assert 200 < entered < 5900
 
 
-def test_jitter_of_the_sampling_costs_nothing(system: SeaSystem) -> None:
+def test_jitter_of_the_sampling_is_far_below_what_is_not_known(system: SeaSystem) -> None:
     """Times off by up to 5 % of the interval, on a path known in between: the exact steps against ours."""
     rng = np.random.default_rng(5)
     even, count = 6000, 400
@@ -138,7 +138,9 @@ def test_jitter_of_the_sampling_costs_nothing(system: SeaSystem) -> None:
         ours.step(t[i], a[i])
         worst = max(worst, abs(float(system.heave @ (ours.x - theirs.x))))
     assert ours.rejected == 0
-    assert worst < 1e-5 * heave_std(system)
+    known_m = float(np.sqrt(system.heave @ theirs.P @ system.heave))
+    assert worst < 1e-3 * heave_std(system)
+    assert worst < 0.1 * known_m
 
 
 @pytest.mark.parametrize("gap_s", [0.3, 2.0, 10.0, 40.0, 300.0])

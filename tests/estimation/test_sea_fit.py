@@ -44,8 +44,8 @@ def test_slopes_are_differences_of_the_logarithm() -> None:
 
 @pytest.mark.parametrize("name", ["S4", "S6", "S6S"])
 def test_the_spectrum_of_a_jonswap_sea_is_found(name: str) -> None:
-    """1800 s: Kullback's divergence of the acceleration's spectrum, r - 1 - log r on average over the band (five decades
-    of it), r = true over fitted: a factor of two everywhere would be 0.3. The measured height to a tenth."""
+    """1800 s: Kullback's divergence of the acceleration's spectrum, r - 1 - log r on average over the band (five
+    decades of it), r = true over fitted: a factor of two everywhere would be 0.3. The measured height to a tenth."""
     sp = sea_fit.spectrum(acceleration(name, 1800.0), RATE_HZ)
     fitted = sea_fit.fit(sp, 8, 3, WALK).model
     f = np.linspace(0.02, 0.8, 800)
