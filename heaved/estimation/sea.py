@@ -186,7 +186,7 @@ class SeaObserver:
         if not isfinite(self._started_s):
             self._started_s = self._asked_s = t_s
         self.t_s = t_s
-        bias = self._filter.x[-1] if self._filter is not None else nan
+        bias = float(self._filter.x[-1]) if self._filter is not None else nan
         self.acceleration_mps2 = a_up_mps2 - bias
         beat = self._beat.take(t_s, a_up_mps2)
         if beat is not None:
