@@ -33,7 +33,7 @@ WHITENESS_S: Final = 2.0
 """Innovations are averaged over this: engines and slams cancel, what a wrong sea leaves stays."""
 WHITENESS_OVER_S: Final = 60.0
 MIN_RECORD_S: Final = 20.0
-MIN_STRETCH_S: Final = 40.0
+MIN_STRETCH_S: Final = 30.0
 """A record with holes is fitted between them, and not at all when that is shorter and there is a model already."""
 
 
