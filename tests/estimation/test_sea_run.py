@@ -7,7 +7,7 @@ import pytest
 from seas import Kalman, model, simulated
 
 from heaved.estimation.sea_model import SeaSystem, Steady, measurement_variance
-from heaved.estimation.sea_run import BLOCK, COARSE, FULL_S, Record, even, run
+from heaved.estimation.sea_run import BLOCK, FULL_S, Record, even, run
 
 DT_S = 0.05
 Array = np.ndarray
@@ -88,7 +88,7 @@ def test_a_careful_start_is_as_good_as_the_whole_filter(
     P = steady.P - np.outer(steady.K, steady.K) * steady.S if done.P is None else done.P
     assert float(np.sqrt(system.heave @ P @ system.heave)) == pytest.approx(known_m, rel=0.1)
     started = np.isfinite(done.predicted_m)
-    assert started.sum() >= count - round(FULL_S / DT_S) - COARSE
+    assert started.sum() >= count - round(FULL_S / DT_S) - 4
     assert np.std((done.predicted_m - heave)[started][-200:]) < 5.0 * known_m if seconds > FULL_S + 10.0 else True
 
 

@@ -142,7 +142,7 @@ def test_a_hole_leaves_the_spectrum_of_the_sea_as_it_was(hole_s: float, s6: tupl
 def test_a_record_in_pieces_is_left_alone_when_there_is_a_model(s6: tuple[Array, Array, Array]) -> None:
     t, _, a = s6
     before = look(window(t[:4000], a[:4000]))
-    kept = (t % 30.0) < 27.0
+    kept = (t % 28.0) < 24.0
     assert "holes" in look(window(t[kept], a[kept], before)).message
     assert look(window(t[kept], a[kept])).message == ""
 
