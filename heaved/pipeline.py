@@ -212,7 +212,12 @@ class Pipeline:
         if not isfinite(interval_s):
             return
         step = min(interval_s, COAST_S)
-        self._period_s = step if not isfinite(self._period_s) else self._period_s + 0.02 * (step - self._period_s)
+        if not isfinite(self._period_s) or step < 0.5 * self._period_s:
+            self._period_s = step
+        else:
+            # What is lost must not become what is usual, but for a sensor that has become slower for good.
+            weight = 0.02 if step < 1.5 * self._period_s else 0.002
+            self._period_s += weight * (step - self._period_s)
         usual = min(step, self._period_s) if isfinite(self._period_s) else step
         lost = max(0.0, interval_s - 1.5 * usual)
         weight = min(1.0, interval_s / MISSING_MEMORY_S)

@@ -6,7 +6,8 @@ each variance, the steady gain is used: the estimate then differs by less than 1
 missing sample, a rejected one or a gap brings the covariance back, and it grows as it should.
 
 Jitter of the sampling times is taken in exactly by the mean (F(T) times a Taylor series of the rest); the covariance
-takes the usual interval for any within half of it, which changes the gain by less than a thousandth of the jitter.
+takes the usual interval for any within half of it: 5 % of jitter cost half a thousandth of the heave, which is far
+below what is not known anyway.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ GAIN_ENOUGH: Final = 1e-2
 """Fall of the likelihood in one step below which a start has converged: the data cannot tell such models apart."""
 LONGEST_STEP: Final = 0.7
 """Of any logarithm."""
-STARTS: Final = ((1.0, 1.6, 2.6, 0.7), (1.2, 0.5, 2.2, 1.7), (1.0, 1.2, 0.7, 2.0))
+STARTS: Final = ((1.0, 1.6, 2.6, 0.7), (1.2, 0.5, 2.2, 1.7), (1.0, 1.2, 0.7, 2.0), (1.0, 1.13, 0.88, 1.3))
 """First frequencies of the components, over that of the velocity's peak; the second also tries a swell at 0.05 Hz."""
 SWELL_HZ: Final = 0.05
 DAMPING_GUESS: Final = 0.3
@@ -104,6 +104,19 @@ def fit(sp: Spectrum, stages: int, components: int, bias_walk_psd: float, warm: 
         bias_walk_psd=bias_walk_psd,
     )
     return Fitted(model, float(cost[best]))
+
+
+def measured_share(sp: Spectrum, model: SeaModel) -> float:
+    """Variance of the heave that the periodogram shows, over that of ``model``: where waves stand out of the noise the
+    periodogram counts, and the noise is left out as a Wiener filter would.
+
+    The likelihood weighs all frequencies alike, so that a model whose skirts are right may be a third too high at the
+    peak: no matter to the filter, but not what people call the height of the sea.
+    """
+    waves = model.heave_spectrum(sp.f_hz)
+    seen = waves * sp.power / model.acceleration_spectrum(sp.f_hz)
+    whole = float(np.trapezoid(waves, sp.f_hz))
+    return float(np.trapezoid(seen, sp.f_hz)) / whole if whole > 0.0 else 1.0
 
 
 def noise_cost(sp: Spectrum, bias_walk_psd: float) -> float:

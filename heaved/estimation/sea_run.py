@@ -25,8 +25,8 @@ Array = NDArray[np.float64]
 BLOCK: Final = 32
 FULL_S: Final = 60.0
 """Seconds for which the covariance is carried: twice the memory of the bias."""
-COARSE: Final = 4
-"""Samples averaged into one at the very start: what is lost there is above the waves."""
+COARSE_S: Final = 0.2
+"""Samples are averaged over this at the very start: what is lost there is above the waves."""
 HOLE: Final = 3.5
 """Neighbours further apart than this many intervals have a hole between them; closer ones are interpolated."""
 ON_THE_GRID: Final = 1e-3
@@ -100,10 +100,11 @@ def run(system: SeaSystem, steady: Steady, record: Record, *, careful: bool = Tr
     predicted, innovation = np.full(count, np.nan), np.full(count, np.nan)
     x, P, begin = np.zeros(n), None, 0
     if careful:
-        begin = min(count, round(FULL_S / record.dt_s)) // COARSE * COARSE
-        begin = _first_hole(record.is_known, begin) // COARSE * COARSE
-        x, P = _coarse_start(system, record, begin)
-        if begin * record.dt_s >= FULL_S - COARSE * record.dt_s:
+        coarse = max(1, round(COARSE_S / record.dt_s))
+        begin = min(count, round(FULL_S / record.dt_s)) // coarse * coarse
+        begin = _first_hole(record.is_known, begin) // coarse * coarse
+        x, P = _coarse_start(system, record, begin, coarse)
+        if begin * record.dt_s >= FULL_S - coarse * record.dt_s:
             P = None
     else:
         x[-1] = float(np.mean(record.a_mps2))
@@ -141,21 +142,21 @@ def _stretches(is_known: NDArray[np.bool_], begin: int) -> Iterator[tuple[int, i
             yield first, end, bool(is_known[first])
 
 
-def _coarse_start(system: SeaSystem, record: Record, count: int) -> tuple[Array, Array]:
-    """x and P, the last of ``count`` samples taken in, from nothing but the spectrum; COARSE samples at a time."""
-    dt = COARSE * record.dt_s
+def _coarse_start(system: SeaSystem, record: Record, count: int, coarse: int) -> tuple[Array, Array]:
+    """x and P, the last of ``count`` samples taken in, from nothing but the spectrum; ``coarse`` samples at a time."""
+    dt = coarse * record.dt_s
     F, Q = system.transition(dt)
     R = measurement_variance(system.model.noise_psd, dt)
     x, P = np.zeros(len(system.H)), system.stationary
-    for i, z in enumerate(np.mean(record.a_mps2[:count].reshape(-1, COARSE), axis=1).tolist()):
+    for i, z in enumerate(np.mean(record.a_mps2[:count].reshape(-1, coarse), axis=1).tolist()):
         if i:
             x, P = F @ x, _symmetric(F @ P @ F.T + Q)
         PH = P @ system.H
         S = float(system.H @ PH) + R
         x, P = x + PH * ((z - float(system.H @ x)) / S), P - np.outer(PH, PH) / S
-    if count:
+    if count and coarse > 1:
         # The last mean stands for the middle of its samples.
-        forward, noise = system.transition(0.5 * (COARSE - 1) * record.dt_s)
+        forward, noise = system.transition(0.5 * (coarse - 1) * record.dt_s)
         x, P = forward @ x, _symmetric(forward @ P @ forward.T + noise)
     return x, P
 

@@ -30,9 +30,9 @@ raised has 0.03 to 0.06; swell of 1 m at 12 s has 0.004)."""
 PUBLISHED_POINTS: Final = 40
 
 
-def sea_state(model: SeaModel) -> SeaState:
-    """Heights (m), periods (s) and spectrum of the heave that ``model`` describes."""
-    f, S = GRID_HZ, model.heave_spectrum(GRID_HZ)
+def sea_state(model: SeaModel, share: float = 1.0) -> SeaState:
+    """Heights (m), periods (s) and spectrum of the heave of ``model``, ``share`` of whose variance was measured."""
+    f, S = GRID_HZ, share * model.heave_spectrum(GRID_HZ)
     m0, m1 = (float(np.trapezoid(S * f**i, f)) for i in (0, 1))
     step = len(f) // PUBLISHED_POINTS
     return SeaState(

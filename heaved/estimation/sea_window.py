@@ -35,7 +35,7 @@ WHITENESS_S: Final = 2.0
 """Innovations are averaged over this: engines and slams cancel, what a wrong sea leaves stays."""
 WHITENESS_OVER_S: Final = 60.0
 MIN_RECORD_S: Final = 20.0
-MIN_STRETCH_S: Final = 40.0
+MIN_STRETCH_S: Final = 30.0
 """A record with holes is fitted between them, and not at all when that is shorter and there is a model already."""
 
 
@@ -116,10 +116,11 @@ def look(window: SeaWindow) -> SeaFit:
     if stretch_s < (MIN_STRETCH_S if window.candidates else MIN_RECORD_S) and stretch_s < len(t) * record.dt_s:
         return SeaFit(number=window.number, message="the record has too many holes")
     scores = _scores(window, record)
-    candidates, waves = _fit_all(window, record, scores)
+    candidates, shares, waves = _fit_all(window, record, scores)
     # Candidates come shortest first: a longer past is exact where the sea is steady, a shorter one has to earn it.
-    patience = dict(zip((c.window_s for c in candidates), range(len(candidates)), strict=True))
-    best = max(candidates, key=lambda candidate: candidate.score + PATIENCE * patience[candidate.window_s])
+    ranks = range(len(candidates))
+    chosen = max(ranks, key=lambda rank: candidates[rank].score + PATIENCE * rank)
+    best, share = candidates[chosen], shares[chosen]
     system = SeaSystem(best.model)
     steady = system.steady(record.dt_s)
     if steady is None:
@@ -134,7 +135,7 @@ def look(window: SeaWindow) -> SeaFit:
         window_s=best.window_s,
         record_s=len(record.a_mps2) * record.dt_s,
         model=best.model,
-        sea=sea_state(best.model),
+        sea=sea_state(best.model, share),
         t_s=record.end_s,
         dt_s=record.dt_s,
         x=done.x.tobytes(),
@@ -173,12 +174,14 @@ def _scores(window: SeaWindow, record: sea_run.Record) -> dict[float, float]:
 
 def _fit_all(
     window: SeaWindow, record: sea_run.Record, scores: dict[float, float]
-) -> tuple[tuple[Candidate, ...], float]:
-    """A model for each length that the record reaches; the longest that it does not reach gets all there is."""
+) -> tuple[tuple[Candidate, ...], list[float], float]:
+    """A model for each length that the record reaches, the longest that it does not reach gets all there is; the share
+    of each model's variance that was measured; how much likelier than noise the waves are."""
     rate, seconds = 1.0 / record.dt_s, len(record.a_mps2) * record.dt_s
     earlier = {candidate.window_s: candidate.model for candidate in window.candidates}
     known = list(scores)
     candidates: list[Candidate] = []
+    shares: list[float] = []
     waves = 0.0
     for length in sorted(window.windows_s):
         span = min(length, seconds)
@@ -192,9 +195,10 @@ def _fit_all(
         # A length that is new starts as well as the longest one before it.
         score = scores.get(length, scores[known[-1]] if known else 0.0)
         candidates.append(Candidate(window_s=length, model=fitted.model, score=score))
+        shares.append(sea_fit.measured_share(sp, fitted.model))
         if span < length:
             break
-    return tuple(candidates), waves
+    return tuple(candidates), shares, waves
 
 
 def unbroken(record: sea_run.Record, count: int) -> Array:

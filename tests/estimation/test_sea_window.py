@@ -1,0 +1,206 @@
+"""One look at the past: what it makes of seas that stay, change and break off, and of what is no record."""
+
+from __future__ import annotations
+
+from math import nan
+
+import msgspec
+import numpy as np
+import pytest
+
+from heaved.estimation.sea_model import SeaSystem
+from heaved.estimation.sea_run import Record, even
+from heaved.estimation.sea_window import NEWEST_S, Candidate, SeaFit, SeaWindow, look, unbroken, whiteness
+from heaved.simulate.seaway import seaway
+
+DT_S = 0.05
+Array = np.ndarray
+
+
+def sea(name: str, seconds: float, seed: int = 1) -> tuple[Array, Array, Array]:
+    """Times, heave and noisy acceleration (sensor A)."""
+    t = DT_S * np.arange(round(seconds / DT_S))
+    made = seaway(name, seed, attitude=False).motion(t)
+    noise = 1e-3 * np.sqrt(0.5 / DT_S) * np.random.default_rng(seed).standard_normal(len(t))
+    return t, made.heave_m, made.heave_acceleration_mps2 + noise
+
+
+def window(t: Array, a: Array, before: SeaFit | None = None, **changes: object) -> SeaWindow:
+    asked = SeaWindow(
+        number=3,
+        t_s=np.ascontiguousarray(t).tobytes(),
+        a_mps2=np.ascontiguousarray(a).tobytes(),
+        stages=6,
+        components=2,
+        windows_s=(120.0, 300.0, 600.0),
+        bias_walk_psd=4e-10,
+        delay_s=30.0,
+        looked_s=nan if before is None else before.t_s,
+        candidates=() if before is None else before.candidates,
+    )
+    return msgspec.structs.replace(asked, **changes)
+
+
+@pytest.fixture(scope="module")
+def s6() -> tuple[Array, Array, Array]:
+    return sea("S6", 640.0)
+
+
+def test_the_state_that_is_handed_over_is_the_heave_of_the_last_sample(s6: tuple[Array, Array, Array]) -> None:
+    t, heave, a = s6
+    fit = look(window(t[:12_000], a[:12_000]))
+    assert fit.message == ""
+    assert fit.model is not None
+    system = SeaSystem(fit.model)
+    x = np.frombuffer(fit.x)
+    assert (fit.t_s, fit.dt_s) == (pytest.approx(t[11_999]), pytest.approx(DT_S))
+    assert fit.record_s == pytest.approx(600.0, abs=0.1)
+    assert abs(system.heave @ x - heave[11_999]) < 0.05 * np.std(heave)
+    predicted = np.frombuffer(fit.predicted_m)
+    assert len(predicted) == len(np.frombuffer(fit.innovation)) == round(60.0 / DT_S)
+    assert np.std(predicted - heave[12_000 - len(predicted) : 12_000]) < 0.03 * np.std(heave)
+    assert fit.sea is not None
+    assert fit.sea.significant_height_m == pytest.approx(4.0 * np.std(heave), rel=0.15)
+    assert fit.waves > 100.0
+    assert 0.3 < fit.whiteness < 3.0
+    assert [candidate.window_s for candidate in fit.candidates] == [120.0, 300.0, 600.0]
+
+
+def test_a_length_that_is_not_reached_gets_all_there_is(s6: tuple[Array, Array, Array]) -> None:
+    t, _, a = s6
+    fit = look(window(t[:4000], a[:4000]))
+    assert [candidate.window_s for candidate in fit.candidates] == [120.0, 300.0]
+
+
+def test_a_sea_that_grew_is_judged_by_the_short_past() -> None:
+    """Three times as high from 400 s on; a look every 20 s. Innovations tell the lengths apart, and none is dropped."""
+    t, _, a = sea("S4", 560.0)
+    a = a * np.where(t < 400.0, 1.0, 3.0)
+    before = None
+    chosen = {}
+    for end in range(360, 561, 20):
+        fit = look(window(t[: round(end / DT_S)], a[: round(end / DT_S)], before))
+        assert fit.message == ""
+        assert len(fit.candidates) == 3
+        chosen[end], before = fit.window_s, fit
+    assert chosen[520] == 120.0
+    best = max(before.candidates, key=lambda c: c.score) if before else None
+    assert best is not None
+    assert (best.window_s, best.score) == (120.0, 0.0)
+
+
+def test_candidates_that_outlive_their_past_are_no_reason_to_fail(s6: tuple[Array, Array, Array]) -> None:
+    """After a reset there is a new record, and no time of the last look."""
+    t, _, a = s6
+    before = look(window(t[:4000], a[:4000]))
+    fit = look(window(t[4000:5000], a[4000:5000], before, looked_s=nan))
+    assert fit.message == ""
+    assert fit.model is not None
+
+
+# --- holes -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("holes", "expected"),
+    [
+        ([], (0.0, 400.0)),
+        ([(200.0, 210.0)], (210.0, 400.0)),
+        ([(330.0, 340.0)], (340.0, 400.0)),
+        ([(350.0, 360.0)], (0.0, 350.0)),
+        ([(100.0, 105.0), (390.0, 395.0)], (105.0, 390.0)),
+    ],
+)
+def test_the_newest_stretch_is_taken_when_it_is_long_enough(
+    holes: list[tuple[float, float]], expected: tuple[float, float]
+) -> None:
+    t = DT_S * np.arange(8000)
+    known = np.ones(8000, dtype=np.bool_)
+    for first, end in holes:
+        known[(t >= first - 1e-9) & (t < end - 1e-9)] = False
+    found = unbroken(Record(t[-1], DT_S, t, known), 8000)
+    assert (found[0], found[-1] + DT_S) == (pytest.approx(expected[0]), pytest.approx(expected[1]))
+    assert NEWEST_S == 60.0
+
+
+@pytest.mark.parametrize("hole_s", [1.0, 10.0, 40.0])
+def test_a_hole_leaves_the_spectrum_of_the_sea_as_it_was(hole_s: float, s6: tuple[Array, Array, Array]) -> None:
+    """The error that lives in the skirt: heave from the record with a hole is as good as without one."""
+    t, heave, a = s6
+    kept = (t < 400.0) | (t >= 400.0 + hole_s)
+    fit = look(window(t[kept], a[kept]))
+    assert fit.model is not None
+    assert SeaSystem(fit.model).heave @ np.frombuffer(fit.x) == pytest.approx(heave[-1], abs=0.05 * np.std(heave))
+    f = np.linspace(0.02, 0.04, 20)
+    whole = look(window(t, a)).model
+    assert whole is not None
+    assert np.max(fit.model.acceleration_spectrum(f) / whole.acceleration_spectrum(f)) < 30.0
+    assert fit.sea is not None
+    assert fit.sea.peak_period_s < 14.0
+
+
+def test_a_record_in_pieces_is_left_alone_when_there_is_a_model(s6: tuple[Array, Array, Array]) -> None:
+    t, _, a = s6
+    before = look(window(t[:4000], a[:4000]))
+    kept = (t % 28.0) < 24.0
+    assert "holes" in look(window(t[kept], a[kept], before)).message
+    assert look(window(t[kept], a[kept])).message == ""
+
+
+# --- no record -------------------------------------------------------------------------------------------------------
+
+T = DT_S * np.arange(3000)
+BAD = {
+    "short": (T[:300], np.sin(T[:300]), "too short"),
+    "empty": (T[:0], T[:0], "too short"),
+    "constant": (T, np.full(3000, 0.2), "constant"),
+    "nan": (T, np.where(T > 100.0, np.nan, np.sin(T)), "gaps in its numbers"),
+    "inf": (T, np.where(T > 100.0, np.inf, np.sin(T)), "gaps in its numbers"),
+    "backwards": (T[::-1], np.sin(T), "too short"),
+    "a time twice": (np.repeat(T[::2], 2), np.sin(T), "gaps in its numbers"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_is_no_record_is_a_message(name: str) -> None:
+    t, a, word = BAD[name]
+    fit = look(window(t, a))
+    assert word in fit.message
+    assert (fit.number, fit.model) == (3, None)
+
+
+@pytest.mark.parametrize(
+    "a",
+    [1e-7 * np.sin(T), 1e4 * np.sin(T), np.where(T > 60.0, 5.0, 0.0) + 1e-3 * np.sin(T), np.sin(1e3 * T), 1e-3 * T],
+    ids=["tiny", "huge", "step", "aliased", "ramp"],
+)
+def test_what_is_no_sea_is_answered_with_numbers_or_a_word(a: Array) -> None:
+    fit = look(window(T, a))
+    assert fit.message or (np.isfinite(np.frombuffer(fit.x)).all() and np.isfinite(fit.heave_std_m))
+
+
+def test_noise_alone_is_no_likelier_with_waves() -> None:
+    noise = 3e-3 * np.random.default_rng(5).standard_normal(12_000)
+    fit = look(window(DT_S * np.arange(12_000), noise))
+    assert fit.waves < 15.0
+
+
+def test_whiteness_is_one_of_white_innovations_and_more_of_slow_ones(s6: tuple[Array, Array, Array]) -> None:
+    t, _, a = s6
+    fit = look(window(t[:3000], a[:3000]))
+    assert fit.model is not None
+    steady = SeaSystem(fit.model).steady(DT_S)
+    assert steady is not None
+    white = np.sqrt(steady.S) * np.random.default_rng(6).standard_normal(1200)
+    assert whiteness(white, steady) == pytest.approx(1.0, abs=0.8)  # thirty averages
+    assert whiteness(white + np.sqrt(steady.S), steady) == pytest.approx(41.0, rel=0.3)  # 40 samples to an average
+    assert whiteness(white[:10], steady) == 1.0
+    assert even(t, a).dt_s == pytest.approx(DT_S)
+
+
+def test_candidates_travel() -> None:
+    t, _, a = sea("S4", 60.0)
+    fit = look(window(t, a))
+    packed = msgspec.msgpack.encode(fit)
+    assert msgspec.msgpack.encode(msgspec.msgpack.decode(packed, type=SeaFit)) == packed
+    assert all(isinstance(candidate, Candidate) for candidate in fit.candidates)
