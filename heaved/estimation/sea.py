@@ -34,6 +34,8 @@ Array = NDArray[np.float64]
 BEAT_S: Final = 0.05
 BEAT_MIN_S: Final = 0.04
 """Rings are sized for beats this short."""
+STALE_BEAT_S: Final = 1.0
+"""Samples that come without a beat for this long are not in the heave any more."""
 BEAT_INTERVALS: Final = 101
 BEAT_FIRST_INTERVALS: Final = 7
 """Intervals from which the usual one is taken, and the first time."""
@@ -101,15 +103,10 @@ class Motion(msgspec.Struct, frozen=True, gc=False):
 
 
 class _Beat:
-    """Averages a handful of samples into one; their mean time with them.
-
-    The period is a mean, to which one interval adds little, be it short (a late sample and its successor) or long (a
-    gap counts as two periods): it follows the sensor whatever happens, so that beats never cease.
-    """
+    """Averages a handful of samples into one; their mean time with them."""
 
     def __init__(self) -> None:
         self.period_s = nan
-        self._intervals = 0
         self._count = 0
         self._t = self._a = self._first_s = self._last_s = 0.0
         self._previous_s = nan
@@ -424,6 +421,8 @@ class SeaObserver:
         if self._values is None:
             self._values = (self._rows @ self._filter.x).tolist()
         values, usual_places, late = self._values, self._usual, self.t_s - self._filter.t_s
+        if late > STALE_BEAT_S:
+            return [Motion(nan, nan) for _ in shifts_s]
         motions = []
         for shift in shifts_s:
             place = usual_places.get(shift)
@@ -451,6 +450,8 @@ class SeaObserver:
         ``scale``: what the laser has shown.
         """
         if self._filter is None or not isfinite(self._filter.t_s):
+            return nan
+        if self.t_s - self._filter.t_s > STALE_BEAT_S:
             return nan
         modelled = self._modelled.get(shift_s)
         if modelled is None:

@@ -48,6 +48,8 @@ LONGEST_STEP: Final = 0.7
 STARTS: Final = ((1.0, 1.6, 2.6, 0.7), (1.2, 0.5, 2.2, 1.7), (1.0, 1.2, 0.7, 2.0), (1.0, 1.13, 0.88, 1.3))
 """First frequencies of the components, over that of the velocity's peak; the second also tries a swell at 0.05 Hz."""
 SWELL_HZ: Final = 0.05
+LINE_DAMPING: Final = 0.07
+"""Of the last start: a wave train is a few lines side by side."""
 DAMPING_GUESS: Final = 0.3
 
 LIMITS: Final = {"frequency_hz": (0.03, 0.6), "damping": (0.05, 1.0), "level": (1e-10, 1e5), "noise": (1e-12, 1e2)}
@@ -139,7 +141,8 @@ def _starts(sp: Spectrum, components: int, warm: SeaModel | None) -> Array:
             f0[1] = SWELL_HZ
         f0 = np.clip(f0, *LIMITS["frequency_hz"])
         level = np.clip(0.7 * np.interp(f0, f, heave), *LIMITS["level"])
-        rows.append(np.concatenate((np.log(f0), np.full(components, log(DAMPING_GUESS)), np.log(level))))
+        guess = LINE_DAMPING if ratios is STARTS[3] else DAMPING_GUESS
+        rows.append(np.concatenate((np.log(f0), np.full(components, log(guess)), np.log(level))))
     if warm is not None and len(warm.damping) == components:
         rows.append(np.log(np.array((*warm.frequency_hz, *warm.damping, *warm.level_m2phz))))
     return np.column_stack((np.array(rows), np.full(len(rows), log(sp.noise_psd))))
