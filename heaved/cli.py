@@ -111,7 +111,7 @@ def run(
             EX_CONFIG,
         )
     path = config or SYSTEM_CONFIG
-    loaded = _load(path)
+    loaded = _load_to_run(path)
     from heaved import daemon
 
     raise typer.Exit(daemon.run(loaded, path, log_format=log_format.value))
@@ -120,7 +120,7 @@ def run(
 @app.command("check-config")
 def check_config(file: Annotated[Path, typer.Argument(metavar="FILE")]) -> None:
     """Check a configuration file: names every fault, and rates that a serial line cannot carry (exit code 78)."""
-    config = _load(file)
+    config = _load_to_run(file)
     from heaved.config import rate_faults
 
     if faults := rate_faults(config):
@@ -130,6 +130,15 @@ def check_config(file: Annotated[Path, typer.Argument(metavar="FILE")]) -> None:
         typer.echo(f"  {_device_line(device)}, {device.profile.name} at {device.rate_hz:g} Hz")
     if not any(device.role == "imu" for device in config.device):
         typer.echo('  no device of role "imu": enough for a replay, but the daemon would have no heave')
+
+
+def _load_to_run(path: Path) -> Config:
+    from heaved.config import ConfigError, load_to_run
+
+    try:
+        return load_to_run(path)
+    except ConfigError as error:
+        _fail(str(error), EX_CONFIG)
 
 
 def _load(path: Path) -> Config:

@@ -111,6 +111,18 @@ def load(path: Path) -> Config:
     return parse(_read_toml(path), file=str(path), directory=path.parent)
 
 
+def load_to_run(path: Path) -> Config:
+    """As :func:`load`, and every stage that is switched on has its devices.
+
+    Raises:
+        ConfigError: as :func:`load`.
+    """
+    config = load(path)
+    if faults := stage_faults(config):
+        raise ConfigError(str(path), faults)
+    return config
+
+
 def parse(document: Mapping[str, Any], *, file: str, directory: Path) -> Config:
     """Validate a decoded TOML document; profile files are looked up beside it, then among the packaged ones.
 
