@@ -51,9 +51,11 @@ class Acquisition:
         train: Callable[[TrainingWindow], None],
         fit: Callable[[SeaWindow], None],
         refit: Callable[[RefitJob], None] = lambda job: None,
+        publish_stages: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """``publish``, ``train``, ``fit`` and ``refit`` must only hand over; ``clock`` is that of the samples."""
+        """``publish``, ``train``, ``fit`` and ``refit`` must only hand over, ``publish_stages`` looks after each poll
+        for what the stages have to say; ``clock`` is that of the samples."""
         self.pipeline = pipeline
         self.health: dict[str, DeviceHealth] = {}
         self.last_frame: MotionFrame | None = None
@@ -73,6 +75,7 @@ class Acquisition:
         self._train = train
         self._fit = fit
         self._refit = refit
+        self._publish_stages = publish_stages
         self._refit_job: RefitJob | None = None
         """Of the hull, under way."""
         self._clock = clock
@@ -116,6 +119,7 @@ class Acquisition:
             if published or result.fault is Fault.NONE:
                 self._live_s = now_s
         # The frame is out: what nobody waits for.
+        self._publish_stages()
         self._account(result)
         self._offer_work()
 

@@ -321,6 +321,7 @@ def demo(
     sea: SeaName = "S5",
     link: Annotated[LinkKind, typer.Option(help="Modbus TCP, or RTU on a pseudo-terminal.")] = LinkKind.tcp,
     duration: Annotated[float | None, typer.Option(min=0.0, help="End after so many seconds.")] = None,
+    config: Annotated[Path | None, typer.Option(help="What to run and whose devices to simulate.")] = None,
     log_format: Logs = LogFormat.human,
 ) -> None:
     """Run the daemon on simulated sensors, with a simulated winch on its stream: the whole chain on this machine."""
@@ -334,7 +335,12 @@ def demo(
 
     try:
         code = demonstration.run(
-            sea, serial=link is LinkKind.rtu, duration_s=duration, log_format=log_format.value, announce=announce
+            sea,
+            serial=link is LinkKind.rtu,
+            duration_s=duration,
+            log_format=log_format.value,
+            announce=announce,
+            config=None if config is None else _load_to_run(config),
         )
     except demonstration.DemoError as error:
         _fail(str(error), 1)
@@ -375,7 +381,7 @@ def sim(
             devices = demonstration.on_serial_line(devices, Path(directory))
         try:
             source = (
-                demonstration.instruments(sea, sensor=sensor, laser=laser, seed=seed)
+                demonstration.instruments(sea, devices, sensor=sensor, laser=laser, seed=seed)
                 if play is None
                 else Player(read_recording(play))
             )

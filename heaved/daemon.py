@@ -107,6 +107,7 @@ class Daemon:
             train=self._train,
             fit=self._fit,
             refit=self._refit,
+            publish_stages=self._publish_stages,
             clock=clock,
         )
         self.memory = Memory(
@@ -352,13 +353,13 @@ class Daemon:
             self._delayed_sent = delayed
             if self._publisher.is_watched("DELAYED"):
                 self._publisher.publish_record(wire.delayed_record(delayed, self.utc.utc_s(delayed.t_s)))
-        self._publish_stages(frame)
         if not self._is_ready:
             self._is_ready = True
             self._notifier.notify("READY=1", "STATUS=running")
 
-    def _publish_stages(self, frame: MotionFrame) -> None:
-        hull, attitude = frame.hull, frame.attitude
+    def _publish_stages(self) -> None:
+        stages = self.acquisition.pipeline.stages
+        hull, attitude = stages.angles, stages.motion
         if hull is not None and hull is not self._hull_sent:
             self._hull_sent = hull
             if self._publisher.is_watched("HULL"):
