@@ -154,9 +154,7 @@ def test_each_fault_is_named_with_its_path(name: str) -> None:
     assert expected in fault
 
 
-@pytest.mark.parametrize(
-    ("name", "roles"), [("hull.toml", ["imu", "laser", "imu2"]), ("hydrofoil.toml", ["craft"])]
-)
+@pytest.mark.parametrize(("name", "roles"), [("hull.toml", ["imu", "laser", "imu2"]), ("hydrofoil.toml", ["craft"])])
 def test_packaged_files_are_sound(name: str, roles: list[str]) -> None:
     config = load_to_run(data_directory() / name)
     assert [spec.role for spec in config.device] == roles
