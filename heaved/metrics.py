@@ -174,7 +174,8 @@ class Metrics:
             self.attitude_pitch,
             self.attitude_pitch_std,
         )
-        for gauge in self._attitude:
+        self._hull = tuple((self.hull_angle.labels(axis), self.hull_std.labels(axis)) for axis in "xyz")
+        for gauge in (*self._attitude, *(gauge for pair in self._hull for gauge in pair)):
             gauge.set(nan)
 
     def device(self, name: str) -> DeviceMetrics:
@@ -208,11 +209,11 @@ class Metrics:
         self.delayed_heave.set(frame.delayed.heave_m if frame.delayed is not None else nan)
 
     def record_stages(self, frame: MotionFrame) -> None:
-        """What the stages beside the heave have to say; the series of the hull appear with its stage."""
-        if frame.hull is not None:
-            for axis, angle, std in zip("xyz", frame.hull.total_rad, frame.hull.std_rad, strict=True):
-                self.hull_angle.labels(axis).set(angle)
-                self.hull_std.labels(axis).set(std)
+        """What the stages beside the heave have to say."""
+        if (hull := frame.hull) is not None:
+            for gauges, angle, std in zip(self._hull, hull.total_rad, hull.std_rad, strict=True):
+                gauges[0].set(angle)
+                gauges[1].set(std)
         if (motion := frame.attitude) is not None:
             values = (motion.heave_m, motion.heave_std_m, motion.pitch_rad, motion.pitch_std_rad)
             for gauge, value in zip(self._attitude, values, strict=True):

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from accuracy import main as accuracy
 
+from heaved.cli import main
 from heaved.config import Config, ConfigError, data_directory, load, load_to_run, parse, rate_faults, stage_faults
 from heaved.devices.line import TcpLink
 from heaved.devices.polling import Reading, Station
@@ -103,7 +104,9 @@ LACKS: dict[str, tuple[str, str]] = {
 
 
 @pytest.mark.parametrize("name", LACKS)
-def test_a_stage_without_its_devices_is_a_fault_of_the_run_but_not_of_the_file(name: str, tmp_path: Path) -> None:
+def test_a_stage_without_its_devices_is_a_fault_of_the_run_but_not_of_the_file(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     text, expected = LACKS[name]
     path = tmp_path / "x.toml"
     path.write_text(text)
@@ -112,6 +115,9 @@ def test_a_stage_without_its_devices_is_a_fault_of_the_run_but_not_of_the_file(n
         load_to_run(path)
     (fault,) = caught.value.faults
     assert expected in fault
+    for command in (["check-config", str(path)], ["run", "--config", str(path)], ["demo", "--config", str(path)]):
+        assert main(command) == 78
+        assert expected in capsys.readouterr().err
 
 
 def test_with_their_devices_there_is_no_fault() -> None:
@@ -392,7 +398,7 @@ def test_the_crane_base_in_the_motion_line() -> None:
 
 def test_metrics_of_the_stages() -> None:
     metrics = Metrics("1")
-    assert "heaved_hull_angle_radians{" not in metrics.render().decode()
+    assert 'heaved_hull_angle_radians{axis="z"} NaN' in metrics.render().decode()
     metrics.record_stages(FRAME)
     text = metrics.render().decode()
     assert f'heaved_hull_angle_radians{{axis="z"}} {math.radians(30.0)}' in text
