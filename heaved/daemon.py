@@ -36,7 +36,7 @@ from heaved.estimation.sea_window import SeaFit, SeaWindow
 from heaved.estimation.stages import Stages
 from heaved.logs import configure_logging
 from heaved.metrics import Metrics
-from heaved.outputs import wire
+from heaved.outputs import stage_wire, wire
 from heaved.outputs.access import ListenError
 from heaved.outputs.http import HttpServer, liveness, readiness
 from heaved.outputs.publisher import Publisher
@@ -363,11 +363,11 @@ class Daemon:
         if hull is not None and hull is not self._hull_sent:
             self._hull_sent = hull
             if self._publisher.is_watched("HULL"):
-                self._publisher.publish_record(wire.hull_record(hull, self.utc.utc_s(hull.t_s)))
+                self._publisher.publish_record(stage_wire.hull_record(hull, self.utc.utc_s(hull.t_s)))
         if attitude is not None and attitude is not self._attitude_sent:
             self._attitude_sent = attitude
             if self._publisher.is_watched("ATTITUDE"):
-                self._publisher.publish_record(wire.attitude_record(attitude, self.utc.utc_s(attitude.t_s)))
+                self._publisher.publish_record(stage_wire.attitude_record(attitude, self.utc.utc_s(attitude.t_s)))
 
     def _train(self, window: TrainingWindow) -> None:
         if self._trainer is not None:
