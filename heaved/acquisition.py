@@ -10,6 +10,7 @@ import structlog
 
 from heaved.devices.modbus import PollResult
 from heaved.devices.profile import DeviceSpec
+from heaved.estimation.hull import RefitJob, RefitResult
 from heaved.estimation.sea_window import SeaFit, SeaWindow
 from heaved.health import DeviceHealth, RateMeter
 from heaved.metrics import DeviceMetrics, Metrics
@@ -49,9 +50,12 @@ class Acquisition:
         publish: Callable[[MotionFrame], None],
         train: Callable[[TrainingWindow], None],
         fit: Callable[[SeaWindow], None],
+        refit: Callable[[RefitJob], None] = lambda job: None,
+        publish_stages: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """``publish``, ``train`` and ``fit`` must only hand over; ``clock`` is that of the samples."""
+        """``publish``, ``train``, ``fit`` and ``refit`` must only hand over, ``publish_stages`` looks after each poll
+        for what the stages have to say; ``clock`` is that of the samples."""
         self.pipeline = pipeline
         self.health: dict[str, DeviceHealth] = {}
         self.last_frame: MotionFrame | None = None
@@ -70,6 +74,10 @@ class Acquisition:
         self._publish = publish
         self._train = train
         self._fit = fit
+        self._refit = refit
+        self._publish_stages = publish_stages
+        self._refit_job: RefitJob | None = None
+        """Of the hull, under way."""
         self._clock = clock
         self._rate = RateMeter()
         self._published_s = -inf
@@ -111,6 +119,7 @@ class Acquisition:
             if published or result.fault is Fault.NONE:
                 self._live_s = now_s
         # The frame is out: what nobody waits for.
+        self._publish_stages()
         self._account(result)
         self._offer_work()
 
@@ -160,6 +169,13 @@ class Acquisition:
             self.last_fit = result
             _log.info("fit of the sea", result=result, detail=fit.message)
 
+    def accept_refit(self, result: RefitResult | None) -> None:
+        """Hand a refit of the hull's flexure to its stage, if that still waits for it; None: it came to nothing."""
+        job, self._refit_job = self._refit_job, None
+        if job is not None and self.pipeline.stages.due_refit is job:
+            used = self.pipeline.stages.accept(result)
+            _log.info("refit of the hull's flexure", result="accepted" if used else "of no use")
+
     # ---- within one poll ---------------------------------------------------------------------------------------------
 
     def _account(self, result: PollResult) -> None:
@@ -208,17 +224,27 @@ class Acquisition:
                 self._train(window)
             if (past := self.pipeline.fit_due()) is not None:
                 self._fit(past)
+            job = self.pipeline.stages.due_refit
+            if job is not None and job is not self._refit_job:
+                self._refit_job = job
+                self._refit(job)
         except Exception as error:
             self._bug("work", error)
+        if (failure := self.pipeline.stages.failure) is not None:
+            self.pipeline.stages.failure = None
+            self._tell("stage", failure)
 
     def _bug(self, where: str, error: Exception) -> None:
-        """Count it; say it, with its traceback, once for each kind."""
+        """Count it, and say it, with its traceback, once for each kind."""
+        self._metrics.filter_resets.labels("pipeline", f"{where}: {type(error).__name__}").inc()
+        self._tell(where, error)
+
+    def _tell(self, where: str, error: Exception) -> None:
         kind = f"{where}: {type(error).__name__}"
-        self._metrics.filter_resets.labels("pipeline", kind).inc()
         if kind not in self._bugs:
             self._bugs.add(kind)
             _log.error(
-                "error in the pipeline: please report it; the stream goes on with extrapolated frames",
+                "error in the pipeline: please report it; the stream goes on, if need be with extrapolated frames",
                 where=where,
                 exc_info=error,
             )

@@ -111,7 +111,7 @@ def run(
             EX_CONFIG,
         )
     path = config or SYSTEM_CONFIG
-    loaded = _load(path)
+    loaded = _load_to_run(path)
     from heaved import daemon
 
     raise typer.Exit(daemon.run(loaded, path, log_format=log_format.value))
@@ -120,7 +120,7 @@ def run(
 @app.command("check-config")
 def check_config(file: Annotated[Path, typer.Argument(metavar="FILE")]) -> None:
     """Check a configuration file: names every fault, and rates that a serial line cannot carry (exit code 78)."""
-    config = _load(file)
+    config = _load_to_run(file)
     from heaved.config import rate_faults
 
     if faults := rate_faults(config):
@@ -130,6 +130,15 @@ def check_config(file: Annotated[Path, typer.Argument(metavar="FILE")]) -> None:
         typer.echo(f"  {_device_line(device)}, {device.profile.name} at {device.rate_hz:g} Hz")
     if not any(device.role == "imu" for device in config.device):
         typer.echo('  no device of role "imu": enough for a replay, but the daemon would have no heave')
+
+
+def _load_to_run(path: Path) -> Config:
+    from heaved.config import ConfigError, load_to_run
+
+    try:
+        return load_to_run(path)
+    except ConfigError as error:
+        _fail(str(error), EX_CONFIG)
 
 
 def _load(path: Path) -> Config:
@@ -312,6 +321,7 @@ def demo(
     sea: SeaName = "S5",
     link: Annotated[LinkKind, typer.Option(help="Modbus TCP, or RTU on a pseudo-terminal.")] = LinkKind.tcp,
     duration: Annotated[float | None, typer.Option(min=0.0, help="End after so many seconds.")] = None,
+    config: Annotated[Path | None, typer.Option(help="What to run and whose devices to simulate.")] = None,
     log_format: Logs = LogFormat.human,
 ) -> None:
     """Run the daemon on simulated sensors, with a simulated winch on its stream: the whole chain on this machine."""
@@ -325,7 +335,12 @@ def demo(
 
     try:
         code = demonstration.run(
-            sea, serial=link is LinkKind.rtu, duration_s=duration, log_format=log_format.value, announce=announce
+            sea,
+            serial=link is LinkKind.rtu,
+            duration_s=duration,
+            log_format=log_format.value,
+            announce=announce,
+            config=None if config is None else _load_to_run(config),
         )
     except demonstration.DemoError as error:
         _fail(str(error), 1)
@@ -366,7 +381,7 @@ def sim(
             devices = demonstration.on_serial_line(devices, Path(directory))
         try:
             source = (
-                demonstration.instruments(sea, sensor=sensor, laser=laser, seed=seed)
+                demonstration.instruments(sea, devices, sensor=sensor, laser=laser, seed=seed)
                 if play is None
                 else Player(read_recording(play))
             )

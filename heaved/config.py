@@ -15,8 +15,8 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 import msgspec
 
 from heaved.devices.line import bus_load_faults, line_faults, parse_link
-from heaved.devices.profile import DeviceSpec, Profile, profile_faults
-from heaved.estimation import correction, heave, reference, rock
+from heaved.devices.profile import DeviceSpec, Profile, profile_faults, role_needs, role_quantities
+from heaved.estimation import correction, fusion, heave, hull, reference, rock
 from heaved.estimation.points import Point
 
 Port = Annotated[int, msgspec.Meta(ge=0, le=65535)]
@@ -74,6 +74,8 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     laser: reference.Params = reference.Params()
     correction: correction.Params = correction.Params()
     rock: rock.Params = rock.Params()
+    hull: hull.Params = hull.Params()
+    attitude: fusion.Params = fusion.Params()
     point: tuple[Point, ...] = ()
     compensation: CompensationParams = CompensationParams()
     stream: StreamParams = StreamParams()
@@ -107,6 +109,18 @@ def load(path: Path) -> Config:
         ConfigError: the file cannot be read or has faults; all of them are listed, each with its path in the file.
     """
     return parse(_read_toml(path), file=str(path), directory=path.parent)
+
+
+def load_to_run(path: Path) -> Config:
+    """As :func:`load`, and every stage that is switched on has its devices.
+
+    Raises:
+        ConfigError: as :func:`load`.
+    """
+    config = load(path)
+    if faults := stage_faults(config):
+        raise ConfigError(str(path), faults)
+    return config
 
 
 def parse(document: Mapping[str, Any], *, file: str, directory: Path) -> Config:
@@ -149,6 +163,31 @@ def packaged_profiles() -> tuple[Profile, ...]:
 def rate_faults(config: Config) -> list[str]:
     """Poll rates that the line cannot carry, one message per bus: a fault of the plan, found before going to sea."""
     return bus_load_faults(config.device)
+
+
+def stage_faults(config: Config) -> list[str]:
+    """Stages that are switched on without the devices that they live on. A replay needs no device: its file has all."""
+    carried = {device.role: _quantities(device) for device in config.device}
+    faults = []
+    if config.hull.enabled:
+        rates = set(role_needs("imu2"))
+        if "imu2" not in carried:
+            faults.append('hull.enabled: needs a second IMU, a device of role "imu2"')
+        if "imu" not in carried:
+            faults.append('hull.enabled: needs the body rates of a device of role "imu"')
+        elif not rates <= carried["imu"]:
+            lacking = ", ".join(sorted(rates - carried["imu"]))
+            faults.append(f'hull.enabled: the profile of the device of role "imu" has no {lacking}')
+    if config.attitude.enabled and config.attitude.source == "sensors":
+        sensors: set[str] = set().union(*(carried.get(role, ()) for role in ("craft", "heave_sensor", "pitch_sensor")))
+        if sensors.isdisjoint(("heave_m", "pitch_rad")):
+            faults.append(
+                'attitude.source: "sensors" needs heave_m or pitch_rad from a device of role "craft", "heave_sensor" '
+                'or "pitch_sensor"; "own" takes the heave and pitch of heaved itself'
+            )
+    if config.attitude.enabled and config.attitude.source == "own" and "imu" not in carried:
+        faults.append('attitude.source: "own" needs a device of role "imu"')
+    return faults
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
@@ -196,6 +235,11 @@ _PLACEHOLDER: dict[str, Any] = {
             "fields": [
                 {"quantity": "az_mps2", "offset": 0, "unit": "m/s2"},
                 {"quantity": "laser_m", "offset": 1, "unit": "m"},
+                {"quantity": "gx_radps", "offset": 2, "unit": "rad/s"},
+                {"quantity": "gy_radps", "offset": 3, "unit": "rad/s"},
+                {"quantity": "gz_radps", "offset": 4, "unit": "rad/s"},
+                {"quantity": "heave_m", "offset": 5, "unit": "m"},
+                {"quantity": "pitch_rad", "offset": 6, "unit": "rad"},
             ],
         }
     ],
@@ -205,7 +249,7 @@ _PLACEHOLDER: dict[str, Any] = {
 
 def _check(kind: Any, value: Any, path: str, faults: list[str]) -> None:
     """Collect every fault of ``value`` against type ``kind``; msgspec alone would stop at the first."""
-    struct, element = _table_of(kind), _element_of(kind)
+    struct, element, before = _table_of(kind), _element_of(kind), len(faults)
     if struct is not None and isinstance(value, dict):
         hints = get_type_hints(struct, include_extras=True)
         fields = {field.name: field for field in msgspec.structs.fields(struct)}
@@ -217,10 +261,12 @@ def _check(kind: Any, value: Any, path: str, faults: list[str]) -> None:
                 _check(hints[name], value[name], _join(path, name), faults)
             elif field.required:
                 faults.append(f"{_join(path, name)}: missing")
+        if path and len(faults) == before:
+            _convert(struct, value, path, faults)  # What no key can get wrong alone.
     elif element is not None and isinstance(value, list) and _table_of(element) is not None:
         for i, item in enumerate(value):
             _check(element, item, f"{path}[{i}]", faults)
-        if not value:
+        if len(faults) == before:
             _convert(kind, value, path, faults)
     else:
         _convert(kind, value, path, faults)
@@ -285,9 +331,11 @@ def _sound_parts(tree: Mapping[str, Any]) -> tuple[dict[int, DeviceSpec], Config
             devices[i] = msgspec.convert(device, DeviceSpec)
     tables: dict[str, Any] = {}
     for field in msgspec.structs.fields(Config):
-        if field.name in tree and _table_of(field.type) is not None:
+        if field.name in tree and field.name != "device":
+            value = tree[field.name]
             with suppress(msgspec.ValidationError):
-                tables[field.name] = msgspec.convert(_sound_keys(field.type, tree[field.name]), field.type)
+                sound = value if _table_of(field.type) is None else _sound_keys(field.type, value)
+                tables[field.name] = msgspec.convert(sound, field.type)
     return devices, Config(**tables)
 
 
@@ -318,6 +366,7 @@ def _cross_checks(
         faults += _twice(tree.get(array), array, key, wrong)
     if config.laser.role == "aiding" and config.heave.observer != "sea":
         faults.append("laser.role: 'aiding' needs heave.observer = 'sea'; the harmonic observer can only be compared")
+    faults += _stage_params_faults(config)
     if list(config.heave.sea.windows_s) != sorted(set(config.heave.sea.windows_s)) or not config.heave.sea.windows_s:
         faults.append(f"heave.sea.windows_s: must be lengths that increase (got {list(config.heave.sea.windows_s)})")
     if not any(".link: " in fault for fault in faults):
@@ -354,6 +403,23 @@ def _twice(listed: Any, array: str, key: str, wrong: Collection[str]) -> list[st
     return faults
 
 
+def _stage_params_faults(config: Config) -> list[str]:
+    """Parameters of the stages that do not go together."""
+    faults = []
+    if config.hull.start == "zero" and config.hull.method == "so3":
+        faults.append('hull.start: "zero" is for the methods ckf and ukf; so3 needs an alignment')
+    if not config.hull.enabled:
+        faults += [
+            f'point[{i}].frame: "crane" needs [hull] enabled' for i, p in enumerate(config.point) if p.frame == "crane"
+        ]
+    if config.attitude.enabled:
+        try:
+            fusion.AttitudeFusion(config.attitude)
+        except ArithmeticError as error:
+            faults.append(f"attitude.vessel: {error}")
+    return faults
+
+
 def _overload_faults(devices: tuple[DeviceSpec, ...]) -> list[str]:
     """As :func:`rate_faults`; none when a link cannot be parsed, which is a fault of its own."""
     try:
@@ -365,11 +431,19 @@ def _overload_faults(devices: tuple[DeviceSpec, ...]) -> list[str]:
 def _device_faults(path: str, device: DeviceSpec) -> list[str]:
     faults = _link_faults(path, device.link)
     faults += [f"{path}.profile: {fault}" for fault in profile_faults(device.profile)]
-    quantities = {field.quantity for block in device.profile.blocks for field in block.fields}
-    needed = {"imu": "az_mps2", "laser": "laser_m"}[device.role]
-    if needed not in quantities:
-        faults.append(f"{path}.profile: {device.profile.name!r} has no {needed}, which role {device.role!r} needs")
+    carried = _quantities(device)
+    lacking = [name for name in role_needs(device.role) if name not in carried]
+    if lacking:
+        lacks = " and no ".join(lacking)
+        faults.append(f"{path}.profile: {device.profile.name!r} has no {lacks}, which role {device.role!r} needs")
+    elif carried.isdisjoint(useful := role_quantities(device.role)):
+        names = ", ".join(useful)
+        faults.append(f"{path}.profile: {device.profile.name!r} has none of {names}: of no use in role {device.role!r}")
     return faults
+
+
+def _quantities(device: DeviceSpec) -> set[str]:
+    return {field.quantity for block in device.profile.blocks for field in block.fields}
 
 
 def _link_faults(path: str, link: str) -> list[str]:

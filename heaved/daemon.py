@@ -26,27 +26,39 @@ import structlog
 from heaved import __version__
 from heaved.acquisition import Acquisition
 from heaved.clock import UtcClock
-from heaved.config import Config, ConfigError, load, rate_faults
+from heaved.config import Config, ConfigError, load_to_run, rate_faults
 from heaved.devices.line import buses
 from heaved.devices.modbus import Bus
 from heaved.devices.profile import DeviceSpec
 from heaved.devices.timer import PeriodicTimer
+from heaved.estimation.hull import RefitJob
 from heaved.estimation.sea_window import SeaFit, SeaWindow
+from heaved.estimation.stages import Stages
 from heaved.logs import configure_logging
 from heaved.metrics import Metrics
-from heaved.outputs import wire
+from heaved.outputs import stage_wire, wire
 from heaved.outputs.access import ListenError
 from heaved.outputs.http import HttpServer, liveness, readiness
 from heaved.outputs.publisher import Publisher
 from heaved.outputs.wire import StatusRecord
 from heaved.pipeline import Pipeline, PipelineState
 from heaved.realtime import freeze_memory, set_real_time
-from heaved.samples import DelayedHeave, MotionFrame, SeaState, TrainedNetwork, TrainingWindow
+from heaved.samples import (
+    CraftMotion,
+    DelayedHeave,
+    HullAngles,
+    MotionFrame,
+    SeaState,
+    TrainedNetwork,
+    TrainingWindow,
+)
 from heaved.sdnotify import Notifier
 from heaved.state import Memory, StateFile, state_directory
 from heaved.status import status_line, status_record
 from heaved.tasks import cancelled, in_time, supervise
-from heaved.training.process import FITTER, TRAINER, Worker
+from heaved.training import hull_fitter
+from heaved.training.hull_fitter import HullFit
+from heaved.training.process import FITTER, HULL_FITTER, TRAINER, Worker
 
 __all__ = ["Daemon", "configure_logging", "run"]
 
@@ -94,6 +106,8 @@ class Daemon:
             publish=self._publish,
             train=self._train,
             fit=self._fit,
+            refit=self._refit,
+            publish_stages=self._publish_stages,
             clock=clock,
         )
         self.memory = Memory(
@@ -116,9 +130,13 @@ class Daemon:
         self._http = self._make_http() if config.http.enabled else None
         self._trainer: Worker[TrainedNetwork] | None = None
         self._fitter: Worker[SeaFit] | None = None
+        self._hull_fitter: Worker[HullFit] | None = None
+        self._hull_jobs = 0
         self._troubles: dict[str, str] = {}
         self._sea_sent: SeaState | None = None
         self._delayed_sent: DelayedHeave | None = None
+        self._hull_sent: HullAngles | None = None
+        self._attitude_sent: CraftMotion | None = None
 
     # ---- start and stop ----------------------------------------------------------------------------------------------
 
@@ -160,6 +178,8 @@ class Daemon:
             parts["trainer"] = self._trainer.stop()
         if self._fitter is not None:
             parts["fitter"] = self._fitter.stop()
+        if self._hull_fitter is not None:
+            parts["hull fitter"] = self._hull_fitter.stop()
         if self._http is not None:
             parts["http"] = self._http.close()
         is_clean &= all(await asyncio.gather(*(in_time(name, part, _STOP_S) for name, part in parts.items())))
@@ -204,6 +224,15 @@ class Daemon:
         elif not wanted and self._fitter is not None:
             await self._fitter.stop()
             self._fitter = None
+        wanted = self.config.hull.enabled and self.config.hull.refit_after_s > 0.0
+        if wanted and self._hull_fitter is None:
+            self._hull_fitter = Worker(
+                "hull fitter", HullFit, self._refitted, partial(self._worker_failed, "hull fitter"), command=HULL_FITTER
+            )
+            await self._hull_fitter.start()
+        elif not wanted and self._hull_fitter is not None:
+            await self._hull_fitter.stop()
+            self._hull_fitter = None
 
     def _supervise(self, name: str, run: Callable[[], Awaitable[None]]) -> None:
         self._tasks[name] = asyncio.create_task(supervise(name, run), name=name)
@@ -217,7 +246,7 @@ class Daemon:
             return
         self._notifier.notify("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
         try:
-            await self._apply(await asyncio.to_thread(load, self._config_path))
+            await self._apply(await asyncio.to_thread(load_to_run, self._config_path))
             self.metrics.config_reloads.labels("applied").inc()
         except ConfigError as error:
             self.metrics.config_reloads.labels("refused").inc()
@@ -235,6 +264,11 @@ class Daemon:
         if any(getattr(new, table) != getattr(old, table) for table in _AT_ONCE) or has_laser(new) != has_laser(old):
             self._replace_pipeline()
             await self._have_workers()
+        if new.hull != old.hull:
+            self.acquisition.pipeline.stages.configure_hull(new.hull)
+            await self._have_workers()
+        if new.attitude != old.attitude:
+            self.acquisition.pipeline.stages.configure_attitude(new.attitude)
         if new.device != old.device:
             await self._poll_devices()
             await cancelled([self._tasks.pop("heartbeat")], _CANCEL_S)
@@ -242,7 +276,7 @@ class Daemon:
         _log.info("configuration read again", devices=",".join(device.name for device in new.device) or "none")
 
     def _replace_pipeline(self) -> None:
-        pipeline = make_pipeline(self.config)
+        pipeline = make_pipeline(self.config, self.acquisition.pipeline.stages)
         try:
             pipeline.restore(self.acquisition.pipeline.state())
         except ValueError as error:
@@ -293,6 +327,7 @@ class Daemon:
             self._publisher.publish_record(wire.sea_record(frame.sea, self.utc.utc_s(frame.sea.t_s)))
         if frame is not None:
             self.metrics.record_sea(frame)
+            self.metrics.record_stages(frame)
         self._notifier.notify(f"STATUS={status_line(status)}")
 
     # ---- for the parts -----------------------------------------------------------------------------------------------
@@ -322,6 +357,18 @@ class Daemon:
             self._is_ready = True
             self._notifier.notify("READY=1", "STATUS=running")
 
+    def _publish_stages(self) -> None:
+        stages = self.acquisition.pipeline.stages
+        hull, attitude = stages.angles, stages.motion
+        if hull is not None and hull is not self._hull_sent:
+            self._hull_sent = hull
+            if self._publisher.is_watched("HULL"):
+                self._publisher.publish_record(stage_wire.hull_record(hull, self.utc.utc_s(hull.t_s)))
+        if attitude is not None and attitude is not self._attitude_sent:
+            self._attitude_sent = attitude
+            if self._publisher.is_watched("ATTITUDE"):
+                self._publisher.publish_record(stage_wire.attitude_record(attitude, self.utc.utc_s(attitude.t_s)))
+
     def _train(self, window: TrainingWindow) -> None:
         if self._trainer is not None:
             self._trainer.submit(window)
@@ -338,13 +385,26 @@ class Daemon:
         self._works_again("fitter")
         self.acquisition.accept_fit(fit)
 
+    def _refit(self, job: RefitJob) -> None:
+        if self._hull_fitter is not None:
+            self._hull_jobs += 1
+            self._hull_fitter.submit(hull_fitter.pack(self._hull_jobs, job))
+
+    def _refitted(self, fit: HullFit) -> None:
+        self._works_again("hull fitter")
+        if fit.number == self._hull_jobs:  # Else it is the answer to a job of an earlier configuration.
+            self.acquisition.accept_refit(hull_fitter.unpack(fit))
+
     def _works_again(self, name: str) -> None:
         if self._troubles.pop(name, ""):
             _log.info(f"the {name} works again")
 
     def _worker_failed(self, name: str, reason: str) -> None:
-        runs = self.metrics.training_runs if name == "trainer" else self.metrics.sea_fits
-        runs.labels("failed").inc()
+        if name == "hull fitter":
+            self.acquisition.accept_refit(None)
+        else:
+            runs = self.metrics.training_runs if name == "trainer" else self.metrics.sea_fits
+            runs.labels("failed").inc()
         trouble = reason.split(";")[0]  # Without the growing pause before the next start.
         if trouble != self._troubles.get(name):
             self._troubles[name] = trouble
@@ -382,7 +442,8 @@ def has_laser(config: Config) -> bool:
     return any(device.role == "laser" for device in config.device)
 
 
-def make_pipeline(config: Config) -> Pipeline:
+def make_pipeline(config: Config, stages: Stages | None = None) -> Pipeline:
+    """``stages``: to be gone on with; new ones by default."""
     return Pipeline(
         heave=config.heave,
         laser=config.laser,
@@ -391,6 +452,7 @@ def make_pipeline(config: Config) -> Pipeline:
         has_laser=has_laser(config),
         point=config.point,
         lead_s=config.compensation.lead_s,
+        stages=stages or Stages(config.hull, config.attitude, refit_inline=False),
     )
 
 

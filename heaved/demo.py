@@ -22,9 +22,12 @@ import msgspec
 
 from heaved import daemon
 from heaved.config import Config, data_directory, load
+from heaved.craft_at_sea import voyages
 from heaved.devices.profile import DeviceSpec
+from heaved.estimation.craft import Vessel
 from heaved.simulate import hook
 from heaved.simulate.faults import PlannedFault
+from heaved.simulate.hydrofoil import Passage
 from heaved.simulate.instruments import Instruments
 from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.seaway import seaway
@@ -61,13 +64,17 @@ def on_serial_line(devices: Sequence[DeviceSpec], directory: Path) -> tuple[Devi
     return tuple(msgspec.structs.replace(device, link=link) for device in devices)
 
 
-def instruments(sea: str, *, sensor: str = "A", laser: str = "on", seed: int = SEED) -> Instruments:
-    """Sensors in a sea.
+def instruments(
+    sea: str, devices: Sequence[DeviceSpec] = (), *, sensor: str = "A", laser: str = "on", seed: int = SEED
+) -> Instruments:
+    """Sensors in a sea. With sensors of a craft among the ``devices``, the default craft makes a voyage of its own.
 
     Raises:
         ValueError: there is no such sea, sensor or laser pattern; the message names those that there are.
     """
-    return Instruments(seaway(sea, seed), sensor=sensor, laser=laser, seed=seed)
+    at_sea = any(device.role in ("craft", "heave_sensor", "pitch_sensor") for device in devices)
+    voyage = voyages(Vessel(), [seed], Passage())[0] if at_sea else None
+    return Instruments(seaway(sea, seed), sensor=sensor, laser=laser, seed=seed, voyage=voyage)
 
 
 def serve(
@@ -99,9 +106,16 @@ def serve(
 
 
 def run(
-    sea: str, *, serial: bool, duration_s: float | None, log_format: str, announce: Callable[[Config], None]
+    sea: str,
+    *,
+    serial: bool,
+    duration_s: float | None,
+    log_format: str,
+    announce: Callable[[Config], None],
+    config: Config | None = None,
 ) -> int:
-    """Serve the sensors of ``demo.toml`` in a process of their own and run the daemon on them; returns its exit code.
+    """Serve the sensors of ``config``, by default ``demo.toml``, in a process of their own and run the daemon on them;
+    returns its exit code.
 
     A third process is the consumer: a simulated winch on the stream, which says on standard output now and then how the
     hook below it moves.
@@ -116,7 +130,7 @@ def run(
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     with tempfile.TemporaryDirectory(prefix="heaved-demo-") as name:
         directory = Path(name)
-        config = demo_config()
+        config = config or demo_config()
         wanted = on_serial_line(config.device, directory) if serial else config.device
         with _sensors(wanted, sea) as served:
             config = msgspec.structs.replace(
@@ -133,7 +147,9 @@ def run(
             if duration_s is not None:
                 end.start()
             try:
-                with _child(_winch_process, config.stream.host, config.stream.port, sea, served.epoch_s):
+                heaves = any(device.role == "imu" for device in config.device)
+                winch = _child(_winch_process, config.stream.host, config.stream.port, sea, served.epoch_s)
+                with winch if heaves else contextlib.nullcontext():
                     return daemon.run(config, None, log_format=log_format)
             finally:
                 end.cancel()
@@ -179,7 +195,7 @@ def _sensor_process(connection: Connection, devices: tuple[DeviceSpec, ...], sea
     async def run() -> None:
         closed = asyncio.Event()
         asyncio.get_running_loop().add_reader(connection.fileno(), closed.set)
-        plant = SimulatedPlant(devices, instruments(sea), any_port=True)
+        plant = SimulatedPlant(devices, instruments(sea, devices), any_port=True)
         await plant.start()
         connection.send(_Served(plant.devices, time.monotonic() - plant.time_s()))
         await closed.wait()

@@ -110,6 +110,20 @@ class Metrics:
         self.delayed_heave = Gauge(
             "heaved_delayed_heave_meters", "Delayed heave, valid at its own, earlier time.", registry=registry
         )
+        self.hull_angle = Gauge(
+            "heaved_hull_angle_radians", "Deformation between the IMUs, total.", ["axis"], registry=registry
+        )
+        self.hull_std = Gauge(
+            "heaved_hull_std_radians", "Standard deviation of the deformation.", ["axis"], registry=registry
+        )
+        self.attitude_heave = Gauge("heaved_attitude_heave_meters", "Heave of the craft, fused.", registry=registry)
+        self.attitude_heave_std = Gauge(
+            "heaved_attitude_heave_std_meters", "Standard deviation of that heave.", registry=registry
+        )
+        self.attitude_pitch = Gauge("heaved_attitude_pitch_radians", "Pitch of the craft, fused.", registry=registry)
+        self.attitude_pitch_std = Gauge(
+            "heaved_attitude_pitch_std_radians", "Standard deviation of that pitch.", registry=registry
+        )
         self.filter_resets = Counter(
             "heaved_filter_resets_total", "Estimators started afresh.", ["filter", "reason"], registry=registry
         )
@@ -154,6 +168,15 @@ class Metrics:
             gauge.set(nan)
         for gauge in (self.significant_height, self.peak_period, self.mean_period, self.delayed_heave):
             gauge.set(nan)
+        self._attitude = (
+            self.attitude_heave,
+            self.attitude_heave_std,
+            self.attitude_pitch,
+            self.attitude_pitch_std,
+        )
+        self._hull = tuple((self.hull_angle.labels(axis), self.hull_std.labels(axis)) for axis in "xyz")
+        for gauge in (*self._attitude, *(gauge for pair in self._hull for gauge in pair)):
+            gauge.set(nan)
 
     def device(self, name: str) -> DeviceMetrics:
         """The metrics of one device; they appear, at zero, with this call."""
@@ -184,6 +207,17 @@ class Metrics:
             self.peak_period.set(frame.sea.peak_period_s)
             self.mean_period.set(frame.sea.mean_period_s)
         self.delayed_heave.set(frame.delayed.heave_m if frame.delayed is not None else nan)
+
+    def record_stages(self, frame: MotionFrame) -> None:
+        """What the stages beside the heave have to say."""
+        if (hull := frame.hull) is not None:
+            for gauges, angle, std in zip(self._hull, hull.total_rad, hull.std_rad, strict=True):
+                gauges[0].set(angle)
+                gauges[1].set(std)
+        if (motion := frame.attitude) is not None:
+            values = (motion.heave_m, motion.heave_std_m, motion.pitch_rad, motion.pitch_std_rad)
+            for gauge, value in zip(self._attitude, values, strict=True):
+                gauge.set(value)
 
     # What the stream's publisher counts.
 

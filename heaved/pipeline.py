@@ -4,6 +4,8 @@
                                   ^                                                    '--- points, forecasts, delayed
     laser ------------------------'
     roll, pitch, yaw --- rock predictor --- 50/100/150 ms
+
+Beside it, and never in it, the stages for the hull's deformation (second IMU) and for the attitude of a craft.
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ from heaved.estimation.sea import SeaObserver
 from heaved.estimation.sea_model import SeaModel
 from heaved.estimation.sea_window import SeaFit, SeaWindow
 from heaved.estimation.spikes import PLAUSIBLE_MPS2
+from heaved.estimation.stages import Stages
 from heaved.samples import (
     GRAVITY_MPS2,
     CorrectionState,
@@ -42,6 +45,7 @@ from heaved.samples import (
     PointMotion,
     Quality,
     RockPrediction,
+    Sample,
     TrainedNetwork,
     TrainingWindow,
 )
@@ -118,8 +122,13 @@ class Pipeline:
         has_laser: bool,
         point: tuple[Point, ...] = (),
         lead_s: float = 0.0,
+        stages: Stages | None = None,
     ) -> None:
-        """``lead_s``: the heave is published for this long after each sample (the consumer's reaction time)."""
+        """``lead_s``: the heave is published for this long after each sample (the consumer's reaction time).
+
+        ``stages``: what lives beside the heave; none by default. It may be handed on to another pipeline.
+        """
+        self.stages = stages or Stages()
         self._params = heave
         self._has_laser = has_laser
         self._points = point
@@ -143,10 +152,13 @@ class Pipeline:
 
     # --- samples in, frames out --------------------------------------------------------------------------------------
 
-    def step(self, sample: ImuSample | LaserSample) -> MotionFrame | None:
+    def step(self, sample: Sample) -> MotionFrame | None:
         """Take one sample; a frame for each IMU sample, faulted ones too. One older than the last is counted."""
         if isinstance(sample, LaserSample):
             self._chain.laser.give(sample)
+            return None
+        if not isinstance(sample, ImuSample):
+            self.stages.take(sample)
             return None
         t = sample.t_s
         if t <= self._imu_t_s:
@@ -161,7 +173,10 @@ class Pipeline:
         self._predicted = self._rock.step(t, *attitude)
         if self._has_laser:
             self._chain.laser.teach(t, self._chain.observer)
-        return self._frame(t, self._predicted)
+        self.stages.take(sample)
+        frame = self._frame(t, self._predicted)
+        self.stages.take_frame(frame)
+        return frame
 
     def coast(self, t_s: float) -> MotionFrame:
         """A frame for a moment without a sample: extrapolated, nothing is advanced."""
@@ -254,7 +269,7 @@ class Pipeline:
     @property
     def resets(self) -> Counter[tuple[str, str]]:
         """Of the estimators, by (filter, reason)."""
-        return self._chain.resets
+        return self._chain.resets + self.stages.resets
 
     # --- the frame ---------------------------------------------------------------------------------------------------
 
@@ -265,6 +280,7 @@ class Pipeline:
         roll, pitch, yaw = self._attitude if self._tilt_known(t_s) else (nan, nan, nan)
         fresh = self._has_laser and reference.fresh(t_s)
         quality = self._quality(t_s, heave, fresh)
+        crane_roll, crane_pitch, crane_yaw = self.stages.crane_attitude(roll, pitch, yaw)
         if heave is None:
             # No number without its uncertainty: before the first look at the sea, and after too long a gap.
             heave = NOTHING
@@ -288,6 +304,11 @@ class Pipeline:
             compensation_lead_s=self._lead_s,
             delayed=self._chain.delayed(),
             sea=observer.sea,
+            crane_roll_rad=crane_roll,
+            crane_pitch_rad=crane_pitch,
+            crane_yaw_rad=crane_yaw,
+            hull=self.stages.angles,
+            attitude=self.stages.motion,
         )
 
     def _point_motions(
@@ -305,7 +326,13 @@ class Pipeline:
             roll_rate_radps=roll_rate,
             pitch_rate_radps=pitch_rate,
         )
-        return tuple([points.motion(point, heave.heave_m, heave.velocity_mps, attitude) for point in self._points])
+        h, v, crane = heave.heave_m, heave.velocity_mps, self.stages.crane
+        return tuple([
+            points.crane_motion(point, h, v, attitude, crane)
+            if point.frame == "crane"
+            else points.motion(point, h, v, attitude)
+            for point in self._points
+        ])  # fmt: skip
 
     def _quality(self, t_s: float, heave: Heave | None, fresh: bool) -> Quality:
         chain, observer = self._chain, self._chain.observer

@@ -22,11 +22,13 @@ from heaved.config import Config
 from heaved.devices.recording import Recording
 from heaved.estimation.rock import STANDARD_HORIZONS_S
 from heaved.estimation.sea_window import look
+from heaved.estimation.stages import Stages
 from heaved.pipeline import Pipeline
 from heaved.samples import DelayedHeave, HeaveForecast, HeaveState, MotionFrame, RockPrediction
 from heaved.training.process import BlockingTrainer
 
 _DEGREES: Final = 180.0 / pi
+_ATTITUDE: Final = (("z", "m"), ("z_rate", "mps"), ("pitch", "deg"), ("pitch_rate", "degps"))
 DELAYED: Final = "~"
 """Stands for a cell that is not known yet."""
 MAX_STEP_S: Final = 0.5
@@ -91,7 +93,12 @@ class Columns:
             for what in ("deg", "std_deg")
         ]
         fixed = "t_s heave_m heave_std_m heave_velocity_mps observer_m correction_m lead_s quality delayed_heave_m"
-        self.names = (*fixed.split(), *forecasts, *rocks)
+        self._hull, self._attitude = config.hull.enabled, config.attitude.enabled
+        hull = [*(f"hull_{axis}_deg" for axis in "xyz"), *(f"hull_static_{axis}_deg" for axis in "xyz"),
+                *(f"hull_{axis}_std_arcsec" for axis in "xyz")]  # fmt: skip
+        attitude = [f"attitude_{what}_{unit}" for quantity, unit in _ATTITUDE for what in (quantity, f"{quantity}_std")]
+        staged = (hull if self._hull else []) + (attitude if self._attitude else [])
+        self.names = (*fixed.split(), *forecasts, *rocks, *staged)
         cells = ["%.6f"] * len(self.names)
         cells[fixed.split().index("quality")] = cells[fixed.split().index("delayed_heave_m")] = "%s"
         self._format = ",".join(cells) + "\n"
@@ -124,11 +131,36 @@ class Columns:
             predicted += [rock.pitch_rad * _DEGREES, rock.pitch_std_rad * _DEGREES]
         for rock in known:
             predicted += [rock.yaw_rad * _DEGREES, rock.yaw_std_rad * _DEGREES]
+        predicted += (_hull_numbers(frame) if self._hull else []) + (_attitude_numbers(frame) if self._attitude else [])
         text = self._format % (*numbers, frame.quality.heave.value, DELAYED, *predicted)
         if "inf" in text:
             cells = [*map(_cell, numbers), frame.quality.heave.value, DELAYED, *map(_cell, predicted)]
             return ",".join(cells) + "\n"
         return text.replace("nan", "")
+
+
+def _hull_numbers(frame: MotionFrame) -> list[float]:
+    """The newest deformation, some tenths of a second older than the row."""
+    if frame.hull is None:
+        return [nan] * 9
+    angles = [_DEGREES * angle for angle in (*frame.hull.total_rad, *frame.hull.static_rad)]
+    return angles + [3600.0 * _DEGREES * std for std in frame.hull.std_rad]
+
+
+def _attitude_numbers(frame: MotionFrame) -> list[float]:
+    motion = frame.attitude
+    if motion is None:
+        return [nan] * 8
+    return [
+        motion.heave_m,
+        motion.heave_std_m,
+        motion.heave_velocity_mps,
+        motion.heave_velocity_std_mps,
+        _DEGREES * motion.pitch_rad,
+        _DEGREES * motion.pitch_std_rad,
+        _DEGREES * motion.pitch_rate_radps,
+        _DEGREES * motion.pitch_rate_std_radps,
+    ]
 
 
 class DelayedColumn:
@@ -207,6 +239,7 @@ def _pipeline(config: Config, has_laser: bool) -> Pipeline:
         has_laser=has_laser,
         point=config.point,
         lead_s=config.compensation.lead_s,
+        stages=Stages(config.hull, config.attitude),
     )
 
 
@@ -224,16 +257,16 @@ class _Run:
 
     def frames(self, recording: Recording, until_s: float, progress: Progress | None) -> Iterator[MotionFrame]:
         first_s = nan
-        for imu, laser in recording:
-            sample = imu or laser
+        for imu, laser, rates, craft in recording.instants():
+            sample = imu or laser or rates or craft
             if sample is not None:
                 first_s = sample.t_s if isnan(first_s) else first_s
                 if sample.t_s - first_s > until_s:
                     break
                 self._duration_s = sample.t_s - first_s
             self._rows += 1
-            # The laser first: a row is one instant, and what it says of the heave is known when its frame is made.
-            for reading in (laser, imu):
+            # The IMU last: a row is one instant, and what the others say is known when its frame is made.
+            for reading in (laser, rates, craft, imu):
                 if reading is None:
                     continue
                 frame = self._pipeline.step(reading)

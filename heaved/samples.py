@@ -61,7 +61,32 @@ class LaserSample(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     fault: Fault = Fault.NONE
 
 
-Sample = ImuSample | LaserSample
+class RatesSample(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """One reading of the second IMU, at the crane base: body rates in its own axes. It never touches the heave."""
+
+    t_s: float
+    gx_radps: float = nan
+    gy_radps: float = nan
+    gz_radps: float = nan
+    fault: Fault = Fault.NONE
+
+
+class CraftSample(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """One reading of what a craft's own sensors say; what a device does not measure is nan. It never touches our heave.
+
+    Heave about the trim; flaps trailing edge down.
+    """
+
+    t_s: float
+    heave_m: float = nan
+    pitch_rad: float = nan
+    speed_mps: float = nan
+    flap_fore_rad: float = nan
+    flap_aft_rad: float = nan
+    fault: Fault = Fault.NONE
+
+
+Sample = ImuSample | LaserSample | RatesSample | CraftSample
 
 
 class HeaveState(Enum):
@@ -166,6 +191,51 @@ class SeaState(msgspec.Struct, frozen=True, kw_only=True):
     """No motion above the noise of the sensor."""
 
 
+class HullAngles(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """Deformation between the IMU amidships and the one at the crane base at ``t_s``, its own time of validity.
+
+    Angles x, y, z of ``local_from_midships = R3(z) R2(y) R1(x)``, passive; standard deviations about the hull's axes.
+    """
+
+    t_s: float
+    state: str
+    """"starting", "converging", "converged", "weak" or "holding"."""
+    warnings: tuple[str, ...] = ()
+    total_rad: tuple[float, float, float] = (nan, nan, nan)
+    """Static, mounting and flexure."""
+    static_rad: tuple[float, float, float] = (nan, nan, nan)
+    dynamic_rad: tuple[float, float, float] = (nan, nan, nan)
+    """Flexure about the hull's x, y, z."""
+    std_rad: tuple[float, float, float] = (nan, nan, nan)
+    reachable_std_rad: tuple[float, float, float] = (nan, nan, nan)
+    """What the motion at hand would give in the end; inf: nothing."""
+    delay_s: float = nan
+    """By which the stamps of the second IMU are late."""
+    delay_std_s: float = nan
+    refits: int = 0
+    resets: int = 0
+
+
+class CraftMotion(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """Fused heave (about the trim) and pitch of a craft at ``t_s``, its own time of validity."""
+
+    t_s: float
+    heave_m: float
+    heave_velocity_mps: float
+    pitch_rad: float
+    pitch_rate_radps: float
+    heave_std_m: float
+    heave_velocity_std_mps: float
+    pitch_std_rad: float
+    pitch_rate_std_radps: float
+    probabilities: tuple[float, ...] = ()
+    """Of the filters."""
+    switches: int = 0
+    """Changes of the filter that serves, so far."""
+    resets: int = 0
+    cautions: tuple[str, ...] = ()
+
+
 class MotionFrame(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     """All that is known of the motion at ``t_s``: one per IMU sample, one per missed sample time too."""
 
@@ -194,6 +264,14 @@ class MotionFrame(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     """The newest delayed heave; several frames may carry the same one."""
     sea: SeaState | None = None
     """The newest one; many frames carry the same object."""
+    crane_roll_rad: float = nan
+    """Attitude of the crane base: that of the IMU and the hull's deformation, once that has converged."""
+    crane_pitch_rad: float = nan
+    crane_yaw_rad: float = nan
+    hull: HullAngles | None = None
+    """The newest one; many frames carry the same object."""
+    attitude: CraftMotion | None = None
+    """Likewise."""
 
 
 class TrainingWindow(msgspec.Struct, frozen=True, gc=False, kw_only=True):

@@ -48,6 +48,8 @@ def status_record(
             resets=acquisition.pipeline.resets.total(),
         ),
         correction=_correction(acquisition, frame, now_s),
+        hull=_hull(frame) if config.hull.enabled else None,
+        attitude=_attitude(frame, now_s) if config.attitude.enabled else None,
         clock=wire.ClockStatus(utc_offset_s=round(utc.offset_s, 6), steps=utc.steps),
         config_file=config_file,
         state_file=state_file,
@@ -86,6 +88,34 @@ def _quality(frame: MotionFrame | None) -> wire.QualityRecord:
     quality = frame.quality
     return wire.QualityRecord(
         heave=quality.heave, laser=quality.laser, correction=quality.correction, reasons=quality.reasons
+    )
+
+
+def _hull(frame: MotionFrame | None) -> wire.HullStatus:
+    if frame is None or frame.hull is None:
+        return wire.HullStatus(state="no rates of both IMUs yet")
+    hull = frame.hull
+    return wire.HullStatus(
+        state=hull.state,
+        z_deg=wire.degrees(hull.total_rad[2]),
+        std_arcsec=wire.arcsec(max(hull.std_rad)),
+        warnings=hull.warnings,
+        resets=hull.resets,
+    )
+
+
+def _attitude(frame: MotionFrame | None, now_s: float) -> wire.AttitudeStatus:
+    if frame is None or frame.attitude is None:
+        return wire.AttitudeStatus()
+    motion = frame.attitude
+    return wire.AttitudeStatus(
+        heave_m=wire.finite(motion.heave_m),
+        heave_std_m=wire.finite(motion.heave_std_m),
+        pitch_deg=wire.degrees(motion.pitch_rad),
+        pitch_std_deg=wire.degrees(motion.pitch_std_rad),
+        age_s=wire.finite(now_s - motion.t_s),
+        cautions=motion.cautions,
+        resets=motion.resets,
     )
 
 

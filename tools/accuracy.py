@@ -9,6 +9,8 @@
     tools/accuracy.py gates [--set]    short runs against their regression gates
     tools/accuracy.py rock        roll and pitch ahead: the paper's method, the direct predictor, quiet windows
     tools/accuracy.py closed-loop [S6 T3] [--replay]    a hook under a winch that the stream drives, in real time
+    tools/accuracy.py hull [--runs 50]        deformation between two IMUs, 600 s a run
+    tools/accuracy.py attitude [--runs 50]    heave and pitch of a foil-assisted catamaran
     tools/accuracy.py all         headline and rock
 
 Beside the tables, OUT/results.jsonl gets one more line per result, with what made it, and OUT the figures. Of two lines
@@ -34,7 +36,20 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["OMP_NUM_THREADS"] = "1"
 
 import msgspec
-from evidence import asked, closed_loop, estimators, gates, heave, quiescence, rock, rock_direct, scenarios, tables
+from evidence import (
+    asked,
+    attitude,
+    closed_loop,
+    estimators,
+    gates,
+    heave,
+    hull,
+    quiescence,
+    rock,
+    rock_direct,
+    scenarios,
+    tables,
+)
 from evidence.scenarios import Setting
 from evidence.summary import Judged, Result
 
@@ -197,6 +212,32 @@ def run_rock(options: argparse.Namespace, output: Output) -> None:
         rock_direct.figure(output.folder / "rock_direct.png", table)
 
 
+def run_hull(options: argparse.Namespace, output: Output) -> None:
+    duration_s = 600.0 if options.duration is None else options.duration
+    rows = hull.table(range(options.runs), duration_s, options.jobs)
+    output.write("hull", rows)
+    print(hull.report(rows))
+    if output.figures:
+        hull.figure(output.folder / "hull.png", rows, duration_s=duration_s)
+
+
+def run_attitude(options: argparse.Namespace, output: Output) -> None:
+    """
+    Raises:
+        ValueError: the duration ends before the last change of sea.
+    """
+    passage = attitude.PASSAGE
+    if options.duration is not None:
+        if options.duration <= passage.stages[-1][0]:
+            raise ValueError(f"the last change of sea is at {passage.stages[-1][0]:g} s: give a longer --duration")
+        passage = msgspec.structs.replace(passage, duration_s=options.duration)
+    rows = attitude.table(range(1, options.runs + 1), options.jobs, passage=passage)
+    output.write("attitude", rows)
+    print(attitude.report(rows))
+    if output.figures:
+        attitude.figure(output.folder / "attitude.png", passage=passage)
+
+
 def run_closed_loop(options: argparse.Namespace, output: Output) -> None:
     laser_pattern(options.laser)
     setting = closed_loop.Setting(
@@ -322,6 +363,13 @@ def _closed_loop(parser: argparse.ArgumentParser) -> None:
         add(parser)
 
 
+def _runs(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--runs", type=_count, default=50, metavar="N", help="Monte-Carlo runs (default 50)")
+    parser.add_argument("--jobs", type=_count, default=1, metavar="N", help="processes (default 1)")
+    for add in (_duration, _common):
+        add(parser)
+
+
 class Command(NamedTuple):
     """A subcommand."""
 
@@ -339,6 +387,8 @@ COMMANDS: dict[str, Command] = {
     "limits": Command(run_limits, _limits, "the least errors that are possible"),
     "gates": Command(run_gates, _gates, "short runs against their regression gates"),
     "rock": Command(run_rock, _rock, "roll and pitch, simulated"),
+    "hull": Command(run_hull, _runs, "deformation between two IMUs, simulated"),
+    "attitude": Command(run_attitude, _runs, "heave and pitch of a foil-assisted catamaran, simulated"),
     "closed-loop": Command(run_closed_loop, _closed_loop, "hook motion under a winch driven by the stream"),
     "all": Command(run_all, _rock, "headline and rock"),
 }

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import isnan, nan
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 
 from heaved.devices.line import Link, request_wire_s
-from heaved.devices.profile import BlockCodec, DeviceSpec, Quantity, Role, block_registers, role_quantities
+from heaved.devices.profile import BlockCodec, DeviceSpec, Quantity, Role, block_registers, role_needs, role_quantities
 from heaved.devices.timer import Pace
 from heaved.devices.watch import Contact, DeviceWatch
-from heaved.samples import Fault, ImuSample, LaserSample, Sample
+from heaved.samples import CraftSample, Fault, ImuSample, LaserSample, RatesSample, Sample
+
+_KINDS: Final[dict[Role, Callable[..., Sample]]] = {
+    "imu": ImuSample,
+    "laser": LaserSample,
+    "imu2": RatesSample,
+    "craft": CraftSample,
+    "heave_sensor": CraftSample,
+    "pitch_sensor": CraftSample,
+}
 
 
 class PollResult(msgspec.Struct, frozen=True, kw_only=True, gc=False):
@@ -114,7 +123,7 @@ class Station:
         )
 
     def _sample(self, t_s: float, values: Mapping[Quantity, float], fault: Fault) -> Sample:
-        kind = ImuSample if self.spec.role == "imu" else LaserSample
+        kind = _KINDS[self.spec.role]
         if fault is not Fault.NONE:
             return kind(t_s=t_s, fault=fault)
         measured: dict[str, Any] = {name: value for name, value in values.items() if name in self._wanted}
@@ -122,11 +131,10 @@ class Station:
 
 
 def _main_block(spec: DeviceSpec) -> int:
-    """The block whose request dates the sample: the one with the vertical acceleration or the laser, else the first
-    that carries anything of the device's role."""
-    key = "az_mps2" if spec.role == "imu" else "laser_m"
+    """The block whose request dates the sample: the one with what the role needs first (the vertical acceleration, the
+    laser, a rate), else the first that carries anything of the device's role."""
     carried = [{field.quantity for field in block.fields} for block in spec.profile.blocks]
-    for names in ({key}, set(role_quantities(spec.role))):
+    for names in (set(role_needs(spec.role)[:1]), set(role_quantities(spec.role))):
         for number, quantities in enumerate(carried):
             if not quantities.isdisjoint(names):
                 return number

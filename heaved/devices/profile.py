@@ -19,15 +19,16 @@ from heaved.samples import GRAVITY_MPS2, Fault
 
 RegisterType = Literal["int16", "uint16", "int32", "uint32", "float32"]
 ByteOrder = Literal["ABCD", "DCBA", "BADC", "CDAB"]
-Unit = Literal["m/s2", "g", "m", "cm", "mm", "deg", "rad", "deg/s", "rad/s", "degC", "s", "ms", "us", "1"]
+Unit = Literal["m/s2", "g", "m", "cm", "mm", "deg", "rad", "deg/s", "rad/s", "m/s", "kn", "degC", "s", "ms", "us", "1"]
 Quantity = Literal[
     "ax_mps2", "ay_mps2", "az_mps2",
     "roll_rad", "pitch_rad", "yaw_rad",
     "gx_radps", "gy_radps", "gz_radps",
     "laser_m",
+    "heave_m", "speed_mps", "flap_fore_rad", "flap_aft_rad",
     "temperature_c", "signal", "device_time_s",
 ]  # fmt: skip
-Role = Literal["imu", "laser"]
+Role = Literal["imu", "laser", "imu2", "craft", "heave_sensor", "pitch_sensor"]
 Name = Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9_.-]{1,64}$")]
 
 
@@ -97,6 +98,8 @@ _SI: dict[str, tuple[float, str]] = {
     "deg": (pi / 180.0, "angle"),
     "rad/s": (1.0, "angular rate"),
     "deg/s": (pi / 180.0, "angular rate"),
+    "m/s": (1.0, "speed"),
+    "kn": (1852.0 / 3600.0, "speed"),
     "degC": (1.0, "temperature"),
     "s": (1.0, "time"),
     "ms": (1e-3, "time"),
@@ -109,7 +112,9 @@ _KIND: dict[str, str] = {
     **dict.fromkeys(("ax_mps2", "ay_mps2", "az_mps2"), "acceleration"),
     **dict.fromkeys(("roll_rad", "pitch_rad", "yaw_rad"), "angle"),
     **dict.fromkeys(("gx_radps", "gy_radps", "gz_radps"), "angular rate"),
-    "laser_m": "length",
+    **dict.fromkeys(("laser_m", "heave_m"), "length"),
+    "speed_mps": "speed",
+    **dict.fromkeys(("flap_fore_rad", "flap_aft_rad"), "angle"),
     "temperature_c": "temperature",
     "signal": "number",
     "device_time_s": "time",
@@ -128,12 +133,29 @@ _LIMITS: dict[str, tuple[float, float]] = {
 _ROLE_QUANTITIES: dict[Role, tuple[Quantity, ...]] = {
     "imu": ("ax_mps2", "ay_mps2", "az_mps2", "roll_rad", "pitch_rad", "yaw_rad", "gx_radps", "gy_radps", "gz_radps"),
     "laser": ("laser_m",),
+    "imu2": ("gx_radps", "gy_radps", "gz_radps"),
+    "craft": ("heave_m", "pitch_rad", "speed_mps", "flap_fore_rad", "flap_aft_rad"),
+    "heave_sensor": ("heave_m",),
+    "pitch_sensor": ("pitch_rad",),
+}
+_ROLE_NEEDS: dict[Role, tuple[Quantity, ...]] = {
+    "imu": ("az_mps2",),
+    "laser": ("laser_m",),
+    "imu2": ("gx_radps", "gy_radps", "gz_radps"),
+    "craft": (),
+    "heave_sensor": ("heave_m",),
+    "pitch_sensor": ("pitch_rad",),
 }
 
 
 def role_quantities(role: Role) -> tuple[Quantity, ...]:
     """What a device in that role measures; the other quantities (temperature, signal, device time) accompany it."""
     return _ROLE_QUANTITIES[role]
+
+
+def role_needs(role: Role) -> tuple[Quantity, ...]:
+    """Without which a device is of no use in that role. The first of them dates the sample."""
+    return _ROLE_NEEDS[role]
 
 
 def field_registers(field: Field) -> int:

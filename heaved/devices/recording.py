@@ -18,7 +18,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
-from heaved.samples import ImuSample, LaserSample
+from heaved.samples import CraftSample, ImuSample, LaserSample, RatesSample
 
 COLUMNS: Final = (
     "t_s",
@@ -28,14 +28,19 @@ COLUMNS: Final = (
     "laser_m",
 )  # fmt: skip
 """Columns that are read."""
-REQUIRED: Final = ("t_s", "az_mps2")
-IGNORED: Final = (
+STAGE_COLUMNS: Final = (
     "gx1_radps", "gy1_radps", "gz1_radps",
     "gx2_radps", "gy2_radps", "gz2_radps",
+    "heave_sensor_m", "pitch_sensor_deg", "speed_mps", "flap_fore_deg", "flap_aft_deg",
+)  # fmt: skip
+"""Columns of the stages beside the heave: body rates amidships (the same as gx_radps, gy_radps, gz_radps, before which
+they come) and at the crane base, each in its own axes; what a craft's own sensors say."""
+REQUIRED: Final = ("t_s", "az_mps2")
+IGNORED: Final = (
     "ax2_mps2", "ay2_mps2", "az2_mps2",
     "roll2_deg", "pitch2_deg", "yaw2_deg",
 )  # fmt: skip
-"""Columns of a second IMU and of the two gyro triads of hull-deformation recordings: allowed, never looked at."""
+"""Columns of a second IMU beside its rates: allowed, never looked at."""
 
 _RADIANS_PER_DEGREE: Final = radians(1.0)
 _LONGEST_HEADER: Final = 4096
@@ -43,6 +48,7 @@ _LONGEST_HEADER: Final = 4096
 _ALSO_CALLED: Final = {"t": "t_s", "time": "t_s", "timestamp": "t_s", "heading": "yaw_deg", "laser": "laser_m"}
 
 Row = tuple[ImuSample | None, LaserSample | None]
+Instant = tuple[ImuSample | None, LaserSample | None, RatesSample | None, CraftSample | None]
 
 
 class RecordingError(Exception):
@@ -58,7 +64,8 @@ class Recording:
     """An open recording. Iterate once over its rows; memory does not grow with its length.
 
     A row gives an ImuSample when ``az_mps2`` is there (without it the row's other motion values are of no use and are
-    left out) and a LaserSample when ``laser_m`` is there; a row may give both or neither.
+    left out) and a LaserSample when ``laser_m`` is there; a row may give both or neither. :meth:`instants` gives what
+    there is for the stages as well.
 
     Attributes:
         columns: names in the header, in the file's order.
@@ -103,7 +110,16 @@ class Recording:
         return self._raw.tell()
 
     def __iter__(self) -> Iterator[Row]:
-        """The rows, in order.
+        """The rows, in order, as far as they concern the heave.
+
+        Raises:
+            RecordingError: as :meth:`instants`.
+        """
+        for imu, laser, _, _ in self.instants():
+            yield imu, laser
+
+    def instants(self) -> Iterator[Instant]:
+        """The rows, in order: each a sample of the IMU, the laser, the second IMU and the craft, as far as it has them.
 
         Raises:
             RecordingError: at the row that is malformed; the rows before it have been given.
@@ -119,10 +135,12 @@ class Recording:
         except OSError as error:
             raise self._error(f"cannot be read: {error.strerror or error}", line=rows.line_num + 1) from error
 
-    def _rows(self, rows: Iterator[list[str]]) -> Iterator[Row]:
+    def _rows(self, rows: Iterator[list[str]]) -> Iterator[Instant]:
         width = len(self.columns)
+        read = COLUMNS if set(STAGE_COLUMNS).isdisjoint(self.columns) else COLUMNS + STAGE_COLUMNS
+        has_midships = not set(STAGE_COLUMNS[:3]).isdisjoint(self.columns)
         # A blank cell is appended to each row, and columns that the file does not have are picked from there.
-        pick = itemgetter(*(self.columns.index(name) if name in self.columns else -1 for name in COLUMNS))
+        pick = itemgetter(*(self.columns.index(name) if name in self.columns else -1 for name in read))
         last_s = -float("inf")
         for row in rows:
             if len(row) != width:
@@ -138,10 +156,12 @@ class Recording:
             text = "".join(cells)
             if sum(map(isfinite, values)) + cells.count("") != len(cells) or "_" in text or not text.isascii():
                 raise self._bad_cell(cells, _line(rows))
-            t_s, ax, ay, az, roll, pitch, yaw, gx, gy, gz, laser = values
+            t_s, ax, ay, az, roll, pitch, yaw, gx, gy, gz, laser, *staged = values
             if not t_s > last_s:
                 raise self._bad_time(cells[0], last_s, _line(rows))
             last_s = t_s
+            if has_midships:
+                gx, gy, gz = staged[:3]
             imu = None if az != az else ImuSample(
                 t_s=t_s,
                 ax_mps2=ax,
@@ -154,7 +174,8 @@ class Recording:
                 gy_radps=gy,
                 gz_radps=gz,
             )  # fmt: skip
-            yield imu, None if laser != laser else LaserSample(t_s=t_s, laser_m=laser)
+            rates, craft = _staged(t_s, staged) if staged else (None, None)
+            yield imu, None if laser != laser else LaserSample(t_s=t_s, laser_m=laser), rates, craft
         if last_s == -float("inf"):
             raise self._error("has a header but no rows")
 
@@ -177,7 +198,7 @@ class Recording:
         if len(names) == 1 and (";" in line or "\t" in line):
             raise self._error("cells must be separated by commas", line=1)
         for name in names:
-            if name not in COLUMNS and name not in IGNORED:
+            if name not in COLUMNS and name not in STAGE_COLUMNS and name not in IGNORED:
                 raise self._error(_unknown_column(name), line=1, column=name or "(blank)")
             if names.count(name) > 1:
                 raise self._error("is named twice", line=1, column=name)
@@ -188,7 +209,7 @@ class Recording:
 
     def _bad_cell(self, cells: tuple[str, ...], line: int) -> RecordingError:
         """The fault of the first cell that is neither blank nor a finite number in plain digits."""
-        for name, cell in zip(COLUMNS, cells, strict=True):
+        for name, cell in zip(COLUMNS + STAGE_COLUMNS, cells, strict=False):
             if cell and not _is_number(cell):
                 return self._error(
                     f"{_shown(cell)} is not a number; leave a missing value blank", line=line, column=name
@@ -214,6 +235,22 @@ def read_recording(path: Path) -> Iterator[Row]:
     """
     with Recording(path) as recording:
         yield from recording
+
+
+def _staged(t_s: float, values: list[float]) -> tuple[RatesSample | None, CraftSample | None]:
+    """What the cells of STAGE_COLUMNS say; nothing where all of a device's are blank."""
+    _, _, _, gx, gy, gz, heave, pitch, speed, fore, aft = values
+    rates = RatesSample(t_s=t_s, gx_radps=gx, gy_radps=gy, gz_radps=gz) if isfinite(gx + gy + gz) else None
+    if not any(map(isfinite, (heave, pitch, speed, fore, aft))):
+        return rates, None
+    return rates, CraftSample(
+        t_s=t_s,
+        heave_m=heave,
+        pitch_rad=pitch * _RADIANS_PER_DEGREE,
+        speed_mps=speed,
+        flap_fore_rad=fore * _RADIANS_PER_DEGREE,
+        flap_aft_rad=aft * _RADIANS_PER_DEGREE,
+    )
 
 
 def _line(rows: Iterator[list[str]]) -> int:
@@ -243,4 +280,4 @@ def _unknown_column(name: str) -> str:
     stems = {column.split("_")[0]: column for column in COLUMNS}
     meant = _ALSO_CALLED.get(stem) or stems.get(stem)
     hint = f"did you mean {meant}? (the name says the unit: convert the values too); " if meant else ""
-    return f"unknown column; {hint}columns are {', '.join(COLUMNS)}"
+    return f"unknown column; {hint}columns are {', '.join(COLUMNS + STAGE_COLUMNS)}"

@@ -57,6 +57,9 @@ PITCH_STATES: Final = np.array([State.THETA, State.THETA_RATE, State.PITCH_WAVE,
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[attitude]``: heave and pitch of the craft."""
 
+    enabled: bool = False
+    source: Literal["sensors", "own"] = "sensors"
+    """sensors: heave and pitch are those of the craft's own sensors; own: of this program."""
     mode: Literal["instant", "ewma", "imm"] = "imm"
     bank: Literal["point_sets", "seas"] | None = None
     """What the filters differ by; unset: "point_sets" for "instant", else "seas"."""

@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[hull]``: deformation between the IMU amidships and the one at the crane base."""
 
+    enabled: bool = False
     method: Literal["so3", "ckf", "ukf"] = "so3"
     rate_hz: Annotated[float, msgspec.Meta(ge=2, le=50)] = 10.0
     """Common time base of the two IMUs."""
@@ -61,6 +62,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     mount_deg: tuple[float, float, float] | None = None
     """Expected x, y, z; when given, an estimate further off than ``mount_tolerance_deg`` is named."""
     mount_tolerance_deg: Annotated[float, msgspec.Meta(gt=0, le=180)] = 5.0
+    base_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """The crane base from the IMU amidships: forward, port, up. Monitoring points of the frame "crane" start there."""
 
 
 class HullState(Enum):

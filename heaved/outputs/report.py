@@ -103,6 +103,7 @@ def table(snapshot: Snapshot) -> str:
         lines.append(_row("state", status.state_file))
     lines += _heave_rows(status, motion, _age_s(snapshot))
     lines += _correction_rows(status)
+    lines += _stage_rows(status)
     if motion is not None and motion.rock:
         lines += _titled("rock", _columns([("in", "roll", "pitch", "yaw"), *map(_rock_cells, motion.rock)]))
     if motion is not None and motion.forecast:
@@ -169,6 +170,25 @@ def _correction_rows(status: StatusRecord) -> Iterator[str]:
     last = "" if correction.last_result is None else f", the last {correction.last_result}"
     age = "" if correction.age_s is None else f", network in use since {duration(correction.age_s)}"
     yield _row("correction", f"{correction.state.value}, {correction.runs} trainings{last}{age}")
+
+
+def _stage_rows(status: StatusRecord) -> Iterator[str]:
+    if (hull := status.hull) is not None:
+        z = f"   z {signed(hull.z_deg, '°', 4)} {spread(hull.std_arcsec, '″', 1)}" if hull.z_deg is not None else ""
+        yield _row("hull", f"{hull.state}{z}{_noted(hull.warnings, hull.resets)}")
+    if (motion := status.attitude) is not None:
+        if motion.age_s is None:
+            yield _row("craft", "no reading yet")
+            return
+        heave = f"heave {signed(motion.heave_m, ' m', 3)} {spread(motion.heave_std_m, ' m', 3)}"
+        pitch = f"pitch {signed(motion.pitch_deg, '°', 2)} {spread(motion.pitch_std_deg, '°', 2)}"
+        age = f"   age {duration(motion.age_s)}"
+        yield _row("craft", f"{heave}   {pitch}{age}{_noted(motion.cautions, motion.resets)}")
+
+
+def _noted(notes: tuple[str, ...], resets: int) -> str:
+    again = f"   started afresh {resets} times" if resets else ""
+    return (f"   {', '.join(notes)}" if notes else "") + again
 
 
 def _rock_cells(rock: RockRecord) -> tuple[str, ...]:

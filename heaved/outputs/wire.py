@@ -121,6 +121,10 @@ class MotionRecord(
     roll_deg: float | None = None
     pitch_deg: float | None = None
     yaw_deg: float | None = None
+    crane_roll_deg: float | None = None
+    """Attitude of the crane base, once the hull's deformation has converged."""
+    crane_pitch_deg: float | None = None
+    crane_yaw_deg: float | None = None
     compensation_lead_s: float | None = None
     """Heave, its standard deviation and velocity, and the points are for this long after ``time``; absent: 0."""
     points: tuple[PointRecord, ...] = ()
@@ -213,6 +217,29 @@ class CorrectionStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=
     """Since the network in use was accepted."""
 
 
+class HullStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The last HULL in short."""
+
+    state: str
+    z_deg: float | None = None
+    std_arcsec: float | None = None
+    """Of the worst axis."""
+    warnings: tuple[str, ...] = ()
+    resets: int = 0
+
+
+class AttitudeStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The last ATTITUDE in short; without numbers before the first."""
+
+    heave_m: float | None = None
+    heave_std_m: float | None = None
+    pitch_deg: float | None = None
+    pitch_std_deg: float | None = None
+    age_s: float | None = None
+    cautions: tuple[str, ...] = ()
+    resets: int = 0
+
+
 class ClockStatus(msgspec.Struct, frozen=True, kw_only=True):
     utc_offset_s: float
     """UTC minus the monotonic clock."""
@@ -238,6 +265,10 @@ class StatusRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     lead_s: float | None = None
     observer: ObserverStatus | None = None
     correction: CorrectionStatus | None = None
+    hull: HullStatus | None = None
+    """When [hull] is enabled."""
+    attitude: AttitudeStatus | None = None
+    """When [attitude] is enabled."""
     clock: ClockStatus | None = None
     config_file: str | None = None
     state_file: str | None = None
@@ -263,6 +294,12 @@ def degrees(value_rad: float) -> float | None:
     """Degrees, to the sixth decimal, of an angle in radians; None when it is not known."""
     millionths = value_rad * _MICRO_PER_RADIAN
     return (millionths + _ROUND - _ROUND) / 1e6 if -_LIMIT < millionths < _LIMIT else None
+
+
+def arcsec(value_rad: float) -> float | None:
+    """Seconds of arc, to the thousandth, of an angle in radians; None when it is not known."""
+    seconds = math.degrees(value_rad) * 3600.0
+    return round(seconds, 3) if math.isfinite(seconds) else None
 
 
 def iso_time(utc_s: float) -> str:
@@ -300,6 +337,9 @@ def motion_head(frame: MotionFrame, *, seq: int, utc_s: float) -> bytes:
         roll_deg=degrees(frame.roll_rad),
         pitch_deg=degrees(frame.pitch_rad),
         yaw_deg=degrees(frame.yaw_rad),
+        crane_roll_deg=degrees(frame.crane_roll_rad),
+        crane_pitch_deg=degrees(frame.crane_pitch_rad),
+        crane_yaw_deg=degrees(frame.crane_yaw_rad),
         compensation_lead_s=frame.compensation_lead_s or None,
         points=tuple([_point(point) for point in frame.points]),
         rock=tuple([_rock(prediction) for prediction in frame.rock]),

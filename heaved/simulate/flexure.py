@@ -131,9 +131,7 @@ def simulate(
     at1, at2 = where[: len(t1)], where[len(t1) :]
     midships = _hull_rates(scene, waves, t1)
     bent = _hull_rates(scene, waves, t2)
-    # C = C0 exp(-[theta x]) turns against the hull with C0 (I - [theta x] / 2 + ...) theta'; the rest is theta^2.
-    flex, rate = theta[at2], theta_rate[at2]
-    bent = bent - np.cross(flex, bent) + 0.5 * np.cross(flex, np.cross(flex, bent)) + rate - 0.5 * np.cross(flex, rate)
+    bent = local_rates(bent, theta[at2], theta_rate[at2])
     return Record(
         scene=scene,
         midships_t_s=t1,
@@ -143,6 +141,15 @@ def simulate(
         static=static,
         flexure_rad=theta[at1],
     )
+
+
+def local_rates(hull_radps: Array, theta: Array, theta_rate: Array) -> Array:
+    """Rates (..., 3) where the hull is bent by theta, before the static rotation; all about the hull's axes.
+
+    C = C0 exp(-[theta x]) turns against the hull with C0 (I - [theta x] / 2 + ...) theta'; the rest is theta^2.
+    """
+    bent = hull_radps - np.cross(theta, hull_radps) + 0.5 * np.cross(theta, np.cross(theta, hull_radps))
+    return np.asarray(bent + theta_rate - 0.5 * np.cross(theta, theta_rate))
 
 
 def static_rotation(angles_deg: tuple[float, float, float]) -> Array:

@@ -12,7 +12,10 @@ from typing import Protocol
 import numpy as np
 
 from heaved.devices.profile import DeviceSpec
-from heaved.samples import Fault, ImuSample, LaserSample, Sample
+from heaved.samples import CraftSample, Fault, ImuSample, LaserSample, Sample
+from heaved.simulate.craft_sensors import CraftSensors
+from heaved.simulate.hydrofoil import Passage, Voyage
+from heaved.simulate.second_imu import CraneBase, SecondImu
 from heaved.simulate.sensors import (
     BUTTERWORTH_DAMPING,
     LASER_DISTANCE_M,
@@ -95,13 +98,21 @@ class Laser:
 class Instruments:
     """All sensors of one vessel in one sea, told apart by the name of their device: a source for simulated slaves."""
 
-    def __init__(self, sea: MotionSource, *, sensor: str | ImuModel = "A", laser: str = "on", seed: int = 1) -> None:
-        """Raises:
+    def __init__(
+        self, sea: MotionSource, *, sensor: str | ImuModel = "A", laser: str = "on", seed: int = 1,
+        base: CraneBase | None = None, voyage: Voyage | None = None,
+    ) -> None:  # fmt: skip
+        """``base``: of a second IMU. ``voyage``: of a craft, whose sensors share no sea with the others.
+
+        Raises:
         ValueError: unknown ``sensor`` (:data:`SENSORS`) or ``laser`` pattern (:func:`laser_pattern`).
         """
         self._sea, self._model, self._pattern, self._seed = sea, imu_model(sensor), laser_pattern(laser), seed
         self._imus: dict[str, Imu] = {}
         self._lasers: dict[str, Laser] = {}
+        self._base, self._voyage = base or CraneBase(), voyage
+        self._second: dict[str, SecondImu] = {}
+        self._craft: dict[str, CraftSensors] = {}
 
     def read(self, device: DeviceSpec, t_s: float) -> Sample:
         """What ``device`` measures at ``t_s``, seconds from the start of the simulation."""
@@ -109,11 +120,36 @@ class Instruments:
             if device.name not in self._lasers:
                 self._lasers[device.name] = Laser(self._sea, self._pattern, seed=self._seed, name=device.name)
             return self._lasers[device.name].read(t_s)
+        if device.role == "imu2":
+            return self.second_imu(device).read(t_s)
+        if device.role != "imu":
+            return self._craft_sensors(device).read(t_s) if self._voyage else CraftSample(t_s=t_s)
         if device.name not in self._imus:
             self._imus[device.name] = Imu(
                 self._sea, self._model, rate_hz=device.rate_hz, seed=self._seed, name=device.name
             )
         return self._imus[device.name].read(t_s)
+
+    def second_imu(self, device: DeviceSpec) -> SecondImu:
+        """The IMU at the crane base, which knows the true deformation."""
+        if device.name not in self._second:
+            self._second[device.name] = SecondImu(
+                self._sea, self._model, self._base, rate_hz=device.rate_hz, seed=self._seed, name=device.name
+            )
+        return self._second[device.name]
+
+    def _craft_sensors(self, device: DeviceSpec) -> CraftSensors:
+        assert self._voyage is not None
+        if device.name not in self._craft:
+            usual = Passage()
+            self._craft[device.name] = CraftSensors(
+                self._voyage,
+                heave_noise_m=usual.heave_noise_m,
+                pitch_noise_rad=usual.pitch_noise_rad,
+                seed=self._seed,
+                name=device.name,
+            )
+        return self._craft[device.name]
 
 
 class LowPass:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from heaved.devices.profile import DeviceSpec
-from heaved.samples import Fault, ImuSample, LaserSample, Sample
+from heaved.samples import CraftSample, Fault, ImuSample, LaserSample, Sample
 from heaved.simulate.sensors import Recording
 from heaved.simulate.vessel import Array
 
@@ -128,6 +128,8 @@ class Player:
         if device.role == "laser":
             laser = self._value("laser_m", at)
             return LaserSample(t_s=t_s, laser_m=laser, fault=Fault.EXCEPTION if math.isnan(laser) else Fault.NONE)
+        if device.role != "imu":
+            return CraftSample(t_s=t_s)  # A recording of the heave has none of theirs.
         return ImuSample(
             t_s=t_s,
             ax_mps2=self._value("ax_mps2", at),

@@ -24,8 +24,8 @@ from pymodbus.framer import FramerRTU, FramerSocket
 from pymodbus.pdu import DecodePDU
 
 from heaved.devices.line import RtuLink, TcpLink, character_s, silence_s
-from heaved.devices.profile import DeviceSpec, Quantity, block_registers, encode
-from heaved.samples import ImuSample, Sample
+from heaved.devices.profile import DeviceSpec, Quantity, block_registers, encode, role_needs, role_quantities
+from heaved.samples import Sample
 from heaved.simulate.faults import FaultKind, PlannedFault
 
 _QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
@@ -120,7 +120,9 @@ class Slave:
         measured = cast("dict[Quantity, float]", msgspec.structs.asdict(sample))
         values = dict.fromkeys(_QUANTITIES, nan) | {name: measured[name] for name in _QUANTITIES if name in measured}
         values |= {"temperature_c": _TEMPERATURE_C, "signal": _SIGNAL, "device_time_s": sample.t_s}
-        values["az_mps2" if isinstance(sample, ImuSample) else "laser_m"] += amounts.get(FaultKind.SPIKE, 0.0)
+        values[(role_needs(self.device.role) or role_quantities(self.device.role))[0]] += amounts.get(
+            FaultKind.SPIKE, 0.0
+        )
         return values
 
 

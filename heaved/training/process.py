@@ -24,6 +24,7 @@ from heaved.training import protocol
 
 TRAINER = (sys.executable, "-m", "heaved.training")
 FITTER = (sys.executable, "-m", "heaved.training.fitter")
+HULL_FITTER = (sys.executable, "-m", "heaved.training.hull_fitter")
 LONGEST_JOB_S = 60.0
 LONGEST_BACKOFF_S = 60.0
 GRACE_S = 0.5

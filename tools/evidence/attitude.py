@@ -24,10 +24,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.craft_at_sea import hull
 from heaved.estimation.craft import Craft, Vessel
 from heaved.estimation.fusion import AttitudeEstimate, AttitudeFusion, Params
 from heaved.estimation.wave_force import Sea
-from heaved.simulate.hydrofoil import Hull, Passage, Voyage, sail
+from heaved.simulate.hydrofoil import Passage, Voyage, sail
 
 Array = NDArray[np.float64]
 
@@ -114,17 +115,6 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     """Between the errors of the first two filters, over the whole."""
     oracle: tuple[float, ...]
     """RMS over the best single filter's of a choice that knows the truth, over the whole."""
-
-
-def hull(vessel: Vessel) -> Hull:
-    """What the waves get hold of on the default hulls."""
-    foils = (vessel.fore_foil, vessel.aft_foil)
-    return Hull(
-        heave_force_ps2=vessel.heave_stiffness_npm / vessel.mass_kg,
-        pitch_force_ps2=vessel.pitch_stiffness_nmprad / vessel.pitch_inertia_kgm2,
-        foil_arms_m=(foils[0].arm_m, foils[1].arm_m),
-        foil_depths_m=(foils[0].depth_m, foils[1].depth_m),
-    )
 
 
 def voyage(seed: int, passage: Passage = PASSAGE) -> tuple[Voyage, tuple[float, float]]:
