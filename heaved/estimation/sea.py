@@ -276,7 +276,8 @@ class SeaObserver:
         dt = self._filter.steady.dt_s
         for i in range(min(round(missed_s / dt), 1000), 0, -1):
             self._smoother.push(t_s - i * dt, nan, 0.0)
-        self._smoother.push(t_s, predicted_m, innovation)
+        # The weights are those of the steady filter: what an unsure one predicted has no place among them.
+        self._smoother.push(t_s, predicted_m if self.is_converged else nan, innovation)
         said_m = float(self._filter.system.heave.dot(self._filter.x)) + self._offset_at(t_s)[0]
         self._said.push((t_s, said_m, at_index(self._stds, self._outlook.index(0.0))))
         delayed = self._smoother.value()
