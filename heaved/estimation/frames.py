@@ -44,7 +44,7 @@ class Levelling:
         self._t_s = nan
 
     def take(self, t_s: float, fx: float, fy: float, fz: float, roll_rad: float, pitch_rad: float) -> None:
-        """One sample: specific force in m/s2, body axes, and the attitude in rad. What cannot be true is passed over."""
+        """One sample: specific force in m/s2, body axes, and the attitude in rad. What cannot be is passed over."""
         low, high = LEVEL_FORCE
         if not low * GRAVITY_MPS2 <= hypot(fx, fy, fz) <= high * GRAVITY_MPS2:
             return
