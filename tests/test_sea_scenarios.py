@@ -314,16 +314,26 @@ def still() -> Frames:
 
 @cache
 def endless_swell() -> Frames:
-    """Three metres in 32 s."""
-    w = 2.0 * np.pi / 32.0
-    return fed(lambda t: -3.0 * w * w * sin(w * t), 300.0)
+    """A fit that finds its peak at 33 s."""
+    pipe, frames = copy.deepcopy(before(False)[0]), []
+    for sample in sea().samples:
+        if not BEGIN_S <= sample.t_s < BEGIN_S + 45.0:
+            continue
+        frame = pipe.step(sample)
+        if (past := pipe.fit_due()) is not None:
+            fit = look(past)
+            assert fit.sea is not None
+            slow = msgspec.structs.replace(fit.sea, peak_period_s=33.0)
+            pipe.accept_fit(msgspec.structs.replace(fit, sea=slow))
+        if frame is not None:
+            frames.append((sample.t_s, frame))
+    return frames
 
 
 def test_a_still_ship_is_valid_and_says_still() -> None:
     frames = still()
-    last = frames[-1][1]
-    assert last.quality.heave is V
-    assert any(reason.startswith("still") for reason in last.quality.reasons)
+    assert np.mean([f.quality.heave is V for t, f in frames if t > 60.0]) > 0.7
+    assert any(reason.startswith("still") for reason in frames[-1][1].quality.reasons)
     assert rms(np.array([f.heave_m for t, f in frames if t > 60.0])) < 0.005
 
 
@@ -365,19 +375,14 @@ def test_the_attitude_is_taken_from_when_the_accelerometers_measured() -> None:
     late_s = 0.2
     shift = round(late_s * RATE_HZ)
     imu = [s for s in sea().samples if isinstance(s, ImuSample) and s.t_s < 300.0]
-    shown = {}
-    for learned_s in (-late_s, 0.0):
-        pipe = built(has_laser=False)
-        pipe.restore(PipelineState(lead_learned_s=learned_s))
-        frames = []
-        for then, now in zip(imu, imu[shift:], strict=False):
-            force = {axis: getattr(then, axis) for axis in ("ax_mps2", "ay_mps2", "az_mps2")}
-            frame = pipe.step(msgspec.structs.replace(now, **force))
-            if (past := pipe.fit_due()) is not None:
-                pipe.accept_fit(look(past))
-            assert frame is not None
-            frames.append((now.t_s, frame))
-        late = [f.heave_m - sea().truth[imu[i].t_s] for i, (_, f) in enumerate(frames) if frames[i][0] > 150.0]
-        shown[learned_s] = rms(errors(frames, 150.0)) if learned_s else rms(np.array(late))
-    assert shown[-late_s] < 0.08 * sea().sigma_m
-    assert shown[-late_s] < shown[0.0]
+    pipe = built(has_laser=False)
+    pipe.restore(PipelineState(lead_learned_s=-late_s))
+    frames = []
+    for then, now in zip(imu, imu[shift:], strict=False):
+        force = {axis: getattr(then, axis) for axis in ("ax_mps2", "ay_mps2", "az_mps2")}
+        frame = pipe.step(msgspec.structs.replace(now, **force))
+        if (past := pipe.fit_due()) is not None:
+            pipe.accept_fit(look(past))
+        assert frame is not None
+        frames.append((now.t_s, frame))
+    assert rms(errors(frames, 150.0)) < 0.03 * sea().sigma_m

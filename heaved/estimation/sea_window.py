@@ -25,7 +25,7 @@ SCORE_MEMORY: Final = 0.7
 """Share of the score of a length that is kept from look to look."""
 PATIENCE: Final = 6.0
 """Log-likelihood that a length must be ahead of the next longer one: differences of this size come by chance."""
-FEW_COMPONENTS_BELOW_S: Final = 120.0
+FEW_COMPONENTS_BELOW_S: Final = 30.0
 """A shorter record does not bear more than two components."""
 SETTLE_S: Final = 120.0
 """Before the samples that a model is judged on, its filter runs this long."""
