@@ -115,6 +115,14 @@ class DirectPredictor:
         return np.where(self._horizons <= EXTRAPOLATED_S, FADING, HOLD).astype(np.intp)
 
     @property
+    def curve(self) -> Array:
+        """What is known of the latest sample (filled where it was missing) and the predictions, (H + 1, n)."""
+        if not self._built:
+            return np.concatenate([self._unknown_values[:1], self._unknown_values])
+        now = [channel.level if channel.ready else nan for channel in self._channels]
+        return np.concatenate([[self._curve[0] + now], self.values])
+
+    @property
     def std(self) -> Array:
         """Standard deviation of the prediction errors, (H, n)."""
         return self._switch.std
