@@ -16,7 +16,7 @@ import msgspec
 
 from heaved.devices.line import bus_load_faults, line_faults, parse_link
 from heaved.devices.profile import DeviceSpec, Profile, profile_faults
-from heaved.estimation import correction, heave, reference, rock
+from heaved.estimation import correction, heave, quiescence, reference, rock
 from heaved.estimation.points import Point
 
 Port = Annotated[int, msgspec.Meta(ge=0, le=65535)]
@@ -74,6 +74,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     laser: reference.Params = reference.Params()
     correction: correction.Params = correction.Params()
     rock: rock.Params = rock.Params()
+    quiet: quiescence.Params = quiescence.Params()
     point: tuple[Point, ...] = ()
     compensation: CompensationParams = CompensationParams()
     stream: StreamParams = StreamParams()
@@ -324,6 +325,8 @@ def _cross_checks(
             seen.setdefault(value, i)
     names = [point.name for point in config.point]
     faults += [f"point[{i}].name: {name!r} is taken" for i, name in enumerate(names) if name in names[:i]]
+    if config.quiet.point and config.quiet.point not in names:
+        faults.append(f"quiet.point: no [[point]] is named {config.quiet.point!r}")
     if list(config.heave.sea.windows_s) != sorted(set(config.heave.sea.windows_s)) or not config.heave.sea.windows_s:
         faults.append(f"heave.sea.windows_s: must be lengths that increase (got {list(config.heave.sea.windows_s)})")
     if not any(".link: " in fault for fault in faults):

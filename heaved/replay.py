@@ -207,6 +207,7 @@ def _pipeline(config: Config, has_laser: bool) -> Pipeline:
         has_laser=has_laser,
         point=config.point,
         lead_s=config.compensation.lead_s,
+        quiet=config.quiet,
     )
 
 

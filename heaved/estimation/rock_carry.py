@@ -1,9 +1,9 @@
 """Predictions between the samples that a predictor is fed: along the curve of the last one, moved by what came since.
 
 With innovations e_1 ... e_k of the k samples since a block was fed, each prediction up to 0.5 s is moved by
-g . (e_1 ... e_k), where g is the linear regression, per phase k, horizon and channel, of what was missing later, learned
-with exponential forgetting. Sensor noise makes g small and spread over all k (a mean); a quiet sensor makes it an
-extrapolation. Without it a prediction for 50 ms, made 40 ms ago, has the error of one for 90 ms.
+g . (e_1 ... e_k), where g is the linear regression, per phase k, horizon and channel, of what was missing later,
+learned with exponential forgetting. Sensor noise makes g small and spread over all k (a mean); a quiet sensor makes it
+an extrapolation. Without it a prediction for 50 ms, made 40 ms ago, has the error of one for 90 ms.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Carry:
 
     def learn(self, innovations: Array, missing: Array) -> None:
         """Blocks (B, k, n), and what was later missing from their predictions (B, k, H, n); nan: not known."""
-        used = np.isfinite(innovations).all(axis=1) & np.isfinite(missing).all(axis=(1, 2))
+        used = np.logical_and(np.isfinite(innovations).all(axis=1), np.isfinite(missing).all(axis=(1, 2)))  # (B, n)
         if not used.all():
             innovations = np.where(used[:, None], innovations, 0.0)
             missing = np.where(used[:, None, None], missing, 0.0)

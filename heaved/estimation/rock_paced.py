@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from heaved.estimation.rock_carry import CORRECTED_S, Carry
-from heaved.estimation.rock_direct import DirectPredictor, Params
+from heaved.estimation.rock_direct import BACKWARDS, DirectPredictor, Params
 from heaved.estimation.rock_experts import Switch
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ PHASE_GAIN, INTERVAL_GAIN = 0.1, 0.0025
 """Of the loop that follows phase and interval of the blocks: critically damped."""
 CHANGED: Final = 0.2
 """Relative change of the usual interval that asks for other blocks."""
-FINE_S: Final = 0.3
+FINE_S: Final = 0.25
 """Up to here the curve has a node for each block: what is published soon lies between them at any phase."""
 BATCH_S: Final = 1.0
 SCORED: Final = 2
@@ -50,13 +50,14 @@ class PacedPredictor:
         self._n, self._rates = channels, rates
         self.horizons_s = tuple(sorted(set(self._params.horizons_s)))
         self._unknown = np.full((len(self.horizons_s), channels), nan)
-        self.restarts = 0
-        """Times that the stream was begun anew, of the predictor fed, too."""
+        self._restarts = 0
         self.reset()
 
     def reset(self) -> None:
         """Forget everything."""
-        self._t_s = -inf
+        self.t_s = -inf
+        """Of the last sample."""
+        self._backwards = 0
         self._pending: list[tuple[float, list[float], Sequence[float] | None]] = []
         self._recent: deque[float] = deque(maxlen=4 * FIRST)
         self._until_check = 4 * FIRST
@@ -94,6 +95,11 @@ class PacedPredictor:
         return source.coverage if source is not None else self._unknown
 
     @property
+    def restarts(self) -> int:
+        """Times that the stream was begun anew."""
+        return self._restarts + (self.fed.restarts if self.fed is not None else 0)
+
+    @property
     def spikes(self) -> int:
         """Samples held back for good since the stream was begun."""
         return self._gated + (self.fed.spikes if self.fed is not None else 0)
@@ -106,21 +112,20 @@ class PacedPredictor:
     # -- one sample ------------------------------------------------------------------------------------------------
 
     def step(self, t_s: float, values: list[float], rates: Sequence[float] | None = None) -> Array:
-        """Take one sample of all channels (nan: not known) and predict from it."""
-        fed = self.fed
-        if not t_s > self._t_s:
-            if fed is not None and self._samples > 1:
-                t_s = self._t_s if t_s == t_s else nan  # the one fed counts how often this happens
-                before = fed.restarts
-                fed.step(-inf if t_s == t_s else nan, values)
-                if fed.restarts > before:
-                    self._restart()
-            elif fed is not None:
-                self.values = fed.step(t_s, values, rates)
+        """Take one sample of all channels (nan: not known) and predict from it.
+
+        A sample that is not later than the last one is ignored; twenty of them in a row begin everything anew.
+        """
+        if not t_s > self.t_s:
+            self._backwards += t_s == t_s
+            if self._backwards >= BACKWARDS:
+                self._restart()
             return self.values
-        if self._t_s > -inf:
-            self._recent.append(t_s - self._t_s)
-        self._t_s = t_s
+        self._backwards = 0
+        if self.t_s > -inf:
+            self._recent.append(t_s - self.t_s)
+        self.t_s = t_s
+        fed = self.fed
         if fed is None:
             self._pending.append((t_s, values, rates))
             if len(self._pending) >= FIRST:
@@ -138,12 +143,12 @@ class PacedPredictor:
 
     def at(self, t_s: float) -> Array:
         """Predictions as seen from a moment without a sample, a little after the last one."""
-        if self.fed is None or not self.fed.horizons_s or not 0.0 <= t_s - self._t_s <= self._params.max_gap_s:
+        if self.fed is None or not 0.0 <= t_s - self.t_s <= self._params.max_gap_s:
             return self._unknown
         curve = self.fed.curve
         if not np.isfinite(curve).any():
             return self._unknown
-        origin_s = self._origin_s if self._samples > 1 else self._t_s
+        origin_s = self._origin_s if self._samples > 1 else self.t_s
         nodes = np.append(0.0, self.fed.horizons_s)
         at_s = np.minimum(t_s - origin_s + np.array(self.horizons_s), nodes[-1])
         seen: Array = np.where(np.isfinite(curve).all(axis=0), CubicSpline(nodes, np.nan_to_num(curve))(at_s), nan)
@@ -157,7 +162,7 @@ class PacedPredictor:
         return abs(usual_s - self._interval_s) > CHANGED * self._interval_s
 
     def _restart(self) -> None:
-        self.restarts += 1
+        self._restarts = self.restarts + 1
         self.reset()
 
     def _begin(self) -> None:
@@ -361,7 +366,8 @@ def _between(samples: Array, place: Array) -> Array:
     place = np.where(np.abs(place - whole) < 0.02, whole, place)
     low = np.floor(place).astype(np.intp)
     share = (place - low)[..., None]
-    here = samples[low]
-    if not share.any():
-        return here
-    return np.asarray(np.where(share > 0.0, here + share * (samples[np.minimum(low + 1, len(samples) - 1)] - here), here))
+    here: Array = samples[low]
+    if share.any():
+        there = samples[np.minimum(low + 1, len(samples) - 1)]
+        here = np.where(share > 0.0, here + share * (there - here), here)
+    return here
