@@ -13,7 +13,7 @@ from typing import Final
 
 from heaved.estimation.rock_direct import DirectPredictor, Params
 
-FEED_S: Final = 0.05
+FEED_S: Final = 0.1
 """Least interval of what is fed."""
 MEMORY_S: Final = 60.0
 """Of the errors."""
@@ -40,7 +40,7 @@ class ForecastCheck:
         # (time that it is for, value), each by the clock of the heave that is given.
         self._observer: deque[tuple[float, float]] = deque()
         self._plain: deque[tuple[float, float]] = deque()
-        self._squares = [nan, nan]
+        self._squares, self._seconds = [nan, nan], [0.0, 0.0]
         self._last: tuple[float, float] = (-inf, nan)
         self._worse_since_s = nan
 
@@ -70,13 +70,14 @@ class ForecastCheck:
         while waiting and not t_s < waiting[0][0]:
             at_s, foretold_m = waiting.popleft()
             gap_s = t_s - last_s
-            if not (last_s <= at_s and gap_s < 10.0 * FEED_S):
+            if not (last_s <= at_s and gap_s < 5.0 * FEED_S):
                 continue  # It fell into a gap.
             error_m = last_m + (at_s - last_s) / gap_s * (heave_m - last_m) - foretold_m
             if isfinite(error_m):
-                mean = self._squares[which]
-                square = error_m * error_m
-                self._squares[which] = square if mean != mean else mean + gap_s / MEMORY_S * (square - mean)
+                square, mean = error_m * error_m, self._squares[which]
+                self._seconds[which] = min(self._seconds[which] + gap_s, MEMORY_S)
+                share = gap_s / self._seconds[which]
+                self._squares[which] = square if mean != mean else mean + share * (square - mean)
 
     @property
     def errors_m(self) -> tuple[float, float]:

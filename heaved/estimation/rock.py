@@ -45,6 +45,8 @@ STANDARD_HORIZONS_S = (0.05, 0.10, 0.15)
 DEFAULT_HORIZONS_S = (*STANDARD_HORIZONS_S, 0.5, 1.0, 2.0, 5.0)
 START_SPAN_S = 40 * STEP_S
 """The end-point fit takes 41 points."""
+GAP_S = 0.25
+"""Longer gaps start an axis anew, unless configured otherwise."""
 MEAN_SETTLES_S = 10.0
 """About one period: the mean over T of a motion of deviation s wanders by s min(1, 10 s / T)."""
 YAW = 2
@@ -83,10 +85,6 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     def window_s(self) -> float:
         points = self.points if self.points is not None else (210 if self.mode == "zero" else 67)
         return points * STEP_S
-
-    @property
-    def gap_s(self) -> float:
-        return self.max_gap_s if self.max_gap_s is not None else (2.0 if self.predictor == "direct" else 0.25)
 
 
 def carried(predictions: tuple[RockPrediction, ...], by_s: float) -> tuple[RockPrediction, ...]:
@@ -218,7 +216,7 @@ class RockPredictor:
 
     def _follow_axes(self, elapsed_s: float, measured: Array) -> list[bool]:
         """Begin, restart and centre each axis; which of the values go into the filter."""
-        limit_s = max(self._params.gap_s, 3.5 * (self._interval_s if self._interval_s > 0.0 else STEP_S))
+        limit_s = max(self._params.max_gap_s or GAP_S, 3.5 * (self._interval_s if self._interval_s > 0.0 else STEP_S))
         used = []
         for index, (axis, value) in enumerate(zip(self._axes, measured.tolist(), strict=True)):
             if self._t_s - axis.seen_s > limit_s:

@@ -6,6 +6,7 @@ from collections import Counter
 from math import cos, inf, isfinite, nan, pi, sin, tan
 from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -134,10 +135,10 @@ class RockChain:
             if not any(isfinite(angle) for angle in attitude):
                 return self.latest
             self._rated = isfinite(sample.gx_radps + sample.gy_radps + sample.gz_radps)
-            horizons = rock_direct.Params(
-                horizons_s=self.horizons_s, memory_s=self._params.memory_s, max_gap_s=self._params.gap_s
-            )
-            self._direct = DirectRockPredictor(horizons, rates=self._rated)
+            params = rock_direct.Params(horizons_s=self.horizons_s, memory_s=self._params.memory_s)
+            if (gap_s := self._params.max_gap_s) is not None:
+                params = msgspec.structs.replace(params, max_gap_s=gap_s)
+            self._direct = DirectRockPredictor(params, rates=self._rated)
         rates = (angle_rates(sample) if good else (nan, nan, nan)) if self._rated else None
         self.latest = self._direct.step(t_s, *attitude, rates)
         return self.latest

@@ -194,7 +194,10 @@ class PacedPredictor:
         late_s = lag_s + block_s - interval_s
         fine = ceil((min(FINE_S, float(horizons[-1])) + late_s) / block_s - 1e-6)
         nodes = {i for i in range(1, fine + 1) if i * block_s <= FINE_S + 1e-6 or i == 1}
-        nodes |= {max(1, round((h + lag_s) / block_s + 0.5)) for h in self.horizons_s if h + late_s > FINE_S}
+        for h in self.horizons_s:
+            if h + late_s > FINE_S:  # near the middle of where it moves, or on both sides where little is lost
+                first, last = (h + lag_s) / block_s, (h + late_s) / block_s
+                nodes |= {int(first + 1e-6), ceil(last)} if h <= CORRECTED_S else {round(0.5 * (first + last))}
         self._nodes_s = tuple(float(i * block_s) for i in sorted(nodes))
         # Curve for each sample of a block (0: when it is fed) now and at each horizon; then for its middle.
         times = (lag_s + interval_s * np.arange(samples + 1))[:, None] + np.append(0.0, horizons)
