@@ -23,8 +23,12 @@ RIDGE: Final = 1e-3
 """Over the mean square of the innovations."""
 LEARNED_S: Final = 5.0
 """Equations before any correction is made."""
-GATE: Final = 5.0
+GATE: Final = 6.0
 """An innovation of so many deviations is a spike, or a step that the predictor's own gate has to judge."""
+SCALE_MEMORY_S: Final = 20.0
+"""Of those deviations: medians, which spikes do not move."""
+DEVIATION: Final = 1.4826
+"""Standard deviation over median magnitude, of a Gaussian."""
 
 
 class Carry:
@@ -36,6 +40,7 @@ class Carry:
         self._gram = np.zeros((channels, samples, samples))
         self._cross = np.zeros((samples, channels, samples, horizons))
         self._equations = np.zeros(channels)
+        self._scale = np.full((samples, channels), np.nan)
         self.gate = np.full((samples, channels), np.inf)
         """Largest innovation of each sample of a block that is believed."""
         self.gains = np.zeros((samples, channels, horizons, samples))
@@ -43,6 +48,8 @@ class Carry:
 
     def learn(self, innovations: Array, missing: Array) -> None:
         """Blocks (B, k, n), and what was later missing from their predictions (B, k, H, n); nan: not known."""
+        self._follow_scale(innovations)
+        innovations = np.where(np.abs(innovations) <= self.gate, innovations, np.nan)
         used = np.logical_and(np.isfinite(innovations).all(axis=1), np.isfinite(missing).all(axis=(1, 2)))  # (B, n)
         if not used.all():
             innovations = np.where(used[:, None], innovations, 0.0)
@@ -56,9 +63,20 @@ class Carry:
         if enough.any():
             self._solve(enough)
 
+    def _follow_scale(self, innovations: Array) -> None:
+        known = np.isfinite(innovations).any(axis=0)
+        if not known.any():
+            return
+        size = np.sort(np.abs(innovations), axis=0)  # what is not known is last
+        half = np.maximum(np.count_nonzero(np.isfinite(size), axis=0) - 1, 0) // 2
+        scale = DEVIATION * np.take_along_axis(size, half[None], axis=0)[0]
+        share = min(len(innovations) * self._block_s / SCALE_MEMORY_S, 1.0)
+        followed = np.where(np.isnan(self._scale), scale, self._scale + share * (scale - self._scale))
+        self._scale = np.where(known, followed, self._scale)
+        self.gate = np.where(np.isnan(self._scale), np.inf, GATE * self._scale)
+
     def _solve(self, enough: NDArray[np.bool_]) -> None:
         squares = np.einsum("njj->jn", self._gram)
-        self.gate = np.where(enough, GATE * np.sqrt(squares / np.maximum(self._equations, 1.0)), np.inf)
         ridge = RIDGE * squares.mean(axis=0)[:, None, None] + 1e-300
         gram = self._gram + ridge * np.eye(self._samples)
         for k in range(self._samples):

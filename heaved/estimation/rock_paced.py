@@ -32,6 +32,8 @@ FIRST: Final = 11
 """Stamps before the interval is known."""
 PHASE_GAIN, INTERVAL_GAIN = 0.1, 0.0025
 """Of the loop that follows phase and interval of the blocks: critically damped."""
+DRIFT: Final = 1e-3
+"""Relative change of the interval after which the places on the curve are worked out anew."""
 CHANGED: Final = 0.2
 """Relative change of the usual interval that asks for other blocks."""
 FINE_S: Final = 0.25
@@ -135,6 +137,8 @@ class PacedPredictor:
         if self._until_check <= 0 and self._rate_changed():
             self._restart()
             return self.values
+        if not all(map(isfinite, values)):
+            values = [value if isfinite(value) else nan for value in values]
         if self._samples == 1:
             self.values = fed.step(t_s, values, rates)
         else:
@@ -199,17 +203,11 @@ class PacedPredictor:
                 first, last = (h + lag_s) / block_s, (h + late_s) / block_s
                 nodes |= {int(first + 1e-6), ceil(last)} if h <= CORRECTED_S else {round(0.5 * (first + last))}
         self._nodes_s = tuple(float(i * block_s) for i in sorted(nodes))
-        # Curve for each sample of a block (0: when it is fed) now and at each horizon; then for its middle.
-        times = (lag_s + interval_s * np.arange(samples + 1))[:, None] + np.append(0.0, horizons)
-        spline = CubicSpline(np.append(0.0, self._nodes_s), np.eye(len(self._nodes_s) + 1), axis=0)
-        last_s = self._nodes_s[-1]
-        self._weights = spline(np.minimum(times, last_s)).reshape(-1, len(self._nodes_s) + 1)
-        self._middle = spline(min(block_s, last_s))
+        self._aim()
         self._short = short = int(np.count_nonzero(horizons <= CORRECTED_S))
         self._carry = Carry(samples - 1, short, n, block_s)
         self._switch = Switch(horizons, 1, n, np.zeros(len(horizons), dtype=np.intp))
         self._per_batch = max(SCORED, SCORED * round(BATCH_S / block_s / SCORED))
-        self._ahead = horizons / interval_s
         # In blocks, even ones: those that are scored.
         self._delay = SCORED * np.ceil((samples + self._ahead + 1.0) / samples / SCORED).astype(np.intp)
         self._kept = self._per_batch + int(self._delay[-1]) + SCORED + 1
@@ -231,6 +229,19 @@ class PacedPredictor:
         self._middle_now = self._nothing
         self._rates_in: list[Sequence[float]] = []
         self._empty()
+
+    def _aim(self) -> None:
+        """What follows from the interval, which the first stamps tell within some percent only."""
+        self._aimed_s = interval_s = self._interval_s
+        self._lag_s = 0.5 * (self._samples - 1) * interval_s
+        horizons = np.array(self.horizons_s)
+        # Curve for each sample of a block (0: when it is fed) now and at each horizon; then for its middle.
+        times = (self._lag_s + interval_s * np.arange(self._samples + 1))[:, None] + np.append(0.0, horizons)
+        nodes = np.append(0.0, self._nodes_s)
+        spline = CubicSpline(nodes, np.eye(len(nodes)), axis=0)
+        self._weights = spline(np.minimum(times, nodes[-1])).reshape(-1, len(nodes))
+        self._middle = spline(min(self._samples * interval_s, nodes[-1]))
+        self._ahead = horizons / interval_s
 
     def _take(self, t_s: float, values: list[float], rates: Sequence[float] | None) -> None:
         if self._end_s == -inf:
@@ -256,7 +267,8 @@ class PacedPredictor:
             self._end_s += self._block_s
             deviation_s = t_s - self._end_s
             self._end_s += PHASE_GAIN * deviation_s
-            self._interval_s += INTERVAL_GAIN * deviation_s / self._samples
+            self._block_s += INTERVAL_GAIN * deviation_s
+            self._interval_s = self._block_s / self._samples
             self._feed()
             self._publish(0, self._planned[self._row, 0])
             return
@@ -284,6 +296,9 @@ class PacedPredictor:
             self._origin_s = self._end_s - self._lag_s
             for ring in (self._measured, self._shown, self._planned, self._innovations):
                 ring[:] = nan
+            self._expected = [self._nothing] * (self._samples + 1)
+            self._middle_now = self._nothing
+            self.values = self._unknown
             self._empty()
         while round((t_s - self._end_s) / self._interval_s) > self._samples:
             self._end_s += self._block_s
@@ -295,10 +310,10 @@ class PacedPredictor:
         fed, row = self.fed, self._row
         if fed is None:
             return
-        mean = [self._mean(c) for c in range(self._n)]
-        rates = np.array(self._rates_in).mean(axis=0).tolist() if self._rates_in else None
         self._measured[row] = self._values_in
         self._innovations[row] = self._e_in[:-1]
+        mean = [self._mean(c) for c in range(self._n)]
+        rates = np.array(self._rates_in).mean(axis=0).tolist() if self._rates_in else None
         self._origin_s = self._end_s - self._lag_s
         fed.step(self._origin_s, mean, rates)
         if self._since_batch >= self._per_batch:
@@ -334,15 +349,22 @@ class PacedPredictor:
             plain = [v[channel] for v in self._values_in if isfinite(v[channel])]
             return sum(plain) / len(plain) if plain else nan
         limit = self._gates[-1][channel]
-        near = [e for e in known if abs(e) <= limit]
-        if 2 * len(near) > len(known):
+        near = [e for e in known if -limit <= e <= limit]
+        if len(near) < len(known) < 2 * len(near):
             self._gated += len(known) - len(near)
             known = near
+            for phase, e in enumerate(self._e_in):  # What is no measurement teaches nothing and judges nobody.
+                if not -limit <= e[channel] <= limit:
+                    self._measured[self._row, phase, channel] = nan
+                    if phase < self._samples - 1:
+                        self._innovations[self._row, phase, channel] = nan
         return self._middle_now[channel] + sum(known) / len(known)
 
     def _batch(self) -> None:
         """Once a second: learn from what came true of the blocks whose targets are known, and score it."""
         self._since_batch = 0
+        if abs(self._interval_s - self._aimed_s) > DRIFT * self._interval_s:
+            self._aim()
         samples, short = self._samples, self._short
         flat = self._measured.reshape(-1, self._n)
         if short:
