@@ -16,7 +16,7 @@ import msgspec
 
 from heaved.devices.line import bus_load_faults, line_faults, parse_link
 from heaved.devices.profile import DeviceSpec, Profile, profile_faults, role_needs, role_quantities
-from heaved.estimation import correction, fusion, heave, hull, reference, rock
+from heaved.estimation import correction, fusion, heave, hull, quiescence, reference, rock
 from heaved.estimation.points import Point
 
 Port = Annotated[int, msgspec.Meta(ge=0, le=65535)]
@@ -76,6 +76,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     rock: rock.Params = rock.Params()
     hull: hull.Params = hull.Params()
     attitude: fusion.Params = fusion.Params()
+    quiet: quiescence.Params = quiescence.Params()
     point: tuple[Point, ...] = ()
     compensation: CompensationParams = CompensationParams()
     stream: StreamParams = StreamParams()
@@ -367,6 +368,8 @@ def _cross_checks(
     if config.laser.role == "aiding" and config.heave.observer != "sea":
         faults.append("laser.role: 'aiding' needs heave.observer = 'sea'; the harmonic observer can only be compared")
     faults += _stage_params_faults(config)
+    if config.quiet.point and config.quiet.point not in {point.name for point in config.point}:
+        faults.append(f"quiet.point: no [[point]] is named {config.quiet.point!r}")
     if list(config.heave.sea.windows_s) != sorted(set(config.heave.sea.windows_s)) or not config.heave.sea.windows_s:
         faults.append(f"heave.sea.windows_s: must be lengths that increase (got {list(config.heave.sea.windows_s)})")
     if not any(".link: " in fault for fault in faults):

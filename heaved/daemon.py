@@ -62,7 +62,7 @@ from heaved.training.process import FITTER, HULL_FITTER, TRAINER, Worker
 
 __all__ = ["Daemon", "configure_logging", "run"]
 
-_AT_ONCE: Final = ("heave", "laser", "correction", "rock", "point", "compensation")
+_AT_ONCE: Final = ("heave", "laser", "correction", "rock", "point", "compensation", "quiet")
 _AT_RESTART: Final = ("stream", "http", "state", "runtime")
 _CANCEL_S: Final = 0.4
 """What a task may take to be cancelled."""
@@ -316,7 +316,8 @@ class Daemon:
         resets = self.acquisition.pipeline.resets
         for (name, reason), count in (resets - self._resets_seen).items():
             self.metrics.filter_resets.labels(name, reason).inc(count)
-            _log.warning("estimator reset", filter=name, reason=reason, count=count)
+            if reason != "spike":  # One held back is no reset, and a bad sensor gives many.
+                _log.warning("estimator reset", filter=name, reason=reason, count=count)
         self._resets_seen = Counter(resets)
         self.metrics.training_age.set(self._clock() - self.acquisition.accepted_s)
         status = self.status()
@@ -328,6 +329,10 @@ class Daemon:
         if frame is not None:
             self.metrics.record_sea(frame)
             self.metrics.record_stages(frame)
+            self.metrics.record_quiet(frame.quiet)
+            if frame.quiet is not None:
+                self._publisher.publish_record(wire.quiet_record(frame.quiet, self.utc.utc_s(frame.quiet.t_s)))
+        self.metrics.record_rock(self.acquisition.pipeline.rock_scores())
         self._notifier.notify(f"STATUS={status_line(status)}")
 
     # ---- for the parts -----------------------------------------------------------------------------------------------
@@ -453,6 +458,7 @@ def make_pipeline(config: Config, stages: Stages | None = None) -> Pipeline:
         point=config.point,
         lead_s=config.compensation.lead_s,
         stages=stages or Stages(config.hull, config.attitude, refit_inline=False),
+        quiet=config.quiet,
     )
 
 

@@ -15,7 +15,7 @@ from prometheus_client import (
     generate_latest,
 )
 
-from heaved.samples import Fault, HeaveState, MotionFrame
+from heaved.samples import Fault, HeaveState, MotionFrame, QuietForecast, RockScore
 
 _SHORT_S: Final = (0.00005, 0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.1)
 """Work on the event loop: 50 µs is well, 10 ms is a whole sample period."""
@@ -124,6 +124,20 @@ class Metrics:
         self.attitude_pitch_std = Gauge(
             "heaved_attitude_pitch_std_radians", "Standard deviation of that pitch.", registry=registry
         )
+        self.rock_error = Gauge(
+            "heaved_rock_error_radians", "Rolling RMS error of the attitude predictions.", ["axis", "horizon"],
+            registry=registry,
+        )  # fmt: skip
+        self.rock_coverage = Gauge(
+            "heaved_rock_coverage_ratio", "Rolling share of angles within their 95 % interval.", ["axis", "horizon"],
+            registry=registry,
+        )  # fmt: skip
+        self.quiet_confidence = Gauge(
+            "heaved_quiet_confidence_ratio", "Of the surest quiet window within the look-ahead.", registry=registry
+        )
+        self.quiet_start = Gauge(
+            "heaved_quiet_start_seconds", "From now to the next quiet window that is sure enough.", registry=registry
+        )
         self.filter_resets = Counter(
             "heaved_filter_resets_total", "Estimators started afresh.", ["filter", "reason"], registry=registry
         )
@@ -165,6 +179,8 @@ class Metrics:
         self._quality_states = {state: self.quality.labels(state.value) for state in HeaveState}
         self._quality: HeaveState | None = None
         for gauge in (self.heave, self.heave_std, self.reference_error, self.lead, self.training_age):
+            gauge.set(nan)
+        for gauge in (self.quiet_confidence, self.quiet_start):
             gauge.set(nan)
         for gauge in (self.significant_height, self.peak_period, self.mean_period, self.delayed_heave):
             gauge.set(nan)
@@ -218,6 +234,19 @@ class Metrics:
             values = (motion.heave_m, motion.heave_std_m, motion.pitch_rad, motion.pitch_std_rad)
             for gauge, value in zip(self._attitude, values, strict=True):
                 gauge.set(value)
+
+    def record_rock(self, scores: tuple[RockScore, ...]) -> None:
+        """How the attitude predictions have fared."""
+        for score in scores:
+            horizon = f"{score.horizon_s:g}"
+            self.rock_error.labels(score.axis, horizon).set(score.error_rad)
+            self.rock_coverage.labels(score.axis, horizon).set(score.coverage)
+
+    def record_quiet(self, quiet: QuietForecast | None) -> None:
+        """What is foreseen of quiet windows; None: it is not asked for."""
+        window = quiet.window if quiet is not None else None
+        self.quiet_confidence.set(quiet.best if quiet is not None else nan)
+        self.quiet_start.set(window.start_s if window is not None else nan)
 
     # What the stream's publisher counts.
 

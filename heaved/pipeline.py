@@ -3,7 +3,7 @@
     IMU --- tilt removed --- heave chain: observer (F^m), gain, residual network --- heave, velocity, standard deviation
                                   ^                                                    '--- points, forecasts, delayed
     laser ------------------------'
-    roll, pitch, yaw --- rock predictor --- 50/100/150 ms
+    roll, pitch, yaw, rates --- rock predictor --- 50 ms ... 5 s --- quiet windows
 
 Beside it, and never in it, the stages for the hull's deformation (second IMU) and for the attitude of a craft.
 """
@@ -16,19 +16,22 @@ from typing import Final
 
 import msgspec
 
-from heaved.estimation import points
+from heaved.estimation import points, quiescence
 from heaved.estimation.chain import Heave, HeaveChain
 from heaved.estimation.correction import Params as CorrectionParams
 from heaved.estimation.correction import Saved
+from heaved.estimation.forecast_check import ForecastCheck
 from heaved.estimation.frames import up_acceleration
 from heaved.estimation.heave import HarmonicObserver
 from heaved.estimation.heave import Params as HeaveParams
 from heaved.estimation.points import Attitude, Point
 from heaved.estimation.quality import COAST_S, Facts, judge
+from heaved.estimation.quiet_watch import QuietWatch
 from heaved.estimation.reference import Params as LaserParams
 from heaved.estimation.ring import Ring
-from heaved.estimation.rock import STANDARD_HORIZONS_S, RockPredictor, carried
+from heaved.estimation.rock import STANDARD_HORIZONS_S
 from heaved.estimation.rock import Params as RockParams
+from heaved.estimation.rock_chain import RockChain
 from heaved.estimation.sea import SeaObserver
 from heaved.estimation.sea_model import SeaModel
 from heaved.estimation.sea_window import SeaFit, SeaWindow
@@ -45,6 +48,7 @@ from heaved.samples import (
     PointMotion,
     Quality,
     RockPrediction,
+    RockScore,
     Sample,
     TrainedNetwork,
     TrainingWindow,
@@ -58,6 +62,8 @@ TILT_LASTS_S: Final = 5.0
 """With the tilt removed for that long, or not removed, the record is of one kind."""
 LAG_S: Final = 0.005
 """A smaller lag of the accelerometers than this is not worth going back for."""
+CHECKED_S: Final = (0.5, 2.0)
+"""The forecast of a horizon between these, the one nearest to 1 s, is compared with a plain regression's."""
 MISSING_MEMORY_S: Final = 60.0
 """Of the share of lost samples."""
 NOTHING: Final = Heave(
@@ -107,6 +113,7 @@ class PipelineSummary(msgspec.Struct, frozen=True, kw_only=True):
     spikes: int
     rejected: int
     """Beats that the observer's own gate has kept out."""
+    rock: tuple[RockScore, ...]
 
 
 class Pipeline:
@@ -123,6 +130,7 @@ class Pipeline:
         point: tuple[Point, ...] = (),
         lead_s: float = 0.0,
         stages: Stages | None = None,
+        quiet: quiescence.Params | None = None,
     ) -> None:
         """``lead_s``: the heave is published for this long after each sample (the consumer's reaction time).
 
@@ -136,8 +144,14 @@ class Pipeline:
         self._chain = HeaveChain(
             heave, laser, correction, has_laser=has_laser, lead_s=self._lead_s, max_rate_hz=MAX_RATE_HZ
         )
-        self._rock = RockPredictor(rock)
-        self._predicted = tuple(RockPrediction(horizon_s=h) for h in self._rock.horizons_s)
+        self._rock = RockChain(rock)
+        self._quiet: QuietWatch | None = None
+        if quiet is not None and quiet.enabled:
+            self._quiet = QuietWatch(quiet, next((p for p in point if p.name == quiet.point), None))
+        checked_s = min(heave.forecast_horizons_s, key=lambda h: abs(h - 1.0), default=nan)
+        self._checked = heave.forecast_horizons_s.index(checked_s) if checked_s == checked_s else 0
+        is_checked = CHECKED_S[0] <= checked_s <= CHECKED_S[1] and lead_s < 0.5 * checked_s
+        self._check = ForecastCheck(checked_s, lead_s) if is_checked else None
         self._rate_between = tuple(self._rock.horizons_s.index(h) for h in STANDARD_HORIZONS_S[:2])
         self._imu_t_s = self._period_s = nan
         self._missing = 0.0
@@ -169,18 +183,23 @@ class Pipeline:
         if good:
             self._take_attitude(sample)
             self._observe(sample)
-        attitude = (sample.roll_rad, sample.pitch_rad, sample.yaw_rad) if good else (nan, nan, nan)
-        self._predicted = self._rock.step(t, *attitude)
+        predicted = self._rock.step(sample, good=good)
         if self._has_laser:
             self._chain.laser.teach(t, self._chain.observer)
         self.stages.take(sample)
-        frame = self._frame(t, self._predicted)
+        frame = self._frame(t, predicted)
+        if self._check is not None:
+            forecast_m = frame.forecast[self._checked].heave_m if frame.forecast else nan
+            self._check.step(t, frame.observer_m, forecast_m)
+        if self._quiet is not None:
+            angles = (sample.roll_rad, sample.pitch_rad) if good else (nan, nan)
+            self._quiet.step(t, *angles, frame.heave_m, predicted, frame.forecast)
         self.stages.take_frame(frame)
         return frame
 
     def coast(self, t_s: float) -> MotionFrame:
         """A frame for a moment without a sample: extrapolated, nothing is advanced."""
-        return self._frame(t_s, carried(self._predicted, t_s - self._imu_t_s))
+        return self._frame(t_s, self._rock.at(t_s))
 
     def _take_attitude(self, sample: ImuSample) -> None:
         if isfinite(sample.roll_rad) and isfinite(sample.pitch_rad):
@@ -266,10 +285,14 @@ class Pipeline:
             self._fitted_t_s = fit.t_s
         return result
 
+    def rock_scores(self) -> tuple[RockScore, ...]:
+        """How the predictions of roll, pitch and yaw have fared, by axis and horizon."""
+        return self._rock.scores()
+
     @property
     def resets(self) -> Counter[tuple[str, str]]:
         """Of the estimators, by (filter, reason)."""
-        return self._chain.resets + self.stages.resets
+        return self._chain.resets + self._rock.resets + self.stages.resets
 
     # --- the frame ---------------------------------------------------------------------------------------------------
 
@@ -300,6 +323,7 @@ class Pipeline:
             yaw_rad=yaw,
             points=self._point_motions(heave, roll, pitch, rock) if self._points else (),
             rock=rock,
+            quiet=self._quiet.at(t_s) if self._quiet is not None else None,
             forecast=heave.forecast,
             compensation_lead_s=self._lead_s,
             delayed=self._chain.delayed(),
@@ -346,7 +370,7 @@ class Pipeline:
                 error_std_m=nan if heave is None else heave.std_m,
                 heave_std_m=observer.heave_std_m(),
                 missing=self._missing,
-                doubts=observer.doubts,
+                doubts=(*observer.doubts, *self._check.doubts) if self._check is not None else observer.doubts,
                 notes=observer.notes,
                 tilt_removed=self._tilt_removed and self._tilt_known(t_s),
                 std_scale=chain.laser.reference.std_scale,
@@ -416,4 +440,5 @@ class Pipeline:
             out_of_order=self._out_of_order,
             spikes=chain.spikes.rejected,
             rejected=chain.observer.rejected,
+            rock=self.rock_scores(),
         )

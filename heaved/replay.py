@@ -240,6 +240,7 @@ def _pipeline(config: Config, has_laser: bool) -> Pipeline:
         point=config.point,
         lead_s=config.compensation.lead_s,
         stages=Stages(config.hull, config.attitude),
+        quiet=config.quiet,
     )
 
 

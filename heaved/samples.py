@@ -123,7 +123,8 @@ class Quality(msgspec.Struct, frozen=True, gc=False, kw_only=True):
 
 
 class RockPrediction(msgspec.Struct, frozen=True, gc=False, kw_only=True):
-    """Attitude predicted for ``t_s + horizon_s``; standard deviations of the prediction error."""
+    """Attitude predicted for ``t_s + horizon_s``; standard deviations of the prediction error, and half-widths of the
+    interval that holds 95 % of what is measured then."""
 
     horizon_s: float
     roll_rad: float = nan
@@ -132,6 +133,21 @@ class RockPrediction(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     roll_std_rad: float = nan
     pitch_std_rad: float = nan
     yaw_std_rad: float = nan
+    roll_interval_rad: float = nan
+    pitch_interval_rad: float = nan
+    yaw_interval_rad: float = nan
+
+
+class RockScore(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """How the predictions of one axis for one horizon have fared over the last minutes."""
+
+    axis: str
+    """"roll", "pitch" or "yaw"."""
+    horizon_s: float
+    error_rad: float
+    """RMS of what was measured minus what had been predicted for then."""
+    coverage: float
+    """Share of measured values within the 95 % interval."""
 
 
 class HeaveForecast(msgspec.Struct, frozen=True, gc=False, kw_only=True):
@@ -149,6 +165,28 @@ class DelayedHeave(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     """Its own time of validity."""
     heave_m: float
     std_m: float
+
+
+class QuietWindow(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """The next time in which roll, pitch and heave stay within their limits, as seen at ``t_s``."""
+
+    t_s: float
+    start_s: float
+    """From ``t_s`` on."""
+    length_s: float
+    """At least the duration asked for; longer while windows that begin later are as sure."""
+    confidence: float
+    """Probability that the first part of it, as long as was asked for, is quiet."""
+
+
+class QuietForecast(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """What is foreseen of quiet windows at ``t_s``."""
+
+    t_s: float
+    window: QuietWindow | None = None
+    """The next one that is sure enough; None: there is none."""
+    best: float = nan
+    """Confidence of the surest window within the look-ahead; nan: nothing has been learned yet."""
 
 
 class PointMotion(msgspec.Struct, frozen=True, gc=False, kw_only=True):
@@ -257,6 +295,8 @@ class MotionFrame(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     yaw_rad: float = nan
     points: tuple[PointMotion, ...] = ()
     rock: tuple[RockPrediction, ...] = ()
+    quiet: QuietForecast | None = None
+    """None: it is not asked for. Renewed once a second."""
     forecast: tuple[HeaveForecast, ...] = ()
     compensation_lead_s: float = 0.0
     """Heave, velocity, their standard deviation and the points are for this long after ``t_s``."""

@@ -11,6 +11,8 @@ from heaved.config import Config
 from heaved.outputs import wire
 from heaved.samples import CorrectionState, Fault, HeaveState, LaserState, MotionFrame
 
+_SHOWN_S = (0.15, 1.0)
+"""Horizons whose predictions the status judges."""
 _NO_QUALITY = wire.QualityRecord(
     heave=HeaveState.INVALID, laser=LaserState.OFF, correction=CorrectionState.OFF, reasons=("no frame yet",)
 )
@@ -45,11 +47,13 @@ def status_record(
         observer=wire.ObserverStatus(
             name=config.heave.observer,
             frequencies_hz=tuple(round(frequency_hz, 5) for frequency_hz in summary.frequencies_hz),
-            resets=acquisition.pipeline.resets.total(),
+            resets=sum(count for (name, _), count in acquisition.pipeline.resets.items() if name == "heave"),
         ),
         correction=_correction(acquisition, frame, now_s),
         hull=_hull(frame) if config.hull.enabled else None,
         attitude=_attitude(frame, now_s) if config.attitude.enabled else None,
+        rock=wire.rock_status(summary.rock, _SHOWN_S),
+        quiet=wire.quiet_status(frame.quiet) if frame is not None else None,
         clock=wire.ClockStatus(utc_offset_s=round(utc.offset_s, 6), steps=utc.steps),
         config_file=config_file,
         state_file=state_file,

@@ -1,6 +1,8 @@
 """Pipelines and recordings for the tests of the whole estimator."""
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
+from typing import ClassVar
 
 import msgspec
 import numpy as np
@@ -9,7 +11,7 @@ from heaved.estimation import correction, heave, reference, rock
 from heaved.estimation.points import Point
 from heaved.estimation.sea_window import look
 from heaved.pipeline import Pipeline
-from heaved.samples import ImuSample, LaserSample, MotionFrame, RockPrediction, Sample
+from heaved.samples import ImuSample, LaserSample, MotionFrame, RockPrediction, RockScore, Sample
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import Recording, record
 from heaved.training.fit import fit
@@ -22,8 +24,16 @@ class NoRock:
 
     horizons_s = (0.05, 0.10, 0.15)
 
-    def step(self, t_s: float, roll_rad: float, pitch_rad: float, yaw_rad: float) -> tuple[RockPrediction, ...]:
+    resets: ClassVar[Counter[tuple[str, str]]] = Counter()
+
+    def step(self, sample: ImuSample, *, good: bool) -> tuple[RockPrediction, ...]:
+        return self.at(sample.t_s)
+
+    def at(self, t_s: float) -> tuple[RockPrediction, ...]:
         return tuple(RockPrediction(horizon_s=h) for h in self.horizons_s)
+
+    def scores(self) -> tuple[RockScore, ...]:
+        return ()
 
 
 def pipeline(

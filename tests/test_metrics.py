@@ -19,6 +19,9 @@ from heaved.samples import (
     LaserState,
     MotionFrame,
     Quality,
+    QuietForecast,
+    QuietWindow,
+    RockScore,
     SeaState,
 )
 
@@ -53,6 +56,10 @@ CONTRACT = {
     ("heaved_frames_sent", "counter", ()),
     ("heaved_frames_dropped", "counter", ("reason",)),
     ("heaved_filter_resets", "counter", ("filter", "reason")),
+    ("heaved_rock_error_radians", "gauge", ("axis", "horizon")),
+    ("heaved_rock_coverage_ratio", "gauge", ("axis", "horizon")),
+    ("heaved_quiet_confidence_ratio", "gauge", ()),
+    ("heaved_quiet_start_seconds", "gauge", ()),
     ("heaved_tick_lateness_seconds", "histogram", ()),
     ("heaved_clock_steps", "counter", ()),
     ("heaved_state_saves", "counter", ("result",)),
@@ -103,6 +110,7 @@ def exercise(metrics: Metrics) -> None:
     metrics.record_sea(with_sea(frame(HeaveState.VALID, 1.5)))
     metrics.training_age.set(30.0)
     metrics.filter_resets.labels("heave", "not_finite").inc()
+    metrics.record_rock((RockScore(axis="roll", horizon_s=0.15, error_rad=0.001, coverage=0.95),))
     metrics.set_clients(2)
     metrics.count_sent(2)
     metrics.count_dropped("slow_client")
@@ -204,3 +212,18 @@ def test_two_daemons_in_one_process_do_not_share() -> None:
     first.count_sent(5)
     assert value(first, "heaved_frames_sent_total") == 5.0
     assert value(second, "heaved_frames_sent_total") == 0.0
+
+
+def test_attitude_predictions_and_quiet_windows() -> None:
+    metrics = Metrics("1.0")
+    assert math.isnan(value(metrics, "heaved_quiet_start_seconds"))
+    metrics.record_rock((RockScore(axis="yaw", horizon_s=1.0, error_rad=0.002, coverage=0.94),))
+    assert value(metrics, "heaved_rock_error_radians", axis="yaw", horizon="1") == 0.002
+    assert value(metrics, "heaved_rock_coverage_ratio", axis="yaw", horizon="1") == 0.94
+    window = QuietWindow(t_s=5.0, start_s=12.0, length_s=15.0, confidence=0.85)
+    metrics.record_quiet(QuietForecast(t_s=5.0, window=window, best=0.9))
+    assert value(metrics, "heaved_quiet_start_seconds") == 12.0
+    assert value(metrics, "heaved_quiet_confidence_ratio") == 0.9
+    metrics.record_quiet(QuietForecast(t_s=6.0, best=0.3))
+    assert math.isnan(value(metrics, "heaved_quiet_start_seconds"))
+    assert value(metrics, "heaved_quiet_confidence_ratio") == 0.3

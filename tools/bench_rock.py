@@ -19,7 +19,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from heaved.estimation import rock, rock_direct
+from heaved.estimation import rock, rock_chain, rock_direct
 
 WARM_S, BLOCK_S = 150.0, 30.0
 RATES_HZ = (5.0, 20.0, 100.0, 200.0)
@@ -29,7 +29,7 @@ Step = Callable[[float, list[float]], object]
 
 def contenders() -> dict[str, Step]:
     """Fresh predictors, three axes and seven horizons unless it says otherwise."""
-    direct, rated = rock_direct.DirectRockPredictor(), rock_direct.DirectRockPredictor(rates=True)
+    direct, rated = rock_chain.DirectRockPredictor(), rock_chain.DirectRockPredictor(rates=True)
     single = rock_direct.DirectPredictor(1)
     paper = rock.RockPredictor(rock.Params(horizons_s=ML_HORIZONS_S))
     return {

@@ -19,6 +19,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.samples import QuietWindow
+
 Array = NDArray[np.float64]
 
 BLOCK_S: Final = 1.0
@@ -43,8 +45,11 @@ Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1000.0)]
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Limits at the monitoring point, on the absolute values."""
+    """The table ``[quiet]``: limits at the monitoring point, on the absolute values."""
 
+    enabled: bool = False
+    point: str = ""
+    """Name of the monitoring point whose heave is meant; empty: the IMU."""
     roll_limit_deg: Positive = 2.0
     pitch_limit_deg: Positive = 1.0
     heave_limit_m: Positive = 0.5
@@ -53,18 +58,6 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     look_ahead_s: Annotated[float, msgspec.Meta(ge=2.0, le=120.0)] = 30.0
     """The window begins no later than this."""
     min_confidence: Annotated[float, msgspec.Meta(ge=0.5, lt=1.0)] = 0.8
-
-
-class QuietWindow(msgspec.Struct, frozen=True, kw_only=True):
-    """The next quiet window, as seen at ``t_s``."""
-
-    t_s: float
-    start_s: float
-    """From ``t_s`` on."""
-    length_s: float
-    """At least the duration asked for; longer while windows that begin later are as sure."""
-    confidence: float
-    """Probability that the first ``duration_s`` of it are quiet."""
 
 
 class MotionForecast(msgspec.Struct, frozen=True):
@@ -109,6 +102,10 @@ class Quiescence:
     def starts_s(self) -> Array:
         """When the windows of :attr:`probabilities` begin, from the last full second on."""
         return np.asarray(BLOCK_S * self._starts, dtype=np.float64)
+
+    def is_due(self, t_s: float) -> bool:
+        """Whether a sample of this time ends a second, so that the forecast is looked at."""
+        return t_s >= self._block_end_s
 
     def step(
         self, t_s: float, roll_rad: float, pitch_rad: float, heave_m: float, forecast: MotionForecast | None = None

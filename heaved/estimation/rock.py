@@ -42,8 +42,11 @@ STEP_S = 0.05
 """One prediction step (Wei et al. 2019: the tracking radar's 20 Hz)."""
 STANDARD_HORIZONS_S = (0.05, 0.10, 0.15)
 """Always predicted (Wei et al. 2019, algorithm 1)."""
+DEFAULT_HORIZONS_S = (*STANDARD_HORIZONS_S, 0.5, 1.0, 2.0, 5.0)
 START_SPAN_S = 40 * STEP_S
 """The end-point fit takes 41 points."""
+GAP_S = 0.25
+"""Longer gaps start an axis anew, unless configured otherwise."""
 MEAN_SETTLES_S = 10.0
 """About one period: the mean over T of a motion of deviation s wanders by s min(1, 10 s / T)."""
 YAW = 2
@@ -53,7 +56,8 @@ AXES = 3
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The table ``[rock]`` of the configuration."""
 
-    predictor: Literal["ml"] = "ml"
+    predictor: Literal["direct", "ml"] = "direct"
+    """Direct regression of each horizon (:mod:`heaved.estimation.rock_direct`), or the method above."""
     mode: Literal["zero", "endpoint"] = "endpoint"
     """How the filter starts: from zeros (the method as first used), or from a polynomial fit over the first 2 s."""
     points: Annotated[int, msgspec.Meta(ge=20, le=1000)] | None = None
@@ -66,14 +70,16 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         0.8,
     )
     """Discounts per 50 ms that run side by side, the best of them published; one value switches nothing."""
-    horizons_s: tuple[Annotated[float, msgspec.Meta(ge=0.01, le=5.0)], ...] = STANDARD_HORIZONS_S
+    horizons_s: tuple[Annotated[float, msgspec.Meta(ge=0.01, le=30.0)], ...] = DEFAULT_HORIZONS_S
     """Predicted besides 0.05, 0.10 and 0.15 s, which always are."""
     mean_memory_s: Annotated[float, msgspec.Meta(ge=5.0, le=600.0)] = 30.0
     """Memory of the mean (list, trim, heading) on which the regression is centred."""
     error_memory_s: Annotated[float, msgspec.Meta(ge=5.0, le=3600.0)] = 30.0
     """Memory of the realised errors, from which the standard deviations come."""
-    max_gap_s: Annotated[float, msgspec.Meta(ge=0.05, le=2.0)] = 0.25
-    """Longer gaps (and longer than 3.5 sample intervals) start an axis anew."""
+    memory_s: Annotated[float, msgspec.Meta(ge=60.0, le=1800.0)] = 300.0
+    """Of the direct regression."""
+    max_gap_s: Annotated[float, msgspec.Meta(ge=0.05, le=5.0)] | None = None
+    """Longer gaps (and longer than 3.5 sample intervals) start an axis anew; unset: 2 s ("direct"), 0.25 s ("ml")."""
 
     @property
     def window_s(self) -> float:
@@ -210,7 +216,7 @@ class RockPredictor:
 
     def _follow_axes(self, elapsed_s: float, measured: Array) -> list[bool]:
         """Begin, restart and centre each axis; which of the values go into the filter."""
-        limit_s = max(self._params.max_gap_s, 3.5 * (self._interval_s if self._interval_s > 0.0 else STEP_S))
+        limit_s = max(self._params.max_gap_s or GAP_S, 3.5 * (self._interval_s if self._interval_s > 0.0 else STEP_S))
         used = []
         for index, (axis, value) in enumerate(zip(self._axes, measured.tolist(), strict=True)):
             if self._t_s - axis.seen_s > limit_s:

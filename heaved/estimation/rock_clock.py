@@ -23,6 +23,8 @@ RECENT: Final = 32
 """Intervals that decide whether the rate has changed."""
 CHANGED: Final = 0.08
 """Relative change of the median interval that is a new rate, when the intervals scatter by less than this."""
+GAP: Final = 4
+"""Steps at once that are a gap, and say little about phase, interval or rate."""
 RATIO: Final = (0.6, 1.6)
 """Samples per grid step outside of which the rate is another, however much they scatter."""
 
@@ -62,11 +64,11 @@ class SampleClock:
         since_s = t_s - self._grid_s
         steps = round(since_s / self.interval_s)
         self._recent.append(t_s - self._last_s)
-        self._steps.append(steps)
+        self._steps.append(min(steps, GAP))
         self._last_s = t_s
         deviation_s = since_s - steps * self.interval_s
         self._grid_s += steps * self.interval_s
-        if 0 < steps <= 4:  # over a gap the deviation says little about phase or interval
+        if 0 < steps <= GAP:
             self._grid_s += PHASE_GAIN * deviation_s
             self.interval_s += INTERVAL_GAIN * deviation_s / steps
         self.late_s = t_s - self._grid_s

@@ -20,7 +20,7 @@ Missing samples are filled with the prediction; what else may be wrong with them
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import ceil, inf, isfinite, nan, pi
+from math import ceil, inf, isfinite, nan
 from typing import Annotated, Final
 
 import msgspec
@@ -39,7 +39,6 @@ from heaved.estimation.rock_lags import (
     lag_knots,
     samples_per_step,
 )
-from heaved.samples import RockPrediction
 
 Array = NDArray[np.float64]
 
@@ -113,6 +112,14 @@ class DirectPredictor:
 
     def _first_choice(self) -> NDArray[np.intp]:
         return np.where(self._horizons <= EXTRAPOLATED_S, FADING, HOLD).astype(np.intp)
+
+    @property
+    def curve(self) -> Array:
+        """What is known of the latest sample (filled where it was missing) and the predictions, (H + 1, n)."""
+        if not self._built:
+            return np.concatenate([self._unknown_values[:1], self._unknown_values])
+        now = [channel.level if channel.ready else nan for channel in self._channels]
+        return np.concatenate([[self._curve[0] + now], self.values])
 
     @property
     def std(self) -> Array:
@@ -451,56 +458,3 @@ class DirectPredictor:
             error[:, :, :FADING][~filled] = nan
         shown = measured - self._shown[rows, h]
         self._switch.score(self._score_every * self._spacing_s, error, shown, self._shown_half[rows, h])
-
-
-class DirectRockPredictor:
-    """Roll, pitch and yaw with the face of :class:`heaved.estimation.rock.RockPredictor`."""
-
-    def __init__(self, params: Params | None = None, *, rates: bool = False) -> None:
-        self.predictor = DirectPredictor(3, params, rates=rates)
-        self.horizons_s = self.predictor.horizons_s
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget everything."""
-        self.predictor.reset()
-        self._yaw_reference_rad = nan
-        self._yaw_rad = 0.0
-        self.half_width_rad: Array = self.predictor.half_width
-
-    def step(
-        self,
-        t_s: float,
-        roll_rad: float,
-        pitch_rad: float,
-        yaw_rad: float,
-        rates_radps: tuple[float, float, float] | None = None,
-    ) -> tuple[RockPrediction, ...]:
-        """Take one sample (nan: not known) and predict from it, one record per horizon, shortest first."""
-        values = self.predictor.step(t_s, (roll_rad, pitch_rad, self._unwrapped(yaw_rad)), rates_radps)
-        self.half_width_rad = self.predictor.half_width
-        reference = self._yaw_reference_rad
-        records = []
-        for h, v, s in zip(self.horizons_s, values.tolist(), self.predictor.std.tolist(), strict=True):
-            yaw = (v[2] + reference) % (2 * pi)
-            records.append(
-                RockPrediction(
-                    horizon_s=h,
-                    roll_rad=v[0],
-                    pitch_rad=v[1],
-                    yaw_rad=0.0 if yaw >= 2 * pi else yaw,  # x % 2 pi may round up to 2 pi
-                    roll_std_rad=s[0],
-                    pitch_std_rad=s[1],
-                    yaw_std_rad=s[2],
-                )
-            )
-        return tuple(records)
-
-    def _unwrapped(self, yaw_rad: float) -> float:
-        """Yaw relative to the first reading, without jumps."""
-        if not isfinite(yaw_rad):
-            return nan
-        if self._yaw_reference_rad != self._yaw_reference_rad:
-            self._yaw_reference_rad = yaw_rad
-        self._yaw_rad += (yaw_rad - self._yaw_reference_rad - self._yaw_rad + pi) % (2 * pi) - pi
-        return self._yaw_rad

@@ -9,7 +9,7 @@ from typing import Final
 import msgspec
 
 from heaved.outputs.client import Snapshot, Trouble, Unreachable
-from heaved.outputs.wire import DeviceStatus, MotionRecord, RockRecord, StatusRecord
+from heaved.outputs.wire import DeviceStatus, MotionRecord, QuietStatus, RockRecord, RockStatus, StatusRecord
 from heaved.samples import Fault, HeaveState
 
 _FRESH_S: Final = 1.0
@@ -106,6 +106,10 @@ def table(snapshot: Snapshot) -> str:
     lines += _stage_rows(status)
     if motion is not None and motion.rock:
         lines += _titled("rock", _columns([("in", "roll", "pitch", "yaw"), *map(_rock_cells, motion.rock)]))
+    if status.rock:
+        lines += _titled("rock error", _columns(_score_rows(status.rock)))
+    if status.quiet is not None:
+        lines.append(_row("quiet", _quiet_text(status.quiet)))
     if motion is not None and motion.forecast:
         cells = [(_ms(f.horizon_s), signed(f.heave_m, " m", 3), spread(f.std_m, " m", 3)) for f in motion.forecast]
         lines += _titled("forecast", _columns([("in", "heave", "std"), *cells]))
@@ -198,6 +202,31 @@ def _rock_cells(rock: RockRecord) -> tuple[str, ...]:
         (rock.yaw_deg, rock.yaw_std_deg),
     )
     return (_ms(rock.horizon_s), *(_with_std(value, std) for value, std in pairs))
+
+
+def _score_rows(scores: tuple[RockStatus, ...]) -> list[tuple[str, ...]]:
+    """RMS of the last minutes, and the share that fell within the 95 % interval."""
+    axes = list(dict.fromkeys(score.axis for score in scores))
+    rows: list[tuple[str, ...]] = [("in", *axes)]
+    for horizon_s in dict.fromkeys(score.horizon_s for score in scores):
+        of_axis = {score.axis: score for score in scores if score.horizon_s == horizon_s}
+        rows.append((_ms(horizon_s), *(_score_cell(of_axis[axis]) for axis in axes)))
+    return rows
+
+
+def _score_cell(score: RockStatus) -> str:
+    if score.error_deg is None or score.coverage is None:
+        return "-"
+    return f"{score.error_deg:.3f}° ({100.0 * score.coverage:.0f} % within 95 %)"
+
+
+def _quiet_text(quiet: QuietStatus) -> str:
+    if quiet.start_s is not None and quiet.length_s is not None and quiet.confidence is not None:
+        when = "now" if quiet.start_s < 1.0 else f"in {quiet.start_s:.0f} s"
+        return f"{when} for {quiet.length_s:.0f} s, {100.0 * quiet.confidence:.0f} % sure"
+    if quiet.best_confidence is None:
+        return "not known yet"
+    return f"none is sure enough, the best {100.0 * quiet.best_confidence:.0f} %"
 
 
 def _with_std(value: float | None, std: float | None) -> str:

@@ -24,7 +24,9 @@ from heaved.samples import (
     LaserState,
     MotionFrame,
     PointMotion,
+    QuietForecast,
     RockPrediction,
+    RockScore,
     SeaState,
 )
 
@@ -33,7 +35,7 @@ PROTO_MINOR: Final = 1
 MAX_REQUEST_BYTES: Final = 512
 """Longest line that a client may send, its line end included."""
 
-StreamClass = Literal["MOTION", "SEA", "DELAYED", "HULL", "ATTITUDE", "STATUS"]
+StreamClass = Literal["MOTION", "SEA", "DELAYED", "HULL", "ATTITUDE", "QUIET", "STATUS"]
 """What a client may watch. VERSION, ERROR and the answer to ``?STATUS`` are sent whatever it watches."""
 STREAM_CLASSES: Final[tuple[str, ...]] = get_args(StreamClass)
 
@@ -72,7 +74,8 @@ class QualityRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True):
 
 
 class RockRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_defaults=True):
-    """Attitude predicted for ``horizon_s`` after the time of validity; standard deviations of the prediction error."""
+    """Attitude predicted for ``horizon_s`` after the time of validity; standard deviations of the prediction error, and
+    half-widths of the interval that holds 95 % of what is measured then."""
 
     horizon_s: float
     roll_deg: float | None = None
@@ -81,6 +84,9 @@ class RockRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_defau
     roll_std_deg: float | None = None
     pitch_std_deg: float | None = None
     yaw_std_deg: float | None = None
+    roll_interval_deg: float | None = None
+    pitch_interval_deg: float | None = None
+    yaw_interval_deg: float | None = None
 
 
 class ForecastRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_defaults=True):
@@ -172,6 +178,47 @@ class DelayedRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class"
     mono_s: float
     heave_m: float
     std_m: float
+
+
+class QuietRecord(
+    msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag_field="class", tag="QUIET"
+):
+    """The next quiet window, once a second; without one, ``is_expected`` is false and its fields are absent."""
+
+    time: str
+    """UTC at which it was foreseen."""
+    mono_s: float
+    is_expected: bool
+    start: str | None = None
+    """UTC of its beginning."""
+    start_s: float | None = None
+    """The same, from ``time`` on."""
+    length_s: float | None = None
+    confidence: float | None = None
+    """Probability that it is quiet for the time that was asked for."""
+    best_confidence: float | None = None
+    """Of the surest window within the look-ahead; absent while nothing has been learned."""
+
+
+class RockStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """How the predictions of an axis for a horizon have fared over the last minutes."""
+
+    axis: str
+    horizon_s: float
+    error_deg: float | None = None
+    """RMS."""
+    coverage: float | None = None
+    """Share of the measured angles within their 95 % interval."""
+
+
+class QuietStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """As the QUIET record has it."""
+
+    is_expected: bool
+    start_s: float | None = None
+    length_s: float | None = None
+    confidence: float | None = None
+    best_confidence: float | None = None
 
 
 class HeaveStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -269,6 +316,9 @@ class StatusRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     """When [hull] is enabled."""
     attitude: AttitudeStatus | None = None
     """When [attitude] is enabled."""
+    rock: tuple[RockStatus, ...] = ()
+    """Of 150 ms and 1 s, where they are predicted."""
+    quiet: QuietStatus | None = None
     clock: ClockStatus | None = None
     config_file: str | None = None
     state_file: str | None = None
@@ -365,6 +415,9 @@ def _rock(prediction: RockPrediction) -> RockRecord:
         roll_std_deg=degrees(prediction.roll_std_rad),
         pitch_std_deg=degrees(prediction.pitch_std_rad),
         yaw_std_deg=degrees(prediction.yaw_std_rad),
+        roll_interval_deg=degrees(prediction.roll_interval_rad),
+        pitch_interval_deg=degrees(prediction.pitch_interval_rad),
+        yaw_interval_deg=degrees(prediction.yaw_interval_rad),
     )
 
 
@@ -404,6 +457,49 @@ def delayed_record(delayed: DelayedHeave, utc_s: float) -> DelayedRecord:
         mono_s=round(delayed.t_s * 1e6) / 1e6,
         heave_m=round(delayed.heave_m, 6),
         std_m=round(delayed.std_m, 6),
+    )
+
+
+def quiet_record(quiet: QuietForecast, utc_s: float) -> QuietRecord:
+    """``utc_s``: of ``quiet.t_s``, seconds since 1970."""
+    window = quiet.window
+    return QuietRecord(
+        time=iso_time(utc_s),
+        mono_s=round(quiet.t_s * 1e6) / 1e6,
+        is_expected=window is not None,
+        start=iso_time(utc_s + window.start_s) if window is not None else None,
+        start_s=window.start_s if window is not None else None,
+        length_s=window.length_s if window is not None else None,
+        confidence=finite(window.confidence) if window is not None else None,
+        best_confidence=finite(quiet.best),
+    )
+
+
+def quiet_status(quiet: QuietForecast | None) -> QuietStatus | None:
+    """The part of a QUIET record that a status shows; None: it is not asked for."""
+    if quiet is None:
+        return None
+    record = quiet_record(quiet, 0.0)
+    return QuietStatus(
+        is_expected=record.is_expected,
+        start_s=record.start_s,
+        length_s=record.length_s,
+        confidence=record.confidence,
+        best_confidence=record.best_confidence,
+    )
+
+
+def rock_status(scores: tuple[RockScore, ...], horizons_s: tuple[float, ...]) -> tuple[RockStatus, ...]:
+    """Of the horizons that are told apart on a screen."""
+    return tuple(
+        RockStatus(
+            axis=score.axis,
+            horizon_s=score.horizon_s,
+            error_deg=degrees(score.error_rad),
+            coverage=finite(score.coverage),
+        )
+        for score in scores
+        if score.horizon_s in horizons_s
     )
 
 

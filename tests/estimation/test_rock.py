@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from heaved.estimation.rock import Params, RockPredictor, carried
+from heaved.estimation.rock import STANDARD_HORIZONS_S, Params, RockPredictor, carried
 from heaved.estimation.rock_regression import regression
 from heaved.samples import RockPrediction
 
@@ -17,7 +17,7 @@ TURN = 2 * pi
 
 def run(t, angles, params=None):
     """Feed (n, 3) angles; values and deviations, each (n, horizons, 3)."""
-    predictor = RockPredictor(params)
+    predictor = RockPredictor(params if params is not None else Params(horizons_s=STANDARD_HORIZONS_S))
     value, std = [], []
     for moment, sample in zip(np.asarray(t).tolist(), np.asarray(angles).tolist(), strict=True):
         found = predictor.step(moment, *sample)
@@ -135,7 +135,7 @@ def test_zero_start_waits_for_its_window_and_is_worse_at_first():
     rng = np.random.default_rng(1)
     t = np.arange(1200) / 20
     motion = ship(t) + [0.1, 0.1, 0.0] + 1e-5 * rng.standard_normal((len(t), 3))
-    params = Params(mode="zero", thetas=(0.75,))
+    params = Params(mode="zero", thetas=(0.75,), horizons_s=())
     value, _ = run(t, motion, params)
     assert np.all(np.isnan(value[:208]))
     assert np.all(np.isfinite(value[210:]))
@@ -181,7 +181,7 @@ def test_a_steady_turn_does_not_lag(noise_rad):
 def test_still_ship(name, signal, mode):
     n = 900
     x = signal(n)
-    value, std = run(np.arange(n) / 20, np.stack([x, x, x % TURN], axis=1), Params(mode=mode))
+    value, std = run(np.arange(n) / 20, np.stack([x, x, x % TURN], axis=1), Params(mode=mode, horizons_s=()))
     settled = slice(650, None)
     assert np.all(np.isfinite(value[settled]))
     assert np.all(np.isfinite(std[settled]))
@@ -263,7 +263,7 @@ def test_published_deviation_is_the_error_that_follows():
 
 def test_late_samples_are_ignored_and_reset_forgets():
     t = np.arange(200) / 20
-    predictor = RockPredictor()
+    predictor = RockPredictor(Params(horizons_s=()))
     first = [predictor.step(m, *s) for m, s in zip(t.tolist(), ship(t).tolist(), strict=True)]
     assert predictor.step(t[-1], 9.0, 9.0, 9.0) == first[-1]
     assert predictor.step(nan, 9.0, 9.0, 9.0) == first[-1]

@@ -10,8 +10,9 @@ import pytest
 from evidence.limits import prediction_limit
 from evidence.rock import ARCSEC, SCENES, motion, spectrum
 
+from heaved.estimation.rock_chain import DirectRockPredictor
 from heaved.estimation.rock_clock import SampleClock
-from heaved.estimation.rock_direct import DirectPredictor, DirectRockPredictor, Params
+from heaved.estimation.rock_direct import DirectPredictor, Params
 from heaved.estimation.rock_equations import NormalEquations, moments_of
 from heaved.estimation.rock_experts import Switch
 from heaved.estimation.rock_lags import SampleWindow, between, fading_taps, lag_knots

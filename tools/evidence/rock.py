@@ -84,13 +84,13 @@ PAPER_ARCSEC = {
 """Wei et al. 2019, Table 1: three-step RMS and largest error. Other ships, other seas: the order of things compares."""
 
 METHODS: tuple[tuple[str, Params | None, float], ...] = (
-    ("zero/210, theta 0.75", Params(mode="zero", thetas=(0.75,)), 20.0),
-    ("endpoint/67, theta 0.75", Params(thetas=(0.75,)), 20.0),
-    ("endpoint/67, default", Params(), 20.0),
+    ("zero/210, theta 0.75", Params(mode="zero", thetas=(0.75,), horizons_s=()), 20.0),
+    ("endpoint/67, theta 0.75", Params(thetas=(0.75,), horizons_s=()), 20.0),
+    ("endpoint/67, default", Params(horizons_s=()), 20.0),
     ("41-point extrapolation", None, 20.0),
     ("hold", None, 20.0),
-    ("endpoint/67, default", Params(), 50.0),
-    ("endpoint/67, default", Params(), 100.0),
+    ("endpoint/67, default", Params(horizons_s=()), 50.0),
+    ("endpoint/67, default", Params(horizons_s=()), 100.0),
 )
 
 

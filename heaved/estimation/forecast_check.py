@@ -1,0 +1,89 @@
+"""An independent check of the observer's forecasts: a plain regression on the observer's own heave; which is better?
+
+Both foretell the heave that the observer itself gives a second later. The observer knows the sensor and the spectrum;
+the regression (:mod:`heaved.estimation.rock_direct`) knows nothing but the past. If it is clearly the better one for a
+minute, the model of the sea is wrong.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from math import inf, isfinite, nan, sqrt
+from typing import Final
+
+from heaved.estimation.rock_direct import DirectPredictor, Params
+
+FEED_S: Final = 0.1
+"""Least interval of what is fed."""
+MEMORY_S: Final = 60.0
+"""Of the errors."""
+WORSE: Final = 1.5
+"""Ratio of the errors that raises the doubt when it lasts for LASTS_S."""
+LASTS_S: Final = 60.0
+SMALL_M: Final = 0.01
+"""Errors below this are well whatever the regression does: a still ship."""
+DOUBT: Final = "forecasts worse than plain regression"
+
+
+class ForecastCheck:
+    """Compares forecasts for ``horizon_s``; feed it every frame."""
+
+    def __init__(self, horizon_s: float, lead_s: float = 0.0) -> None:
+        """``lead_s``: the heave given is for this long after its time."""
+        self._horizon_s, self._lead_s = horizon_s, lead_s
+        self._fed_s = -inf
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self._regression = DirectPredictor(1, Params(horizons_s=(self._horizon_s,)))
+        # (time that it is for, value), each by the clock of the heave that is given.
+        self._observer: deque[tuple[float, float]] = deque()
+        self._plain: deque[tuple[float, float]] = deque()
+        self._squares, self._seconds = [nan, nan], [0.0, 0.0]
+        self._last: tuple[float, float] = (-inf, nan)
+        self._worse_since_s = nan
+
+    def step(self, t_s: float, heave_m: float, forecast_m: float) -> None:
+        """``heave_m``: the observer's now; ``forecast_m``: its forecast for ``horizon_s`` later (nan: not known)."""
+        since_s = t_s - self._fed_s
+        if 0.0 <= since_s < 0.98 * FEED_S:
+            return
+        self._fed_s = t_s
+        plain_m = float(self._regression.step(t_s, (heave_m,))[0, 0])
+        for i, waiting in enumerate((self._observer, self._plain)):
+            self._judge(i, waiting, t_s, heave_m)
+        self._last = (t_s, heave_m)
+        # Only what can be compared is: both or none.
+        if isfinite(forecast_m + plain_m):
+            self._observer.append((t_s + self._horizon_s - self._lead_s, forecast_m))
+            self._plain.append((t_s + self._horizon_s, plain_m))
+        observer_m, plain_m = self.errors_m
+        if observer_m > max(WORSE * plain_m, SMALL_M):
+            self._worse_since_s = t_s if not self._worse_since_s <= t_s else self._worse_since_s
+        else:
+            self._worse_since_s = nan
+
+    def _judge(self, which: int, waiting: deque[tuple[float, float]], t_s: float, heave_m: float) -> None:
+        """Take the errors of what was foretold for a time between the last heave and this one."""
+        last_s, last_m = self._last
+        while waiting and not t_s < waiting[0][0]:
+            at_s, foretold_m = waiting.popleft()
+            gap_s = t_s - last_s
+            if not (last_s <= at_s and gap_s < 5.0 * FEED_S):
+                continue  # It fell into a gap.
+            error_m = last_m + (at_s - last_s) / gap_s * (heave_m - last_m) - foretold_m
+            if isfinite(error_m):
+                square, mean = error_m * error_m, self._squares[which]
+                self._seconds[which] = min(self._seconds[which] + gap_s, MEMORY_S)
+                share = gap_s / self._seconds[which]
+                self._squares[which] = square if mean != mean else mean + share * (square - mean)
+
+    @property
+    def errors_m(self) -> tuple[float, float]:
+        """Rolling RMS of the observer's forecasts and of the regression's, m; nan: not known."""
+        return sqrt(self._squares[0]), sqrt(self._squares[1])
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        return (DOUBT,) if self._fed_s - self._worse_since_s >= LASTS_S else ()

@@ -1,0 +1,179 @@
+"""Roll, pitch and yaw a moment ahead, by the predictor that is configured, at any moment near the last sample."""
+
+from __future__ import annotations
+
+from collections import Counter
+from math import cos, inf, isfinite, nan, pi, sin, tan
+from typing import Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from heaved.estimation import rock, rock_direct
+from heaved.estimation.rock_paced import PacedPredictor
+from heaved.samples import ImuSample, RockPrediction, RockScore
+
+Array = NDArray[np.float64]
+
+AXES: Final = ("roll", "pitch", "yaw")
+
+
+def angle_rates(sample: ImuSample) -> tuple[float, float, float]:
+    """Derivatives of roll, pitch and yaw from the body rates of a sample, rad/s; nan where they are not known.
+
+    The z-y-x Euler rates, with pitch and yaw turned round as :mod:`heaved.samples` counts them (bow up, clockwise).
+    """
+    roll, pitch = sample.roll_rad, sample.pitch_rad
+    if not (isfinite(roll) and isfinite(pitch) and abs(pitch) < 1.5):
+        return nan, nan, nan
+    across = sample.gy_radps * sin(roll) + sample.gz_radps * cos(roll)
+    along = sample.gy_radps * cos(roll) - sample.gz_radps * sin(roll)
+    return sample.gx_radps - across * tan(pitch), -along, -across / cos(pitch)
+
+
+class DirectRockPredictor:
+    """Roll, pitch and yaw by direct regression, with the face of :class:`heaved.estimation.rock.RockPredictor`."""
+
+    def __init__(self, params: rock_direct.Params | None = None, *, rates: bool = False) -> None:
+        """``rates``: the angles' rates will be given with each sample."""
+        self.predictor = PacedPredictor(3, params, rates=rates)
+        self.horizons_s = self.predictor.horizons_s
+        self._yaw_reference_rad = nan
+        self._yaw_rad = 0.0
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self.predictor.reset()
+        self._yaw_reference_rad = nan
+        self._yaw_rad = 0.0
+
+    @property
+    def half_width_rad(self) -> Array:
+        """Half-widths of the 95 % intervals, (H, 3)."""
+        return self.predictor.half_width
+
+    def step(
+        self,
+        t_s: float,
+        roll_rad: float,
+        pitch_rad: float,
+        yaw_rad: float,
+        rates_radps: tuple[float, float, float] | None = None,
+    ) -> tuple[RockPrediction, ...]:
+        """Take one sample (nan: not known) and predict from it, one record per horizon, shortest first."""
+        predictor = self.predictor
+        values = predictor.step(t_s, [roll_rad, pitch_rad, self._unwrapped(yaw_rad)], rates_radps)
+        return self._records(values, predictor.std, predictor.half_width)
+
+    def at(self, t_s: float) -> tuple[RockPrediction, ...]:
+        """Predictions as seen from a moment without a sample, with the deviations of horizons that much longer."""
+        predictor = self.predictor
+        horizons = np.array(self.horizons_s)
+        later = horizons + max(t_s - predictor.t_s, 0.0) if predictor.t_s > -inf else horizons
+        std, half_width = (
+            np.stack([np.interp(later, horizons, column) for column in columns.T], axis=1)
+            for columns in (predictor.std, predictor.half_width)
+        )
+        return self._records(predictor.at(t_s), std, half_width)
+
+    def _records(self, values: Array, std: Array, half_width: Array) -> tuple[RockPrediction, ...]:
+        reference = self._yaw_reference_rad
+        records = []
+        for h, v, s, w in zip(self.horizons_s, values.tolist(), std.tolist(), half_width.tolist(), strict=True):
+            yaw = (v[2] + reference) % (2 * pi)
+            records.append(
+                RockPrediction(
+                    horizon_s=h,
+                    roll_rad=v[0],
+                    pitch_rad=v[1],
+                    yaw_rad=0.0 if yaw >= 2 * pi else yaw,  # x % 2 pi may round up to 2 pi
+                    roll_std_rad=s[0],
+                    pitch_std_rad=s[1],
+                    yaw_std_rad=s[2],
+                    roll_interval_rad=w[0],
+                    pitch_interval_rad=w[1],
+                    yaw_interval_rad=w[2],
+                )
+            )
+        return tuple(records)
+
+    def _unwrapped(self, yaw_rad: float) -> float:
+        """Yaw relative to the first reading, without jumps."""
+        if not isfinite(yaw_rad):
+            return nan
+        if self._yaw_reference_rad != self._yaw_reference_rad:
+            self._yaw_reference_rad = yaw_rad
+        self._yaw_rad += (yaw_rad - self._yaw_reference_rad - self._yaw_rad + pi) % (2 * pi) - pi
+        return self._yaw_rad
+
+
+class RockChain:
+    """The configured predictor, fed with samples; whether they carry body rates shows with the first attitude."""
+
+    def __init__(self, params: rock.Params) -> None:
+        self._params = params
+        self.horizons_s = tuple(sorted({*params.horizons_s, *rock.STANDARD_HORIZONS_S}))
+        self._unknown = tuple(RockPrediction(horizon_s=h) for h in self.horizons_s)
+        self.latest = self._unknown
+        """Predictions from the last sample."""
+        self._t_s = nan
+        self._ml = rock.RockPredictor(params) if params.predictor == "ml" else None
+        self._direct: DirectRockPredictor | None = None
+        self._rated = False
+        self._spikes = self._level_steps = self._restarts = 0
+        self._resets: Counter[tuple[str, str]] = Counter()
+
+    def step(self, sample: ImuSample, *, good: bool) -> tuple[RockPrediction, ...]:
+        """Take one sample, of which nothing is known unless it is ``good``; one record per horizon, shortest first."""
+        t_s = self._t_s = sample.t_s
+        attitude = (sample.roll_rad, sample.pitch_rad, sample.yaw_rad) if good else (nan, nan, nan)
+        if self._ml is not None:
+            self.latest = self._ml.step(t_s, *attitude)
+            return self.latest
+        if self._direct is None:
+            if not any(isfinite(angle) for angle in attitude):
+                return self.latest
+            self._rated = isfinite(sample.gx_radps + sample.gy_radps + sample.gz_radps)
+            params = rock_direct.Params(horizons_s=self.horizons_s, memory_s=self._params.memory_s)
+            if (gap_s := self._params.max_gap_s) is not None:
+                params = msgspec.structs.replace(params, max_gap_s=gap_s)
+            self._direct = DirectRockPredictor(params, rates=self._rated)
+        rates = (angle_rates(sample) if good else (nan, nan, nan)) if self._rated else None
+        self.latest = self._direct.step(t_s, *attitude, rates)
+        return self.latest
+
+    def at(self, t_s: float) -> tuple[RockPrediction, ...]:
+        """Predictions as seen from a moment without a sample; nothing is advanced."""
+        if self._ml is not None:
+            return rock.carried(self.latest, t_s - self._t_s)
+        return self._direct.at(t_s) if self._direct is not None else self._unknown
+
+    def scores(self) -> tuple[RockScore, ...]:
+        """How the predictions have fared, by axis and horizon; empty for a predictor that keeps no account."""
+        if self._direct is None:
+            return ()
+        error, coverage = (a.tolist() for a in (self._direct.predictor.rms_error, self._direct.predictor.coverage))
+        return tuple(
+            RockScore(axis=axis, horizon_s=h, error_rad=error[i][c], coverage=coverage[i][c])
+            for c, axis in enumerate(AXES)
+            for i, h in enumerate(self.horizons_s)
+        )
+
+    @property
+    def resets(self) -> Counter[tuple[str, str]]:
+        """By (filter, reason): streams begun anew, steps of the level; spikes that were held back."""
+        if self._direct is None:
+            return self._resets
+        predictor = self._direct.predictor
+        begun_anew = predictor.restarts != self._restarts  # and counts its spikes and steps from zero
+        for reason, now, before in (
+            ("restart", predictor.restarts, self._restarts),
+            ("level step", predictor.level_steps, 0 if begun_anew else self._level_steps),
+            ("spike", predictor.spikes, 0 if begun_anew else self._spikes),
+        ):
+            if now > before:
+                self._resets["rock", reason] += now - before
+        self._restarts, self._level_steps = predictor.restarts, predictor.level_steps
+        self._spikes = predictor.spikes
+        return self._resets

@@ -1,0 +1,284 @@
+"""The predictor at a pace: against the same one fed with every sample, closed forms, and a table of disasters."""
+
+from __future__ import annotations
+
+from math import inf, nan, pi
+
+import msgspec
+import numpy as np
+import pytest
+from evidence.rock import ARCSEC, SCENES, motion
+
+from heaved.estimation import rock
+from heaved.estimation.rock_carry import Carry
+from heaved.estimation.rock_chain import DirectRockPredictor, RockChain, angle_rates
+from heaved.estimation.rock_direct import DirectPredictor, Params
+from heaved.estimation.rock_paced import PacedPredictor
+from heaved.samples import ImuSample
+
+TURN = 2 * pi
+RATE_HZ = 100.0
+HORIZONS = Params().horizons_s
+SCENE = {scene.name: scene for scene in SCENES}
+
+
+def measured(scene, duration_s, seed=5):
+    rng = np.random.default_rng(seed)
+    truth = motion(SCENE[scene], RATE_HZ, duration_s, rng)
+    return truth + SCENE[scene].noise_arcsec * ARCSEC * rng.standard_normal(truth.shape)
+
+
+def predict(predictor, t, x):
+    found = [predictor.step(moment, sample) for moment, sample in zip(t.tolist(), x.tolist(), strict=True)]
+    return np.array(found)
+
+
+def rms(x, predicted, horizon, start, every=1, truth=None):
+    """Of what came later against what was predicted, (n,)."""
+    shift = round(HORIZONS[horizon] * RATE_HZ)
+    error = (x if truth is None else truth)[shift:] - predicted[:-shift, horizon]
+    return np.sqrt(np.nanmean(error[start::every] ** 2, axis=0))
+
+
+@pytest.mark.parametrize("scene", ["under way", "under way, MEMS"])
+def test_as_good_as_with_every_sample_at_any_phase(scene):
+    """Up to 150 ms within 5 % of the predictor that is fed every sample; at each of the five phases near it."""
+    x = measured(scene, 260.0)
+    t = np.arange(len(x)) / RATE_HZ
+    paced, full = PacedPredictor(3), DirectPredictor(3)
+    mine, every = predict(paced, t, x), predict(full, t, x)
+    for horizon in range(3):
+        assert np.all(rms(x, mine, horizon, 15_000) < 1.05 * rms(x, every, horizon, 15_000)), horizon
+        for phase in range(5):
+            whole = rms(x, every, horizon, 15_000 + phase, 5)
+            assert np.all(rms(x, mine, horizon, 15_000 + phase, 5) < 1.1 * whole), (horizon, phase)
+    assert np.all((paced.coverage[:5] > 0.92) & (paced.coverage[:5] < 0.985))
+    for horizon in range(4):  # what it says of itself is what came true
+        assert np.allclose(paced.rms_error[horizon], rms(x, mine, horizon, 2_000), rtol=0.15)
+        assert np.all(paced.std[horizon] < 1.3 * rms(x, mine, horizon, 15_000))
+
+
+def test_a_slow_stream_is_fed_whole():
+    t = np.arange(1500) / 20
+    x = np.stack([np.sin(TURN * t / 9), np.cos(TURN * t / 7)], axis=1)
+    paced, whole = PacedPredictor(2), DirectPredictor(2)
+    assert np.array_equal(predict(paced, t, x)[20:], predict(whole, t, x)[20:], equal_nan=True)
+    assert np.array_equal(paced.half_width, whole.half_width, equal_nan=True)
+
+
+def test_lost_samples_jitter_and_spikes_cost_little():
+    x = measured("under way, MEMS", 120.0)
+    t = np.arange(len(x)) / RATE_HZ
+    rng = np.random.default_rng(2)
+    whole = predict(PacedPredictor(3), t, x)
+    lost, spiked = x.copy(), x.copy()
+    lost[rng.random(len(x)) < 0.1] = nan
+    hit = np.flatnonzero(rng.random(len(x)) < 0.01)
+    spiked[hit] += 1.0
+    paced = PacedPredictor(3)
+    for name, predicted, limit in (
+        ("lost", predict(PacedPredictor(3), t, lost), 1.1),
+        ("spiked", predict(paced, t, spiked), 1.1),
+    ):
+        for horizon in range(3):
+            with_all, found = rms(x, whole, horizon, 8_000), rms(x, predicted, horizon, 8_000)
+            assert np.all(found < limit * with_all), (name, horizon, found / with_all)
+    assert paced.spikes > 0.8 * 3 * np.count_nonzero(hit > 1000)
+    late = t + rng.uniform(-0.002, 0.002, len(t))
+    period_s = 9.0
+    predicted = predict(PacedPredictor(1), late, np.sin(TURN * late / period_s)[:, None])
+    after = np.sin(TURN * (late + 0.15) / period_s)
+    assert np.sqrt(np.mean((predicted[4000:, 2, 0] - after[4000:]) ** 2)) < 2e-3
+
+
+def test_rows_that_are_not_there_at_all_cost_little():
+    x = measured("under way, MEMS", 120.0)
+    t = np.arange(len(x)) / RATE_HZ
+    keep = np.random.default_rng(3).random(len(x)) > 0.2
+    keep[9000:9030] = False
+    predicted = np.full((len(x), len(HORIZONS), 3), nan)
+    predicted[keep] = predict(PacedPredictor(3), t[keep], x[keep])
+    whole = predict(PacedPredictor(3), t, x)
+    whole[~keep] = nan
+    for horizon in range(3):
+        assert np.all(rms(x, predicted, horizon, 8_000) < 1.15 * rms(x, whole, horizon, 8_000))
+
+
+def test_after_a_gap_and_a_clock_set_back_it_begins_anew():
+    t = np.arange(6000) / RATE_HZ
+    x = np.sin(TURN * t / 8)[:, None]
+    paced = PacedPredictor(1)
+    predict(paced, t, x)
+    assert np.isfinite(paced.values).all()
+    assert np.isnan(paced.step(t[-1] + 30.0, [0.0])).all()
+    again = predict(paced, t[-1] + 30.0 + t[1:400], x[1:400])
+    assert np.isfinite(again[-1]).all()
+    for _ in range(25):
+        paced.step(1.0, [0.0])
+    assert paced.restarts == 1
+    assert np.isnan(paced.values).all()
+    back = predict(paced, 2.0 + t, x)
+    assert np.max(np.abs(back[3000:, 2, 0] - np.sin(TURN * (t[3000:] + 0.15) / 8))) < 1e-4
+
+
+def test_another_rate_asks_for_other_blocks():
+    paced = PacedPredictor(1)
+    t = np.concatenate([np.arange(3000) / 100.0, 30.0 + np.arange(3000) / 50.0])
+    predicted = predict(paced, t, np.sin(TURN * t / 8)[:, None])
+    assert paced.restarts == 1
+    assert np.max(np.abs(predicted[-500:, 2, 0] - np.sin(TURN * (t[-500:] + 0.15) / 8))) < 1e-4
+
+
+@pytest.mark.parametrize("value", [nan, inf, 0.0, 1e6])
+def test_whatever_is_fed_nothing_breaks(value):
+    paced = PacedPredictor(2)
+    rng = np.random.default_rng(1)
+    x = 0.01 * rng.standard_normal((3000, 2))
+    x[1000:1100, 0] = value
+    predicted = predict(paced, np.arange(3000) / RATE_HZ, x)
+    assert np.isfinite(predicted[400:, :, 1]).all()
+    assert np.all(np.abs(predicted[400:, :, 1]) < 1.0)
+    assert np.isfinite(predicted[-1]).all()
+    assert value == 1e6 or np.all(np.abs(predicted[-1]) < 1.0)
+
+
+def test_an_axis_that_is_missing_does_not_touch_the_others():
+    t = np.arange(4000) / RATE_HZ
+    x = np.stack([np.sin(TURN * t / 9), np.cos(TURN * t / 7), np.sin(TURN * t / 11)], axis=1)
+    lame = x.copy()
+    lame[:, 1] = nan
+    whole, without = predict(PacedPredictor(3), t, x), predict(PacedPredictor(3), t, lame)
+    assert np.isnan(without[:, :, 1]).all()
+    np.testing.assert_allclose(without[:, :, [0, 2]], whole[:, :, [0, 2]], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 20.0, 100.0])
+def test_between_samples_the_curve_is_followed(rate_hz):
+    t = np.arange(round(60 * rate_hz)) / rate_hz
+    paced = PacedPredictor(1)
+    predict(paced, t, np.sin(TURN * t / 8)[:, None])
+    for after_s in (0.0, 0.004, 0.04, 0.3):
+        moment = t[-1] + after_s
+        found = paced.at(moment)[:4, 0]
+        expected = np.sin(TURN * (moment + np.array(HORIZONS[:4])) / 8)
+        assert np.max(np.abs(found - expected)) < 2e-3, after_s
+    assert np.isnan(paced.at(t[-1] + 3.0)).all()
+    assert np.isnan(paced.at(t[-1] - 1.0)).all()
+
+
+def test_the_carry_is_the_regression():
+    """Against least squares over the same equations (the ridge is a thousandth)."""
+    rng = np.random.default_rng(4)
+    carry = Carry(2, 3, 1, 0.05)
+    e = rng.standard_normal((200, 2, 1))
+    weights = rng.standard_normal((2, 3))
+    missing = np.stack([e[:, :1, 0] * weights[0], e[:, :, 0] @ weights], axis=1)[..., None]
+    assert np.all(np.isinf(carry.gate))
+    carry.learn(e, missing)
+    assert np.allclose(carry.gains[1, 0], weights.T, atol=0.01)
+    assert np.allclose(carry.gains[0, 0, :, 0], weights[0], atol=0.01)
+    assert np.all(carry.gains[0, 0, :, 1] == 0.0)
+    assert np.allclose(carry.gate[:, 0], 6.0, rtol=0.25)
+
+
+# -- the chain -----------------------------------------------------------------------------------------------------
+
+
+def attitude(t):
+    """Roll, pitch, yaw (as heaved counts them) and their rates."""
+    w = TURN / 8
+    return (
+        (0.3 * np.sin(w * t), 0.2 * np.cos(w * t), 6.2 + 0.2 * np.sin(w * t + 1)),
+        (0.3 * w * np.cos(w * t), -0.2 * w * np.sin(w * t), 0.2 * w * np.cos(w * t + 1)),
+    )
+
+
+def body_rates(t):
+    """From the rotation itself, by central differences: R' = R [w]x; pitch and yaw are turned round."""
+
+    def rotation(moment):
+        (roll, pitch, yaw), _ = attitude(moment)
+        p, y = -pitch, -yaw
+        rx = np.array([[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]])
+        ry = np.array([[np.cos(p), 0, np.sin(p)], [0, 1, 0], [-np.sin(p), 0, np.cos(p)]])
+        rz = np.array([[np.cos(y), -np.sin(y), 0], [np.sin(y), np.cos(y), 0], [0, 0, 1]])
+        return rz @ ry @ rx
+
+    turned = rotation(t).T @ (rotation(t + 1e-5) - rotation(t - 1e-5)) / 2e-5
+    return turned[2, 1], turned[0, 2], turned[1, 0]
+
+
+def sample(t, *, gyro=True):
+    (roll, pitch, yaw), _ = attitude(t)
+    gx, gy, gz = body_rates(t) if gyro else (nan, nan, nan)
+    return ImuSample(
+        t_s=float(t), roll_rad=float(roll), pitch_rad=float(pitch), yaw_rad=float(yaw % TURN),
+        gx_radps=float(gx), gy_radps=float(gy), gz_radps=float(gz),
+    )  # fmt: skip
+
+
+def test_angle_rates_are_the_derivatives_of_the_angles():
+    for t in (0.3, 2.0, 5.5):
+        assert np.allclose(angle_rates(sample(t)), attitude(t)[1], atol=1e-8)
+    assert np.isnan(angle_rates(ImuSample(t_s=0.0, gx_radps=0.1))).all()
+
+
+@pytest.mark.parametrize("gyro", [False, True])
+def test_the_chain_predicts_at_the_sample_and_between(gyro):
+    chain = RockChain(rock.Params(horizons_s=(0.5,)))
+    assert chain.horizons_s == (0.05, 0.1, 0.15, 0.5)
+    for k in range(4000):
+        found = chain.step(sample(k / 100, gyro=gyro), good=k % 50 != 7)
+    last_s = 39.99
+    for moment, records in ((last_s, found), (last_s + 0.03, chain.at(last_s + 0.03))):
+        for p in records:
+            roll, pitch, yaw = attitude(moment + p.horizon_s)[0]
+            assert abs(p.roll_rad - roll) < 1e-3
+            assert abs(p.pitch_rad - pitch) < 1e-3
+            assert abs((p.yaw_rad - yaw + pi) % TURN - pi) < 1e-3
+            assert 0.0 <= p.yaw_rad < TURN
+            assert 0.0 < p.roll_std_rad <= p.roll_interval_rad
+    scores = {(s.axis, s.horizon_s): s for s in chain.scores()}
+    assert set(scores) == {(axis, h) for axis in ("roll", "pitch", "yaw") for h in chain.horizons_s}
+    assert all(0.0 <= s.coverage <= 1.0 and s.error_rad >= 0.0 for s in scores.values())
+
+
+def test_resets_only_grow():
+    chain = RockChain(rock.Params())
+    rng = np.random.default_rng(6)
+    seen = []
+    for start in (0.0, 500.0):
+        for k in range(3000):
+            spike = 0.5 if rng.random() < 0.01 else 0.0
+            moment = sample(k / 100, gyro=False)
+            noisy = moment.roll_rad + spike + 1e-4 * rng.standard_normal()
+            chain.step(msgspec.structs.replace(moment, t_s=start + moment.t_s, roll_rad=noisy), good=True)
+            if k % 100 == 0:
+                seen.append(dict(chain.resets))
+        for _ in range(25):
+            chain.step(sample(0.0, gyro=False), good=True)
+    assert chain.resets["rock", "restart"] == 2
+    counts = [found.get(("rock", "spike"), 0) for found in seen]
+    assert counts == sorted(counts)
+    assert counts[-1] > 30
+
+
+def test_the_published_method_can_still_be_had():
+    chain = RockChain(rock.Params(predictor="ml"))
+    assert chain.horizons_s == HORIZONS
+    for k in range(600):
+        found = chain.step(sample(k / 20, gyro=False), good=True)
+    assert [p.horizon_s for p in found] == list(HORIZONS)
+    assert abs(found[2].roll_rad - attitude(599 / 20 + 0.15)[0][0]) < 1e-3
+    assert chain.scores() == ()
+    assert abs(chain.at(599 / 20 + 0.02)[0].roll_rad - attitude(599 / 20 + 0.07)[0][0]) < 1e-2
+
+
+def test_before_anything_is_known_nothing_is_claimed():
+    chain = RockChain(rock.Params())
+    for k in range(100):
+        found = chain.step(ImuSample(t_s=k / 100), good=True)
+    assert [p.horizon_s for p in found] == list(HORIZONS)
+    assert all(np.isnan(p.roll_rad) and np.isnan(p.roll_interval_rad) for p in (*found, *chain.at(1.01)))
+    predictor = DirectRockPredictor()
+    assert all(np.isnan(p.yaw_rad) for p in predictor.at(0.0))
