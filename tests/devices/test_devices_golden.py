@@ -79,6 +79,14 @@ FRAMES = [
         "heaved-sim-laser", "laser", "01 03 0000 0004", "01 03 08 41480000 000186a0",
         {"laser_m": 12.5, "device_time_s": 100.0},
     ),
+    (
+        "heaved-sim-imu2", "imu2", "01 03 0000 0006", "01 03 0c 3e000000 be800000 3d800000",
+        {"gx_radps": 0.125, "gy_radps": -0.25, "gz_radps": 0.0625},
+    ),
+    (
+        "heaved-sim-craft", "craft", "01 03 0000 000a", "01 03 14 3f000000 3d800000 41900000 be000000 3e000000",
+        {"heave_m": 0.5, "pitch_rad": 0.0625, "speed_mps": 18.0, "flap_fore_rad": -0.125, "flap_aft_rad": 0.125},
+    ),
 ]  # fmt: skip
 
 
