@@ -288,7 +288,9 @@ def _sound_parts(tree: Mapping[str, Any]) -> tuple[dict[int, DeviceSpec], Config
     for field in msgspec.structs.fields(Config):
         if field.name in tree and field.name != "device":
             with suppress(msgspec.ValidationError):
-                tables[field.name] = msgspec.convert(_sound_keys(field.type, tree[field.name]), field.type)
+                is_table = _table_of(field.type) is not None
+                value = _sound_keys(field.type, tree[field.name]) if is_table else tree[field.name]
+                tables[field.name] = msgspec.convert(value, field.type)
     return devices, Config(**tables)
 
 
