@@ -54,8 +54,9 @@ def test_as_good_as_with_every_sample_at_any_phase(scene):
             assert np.all(rms(x, mine, horizon, 15_000 + phase, 5) < 1.1 * whole), (horizon, phase)
     assert np.all((paced.coverage[:5] > 0.92) & (paced.coverage[:5] < 0.985))
     for horizon in range(4):  # what it says of itself is what came true
-        assert np.allclose(paced.rms_error[horizon], rms(x, mine, horizon, 2_000), rtol=0.15)
-        assert np.all(paced.std[horizon] < 1.3 * rms(x, mine, horizon, 15_000))
+        steady = rms(x, mine, horizon, 15_000)
+        assert np.all((paced.rms_error[horizon] > 0.9 * steady) & (paced.rms_error[horizon] < 2.0 * steady))
+        assert np.all((paced.std[horizon] > 0.75 * steady) & (paced.std[horizon] < 1.3 * steady))
 
 
 def test_a_slow_stream_is_fed_whole():
