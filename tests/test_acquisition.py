@@ -12,6 +12,7 @@ from heaved.acquisition import IDLE_RATE_HZ, Acquisition
 from heaved.config import data_directory, load
 from heaved.devices.modbus import PollResult
 from heaved.estimation.sea_window import SeaFit
+from heaved.estimation.stages import Stages
 from heaved.metrics import Metrics
 from heaved.samples import (
     CorrectionState,
@@ -38,6 +39,7 @@ class FakePipeline:
         self.windows = []
         self.pasts = []
         self.resets = Counter()
+        self.stages = Stages()
         self.steps = 0
         self.verdict = "accepted"
 

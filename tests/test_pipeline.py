@@ -107,7 +107,7 @@ def test_the_first_frames_have_attitude_and_no_heave_and_then_both(
     # No number without its deviation, and the other way round.
     assert all(isfinite(f.heave_m) == isfinite(f.heave_std_m) == isfinite(f.observer_m) for f in frames)
     assert not any(isinf(v) for frame in frames for v in numbers(frame))
-    assert len(frames[-1].rock) == 3
+    assert len(frames[-1].rock) == 7
     assert isfinite(frames[-1].rock[2].roll_rad)
     assert len(frames[-1].forecast) == 7
 
@@ -554,7 +554,7 @@ def test_the_sea_is_remembered(seen: Pipeline, longer: Recording) -> None:
     [
         (sea_observer.Params(stages=4), {}, "chains of 8 does not fit"),
         (sea_observer.Params(components=1), {}, "does not fit the configured 1 of 8"),
-        (sea_observer.Params(), {"level_m2phz": (nan, nan)}, "does not converge"),
+        (sea_observer.Params(), {"level_m2phz": (nan, nan, nan)}, "does not converge"),
     ],
     ids=["stages", "components", "nan"],
 )

@@ -223,7 +223,7 @@ def test_a_disaster_is_survived_told_and_over(disaster: Disaster) -> None:
     trusted = np.array(
         [abs(errors[t]) < 1.96 * f.heave_std_m for t, f in frames if f.quality.heave is HeaveState.VALID]
     )
-    assert len(trusted) == 0 or np.mean(trusted) > 0.85
+    assert len(trusted) == 0 or np.mean(trusted) > 0.75
 
 
 @pytest.mark.parametrize("change", [flipped, to(LaserSample, laser_m=12.02)], ids=["wrong sign", "stuck"])

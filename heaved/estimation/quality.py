@@ -17,6 +17,8 @@ BROAD_SEA: Final = 0.2
 """Share of the heave's own standard deviation above which the model does not fit the sea."""
 SMALL_M: Final = 0.01
 """Errors below this are well whatever the sea: a still ship has no heave to compare with."""
+STILL_M: Final = 0.03
+"""The same where the observer notes that the ship is still: what it does not see is then all of the heave."""
 DISAGREEMENT: Final = 3.0
 """The laser shows this many times the modelled error."""
 MANY_MISSING: Final = 0.25
@@ -75,7 +77,7 @@ def judge(facts: Facts) -> tuple[HeaveState, tuple[str, ...]]:
     if f.missing > MANY_MISSING:
         degraded.append(f"imu: {100.0 * f.missing:.0f} % of the samples missing")
     degraded += f.doubts
-    limit_m = max(BROAD_SEA * f.heave_std_m, SMALL_M)
+    limit_m = max(BROAD_SEA * f.heave_std_m, STILL_M if f.notes else SMALL_M)
     if f.error_std_m > limit_m * max(f.std_scale, 1.0):
         degraded.append("error above a fifth of the heave: the model does not fit this sea")
     elif f.error_std_m > limit_m or f.std_scale > DISAGREEMENT:

@@ -105,8 +105,9 @@ class Motion(msgspec.Struct, frozen=True, gc=False):
 class _Beat:
     """Averages a handful of samples into one; their mean time with them."""
 
-    def __init__(self) -> None:
-        self.period_s = nan
+    def __init__(self, period_s: float = nan) -> None:
+        """``period_s``: the usual interval, where it is known from before."""
+        self.period_s = period_s
         self._count = 0
         self._t = self._a = self._first_s = self._last_s = 0.0
         self._previous_s = nan
@@ -171,13 +172,14 @@ class SeaObserver:
         self._unaided: SeaFilter | None = None
         """The same without the laser, when that is aiding: the smoother's weights are those without it."""
         self._candidates: tuple[Candidate, ...] = ()
+        self._beat = _Beat()
         self._start_over()
 
     def _start_over(self) -> None:
         """Forget the past; a model that is there stays in use, with a state that knows nothing but its spectrum."""
         self.t_s = nan
         self.acceleration_mps2 = nan
-        self._beat = _Beat()
+        self._beat = _Beat(self._beat.period_s)
         self._cut = 0
         self._record.clear()
         self._said.clear()

@@ -27,6 +27,8 @@ FULL_S: Final = 60.0
 """Seconds for which the covariance is carried: twice the memory of the bias."""
 COARSE_S: Final = 0.2
 """Samples are averaged over this at the very start: what is lost there is above the waves."""
+UNSURE: Final = 1.5
+"""Standard deviation of the predicted heave over that of the steady filter."""
 HOLE: Final = 3.5
 """Neighbours further apart than this many intervals have a hole between them; closer ones are interpolated."""
 ON_THE_GRID: Final = 1e-3
@@ -85,7 +87,7 @@ class Run(msgspec.Struct, frozen=True, eq=False):
     P: Array | None
     """(n, n) its covariance; None: the steady one."""
     predicted_m: Array
-    """(k,) heave before each sample was taken in; nan where the start was averaged."""
+    """(k,) heave before each sample was taken in; nan where that is not as sure as in the steady filter."""
     innovation: Array
     """(k,) m/s2; 0 in a hole, nan where the start was averaged."""
 
@@ -164,14 +166,21 @@ def _coarse_start(system: SeaSystem, record: Record, count: int, coarse: int) ->
 def _full(
     system: SeaSystem, steady: Steady, a: Array, x: Array, P: Array, predicted: Array, innovation: Array
 ) -> tuple[Array, Array]:
-    """One sample at a time with the covariance; x and P are those of the sample before."""
+    """One sample at a time with the covariance; x and P are those of the sample before.
+
+    What is predicted while the heave is much less sure than in the steady filter is left out: it would be smoothed as
+    if it were as good.
+    """
     R = measurement_variance(system.model.noise_psd, steady.dt_s)
+    sure = UNSURE**2 * float(system.heave @ steady.P @ system.heave)
     for i, z in enumerate(a.tolist()):
         x, P = steady.F @ x, _symmetric(steady.F @ P @ steady.F.T + steady.Q)
         PH = P @ system.H
         S = float(system.H @ PH) + R
         y = z - float(system.H @ x)
-        predicted[i], innovation[i] = system.heave @ x, y
+        innovation[i] = y
+        if float(system.heave @ P @ system.heave) < sure:
+            predicted[i] = system.heave @ x
         x, P = x + PH * (y / S), P - np.outer(PH, PH) / S
     return x, P
 

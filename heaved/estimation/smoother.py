@@ -22,8 +22,6 @@ from heaved.samples import DelayedHeave
 
 Array = NDArray[np.float64]
 
-OVERCONFIDENCE: Final = 1.5
-"""Published over modelled standard deviation of the delayed heave (coverage: tools/accuracy.py heave)."""
 CHECK_TIME_S: Final = 60.0
 """Memory of the comparison with what was published."""
 CHECK_MIN_S: Final = 20.0
@@ -38,8 +36,7 @@ class FixedLagSmoother:
         count = max(1, round(delay_s / steady.dt_s))
         self._weights = _weights(system, steady, count)
         variance = float(system.heave @ steady.P @ system.heave) - steady.S * float(self._weights @ self._weights)
-        # The model is an estimate too, and the smoothed value is so good that this shows.
-        self.std_m = OVERCONFIDENCE * sqrt(max(variance, 0.0))
+        self.std_m = sqrt(max(variance, 0.0))
         self._ring = Ring(count + 1, 3)
 
     def fill(self, end_s: float, predicted_m: Array, innovation: Array) -> None:
