@@ -529,8 +529,7 @@ class SeaObserver:
             found.append("recovering from a gap")
         if self._whiteness > CHANGED or self.surprise > CHANGED_NOW:
             found.append("the sea or the sensor is changing")
-        error_m = self.divergence.ratio * at_index(self._stds, self._outlook.index(0.0)) if self._filter else 0.0
-        if self.divergence.ratio > DIVERGED and error_m > SMALL_M:
+        if self.divergence.ratio > DIVERGED and self.divergence.rms_m > SMALL_M:
             found.append(f"{self.divergence.ratio:.1f} times its standard deviation off the delayed heave")
         if self.sea is not None and not self.sea.is_still and self.sea.peak_period_s > LONGEST_PEAK_S:
             found.append(f"swell of {self.sea.peak_period_s:.0f} s: longer than the sensor can follow")

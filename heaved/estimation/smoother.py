@@ -76,11 +76,17 @@ class Divergence:
 
     def __init__(self) -> None:
         self._square, self._seconds, self._t_s = 1.0, 0.0, nan
+        self._square_m2 = 0.0
 
     @property
     def ratio(self) -> float:
         """1 until enough has been compared."""
         return sqrt(self._square) if self._seconds >= CHECK_MIN_S else 1.0
+
+    @property
+    def rms_m(self) -> float:
+        """The same difference in metres."""
+        return sqrt(self._square_m2)
 
     def compare(self, delayed: DelayedHeave, realtime_m: float, modelled_std_m: float) -> None:
         """``realtime_m``: what was said in real time for the very moment of ``delayed``."""
@@ -91,3 +97,4 @@ class Divergence:
         self._seconds = min(self._seconds + dt, CHECK_TIME_S)
         square = (realtime_m - delayed.heave_m) ** 2 / modelled_std_m**2
         self._square += dt / self._seconds * (square - self._square)
+        self._square_m2 += dt / self._seconds * ((realtime_m - delayed.heave_m) ** 2 - self._square_m2)
