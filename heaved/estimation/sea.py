@@ -21,6 +21,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.estimation.beat import BEAT_MIN_S, BEAT_S, Beat
 from heaved.estimation.outlook import Outlook, at_index
 from heaved.estimation.ring import Ring
 from heaved.estimation.sea_filter import Offset, SeaFilter
@@ -31,14 +32,8 @@ from heaved.samples import DelayedHeave, SeaState
 
 Array = NDArray[np.float64]
 
-BEAT_S: Final = 0.05
-BEAT_MIN_S: Final = 0.04
-"""Rings are sized for beats this short."""
 STALE_BEAT_S: Final = 1.0
 """Samples that come without a beat for this long are not in the heave any more."""
-BEAT_INTERVALS: Final = 101
-BEAT_FIRST_INTERVALS: Final = 7
-"""Intervals from which the usual one is taken, and the first time."""
 EARLY_EVERY_S: Final = 10.0
 """Between fits, until EARLY_S of record: each sees much more than the one before."""
 EARLY_S: Final = 120.0
@@ -102,50 +97,6 @@ class Motion(msgspec.Struct, frozen=True, gc=False):
     velocity_mps: float
 
 
-class _Beat:
-    """Averages a handful of samples into one; their mean time with them."""
-
-    def __init__(self, period_s: float = nan) -> None:
-        """``period_s``: the usual interval, where it is known from before."""
-        self.period_s = period_s
-        self._count = 0
-        self._t = self._a = self._first_s = self._last_s = 0.0
-        self._previous_s = nan
-        self._intervals: list[float] = []
-
-    def take(self, t_s: float, a_mps2: float) -> tuple[float, float] | None:
-        """The beat that this sample completes, or None."""
-        interval = t_s - self._previous_s
-        self._previous_s = t_s
-        done = None
-        if isfinite(interval):
-            self._learn(interval)
-            if interval > 2.5 * self.period_s:
-                self._count = 0  # What was begun before a gap does not belong to what comes after it.
-        if self._count == 0:
-            self._first_s, self._t, self._a = t_s, 0.0, 0.0
-        self._count += 1
-        self._t += t_s - self._first_s
-        self._a += a_mps2
-        if isfinite(self.period_s) and self._count >= self.size:
-            done = self._first_s + self._t / self._count, self._a / self._count
-            self._count = 0
-        return done
-
-    def _learn(self, interval_s: float) -> None:
-        """The usual interval: a median, because a machine that was held up gives a long one and several short ones."""
-        self._intervals.append(interval_s)
-        wanted = BEAT_INTERVALS if isfinite(self.period_s) else BEAT_FIRST_INTERVALS
-        if len(self._intervals) >= wanted:
-            self.period_s = sorted(self._intervals)[wanted // 2]
-            self._intervals.clear()
-
-    @property
-    def size(self) -> int:
-        """Samples in a beat."""
-        return max(1, int(BEAT_S / self.period_s + 0.25))
-
-
 class SeaObserver:
     """Feed it vertical acceleration in order of time; ask it for heave at any moment near the last one.
 
@@ -172,14 +123,14 @@ class SeaObserver:
         self._unaided: SeaFilter | None = None
         """The same without the laser, when that is aiding: the smoother's weights are those without it."""
         self._candidates: tuple[Candidate, ...] = ()
-        self._beat = _Beat()
+        self._beat = Beat()
         self._start_over()
 
     def _start_over(self) -> None:
         """Forget the past; a model that is there stays in use, with a state that knows nothing but its spectrum."""
         self.t_s = nan
         self.acceleration_mps2 = nan
-        self._beat = _Beat(self._beat.period_s)
+        self._beat = Beat(self._beat.period_s)
         self._cut = 0
         self._record.clear()
         self._said.clear()

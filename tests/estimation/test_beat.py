@@ -1,0 +1,40 @@
+"""Oracle: averages by hand; and that beats never cease, whatever the machine does to the times."""
+
+import numpy as np
+import pytest
+
+from heaved.estimation.beat import Beat
+
+
+def beats(times: list[float], values: list[float]) -> list[tuple[float, float]]:
+    beat = Beat()
+    return [done for t, a in zip(times, values, strict=True) if (done := beat.take(t, a)) is not None]
+
+
+@pytest.mark.parametrize(("rate_hz", "size"), [(5.0, 1), (20.0, 1), (50.0, 2), (100.0, 5), (200.0, 10)])
+def test_a_beat_is_the_mean_of_its_samples(rate_hz: float, size: int) -> None:
+    times = [k / rate_hz for k in range(200)]
+    done = beats(times, [2.0 * t for t in times])
+    assert len(done) == pytest.approx(200 / size, abs=8 / size + 1)
+    assert all(a == pytest.approx(2.0 * t) for t, a in done)  # the mean of a line is the line at the mean time
+    assert np.diff([t for t, _ in done[2:]]) == pytest.approx(size / rate_hz)
+
+
+def test_a_hiccup_of_the_machine_does_not_stop_them() -> None:
+    times = [0.01 * k for k in range(3000)]
+    for k in range(100, 3000, 173):
+        times[k] = times[k + 1] - 0.0004 if k + 1 < 3000 else times[k]  # late, and its successor in time
+    done = beats(times, [0.0] * 3000)
+    assert len(done) > 0.97 * 3000 / 5
+
+
+def test_what_was_begun_before_a_gap_is_dropped() -> None:
+    times = [0.01 * k for k in range(103)] + [5.0 + 0.01 * k for k in range(20)]
+    done = beats(times, [0.0] * 103 + [1.0] * 20)
+    assert {a for _, a in done} == {0.0, 1.0}
+    assert all(t < 1.03 or t >= 5.0 for t, _ in done)
+
+
+def test_the_usual_interval_may_be_known_from_before() -> None:
+    beat = Beat(0.01)
+    assert [beat.take(0.01 * k, 1.0) for k in range(5)][:4] == [None] * 4
