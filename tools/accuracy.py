@@ -8,6 +8,7 @@
     tools/accuracy.py limits      the least error that is possible, alone
     tools/accuracy.py gates [--set]    short runs against their regression gates
     tools/accuracy.py rock        roll and pitch ahead: the paper's method, the direct predictor, quiet windows
+    tools/accuracy.py correction [--seeds 3]  the learned correction while a network is in use, laser on and off
     tools/accuracy.py closed-loop [S6 T3] [--replay]    a hook under a winch that the stream drives, in real time
     tools/accuracy.py hull [--runs 50]        deformation between two IMUs, 600 s a run
     tools/accuracy.py attitude [--runs 50]    heave and pitch of a foil-assisted catamaran
@@ -40,6 +41,7 @@ from evidence import (
     asked,
     attitude,
     closed_loop,
+    correction,
     estimators,
     gates,
     heave,
@@ -238,6 +240,12 @@ def run_attitude(options: argparse.Namespace, output: Output) -> None:
         attitude.figure(output.folder / "attitude.png", passage=passage)
 
 
+def run_correction(options: argparse.Namespace, output: Output) -> None:
+    outcomes = correction.table(range(1, options.seeds + 1), options.jobs)
+    output.write("correction", outcomes)
+    print(correction.report(outcomes))
+
+
 def run_closed_loop(options: argparse.Namespace, output: Output) -> None:
     laser_pattern(options.laser)
     setting = closed_loop.Setting(
@@ -363,6 +371,12 @@ def _closed_loop(parser: argparse.ArgumentParser) -> None:
         add(parser)
 
 
+def _correction(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seeds", type=_count, default=3, metavar="N", help="records per trial (default 3)")
+    parser.add_argument("--jobs", type=_count, default=1, metavar="N", help="processes (default 1)")
+    _common(parser)
+
+
 def _runs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--runs", type=_count, default=50, metavar="N", help="Monte-Carlo runs (default 50)")
     parser.add_argument("--jobs", type=_count, default=1, metavar="N", help="processes (default 1)")
@@ -389,6 +403,7 @@ COMMANDS: dict[str, Command] = {
     "rock": Command(run_rock, _rock, "roll and pitch, simulated"),
     "hull": Command(run_hull, _runs, "deformation between two IMUs, simulated"),
     "attitude": Command(run_attitude, _runs, "heave and pitch of a foil-assisted catamaran, simulated"),
+    "correction": Command(run_correction, _correction, "the learned correction while a network is in use"),
     "closed-loop": Command(run_closed_loop, _closed_loop, "hook motion under a winch driven by the stream"),
     "all": Command(run_all, _rock, "headline and rock"),
 }
