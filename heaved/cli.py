@@ -103,7 +103,7 @@ def run(
 ) -> None:
     """Run the daemon until SIGTERM or SIGINT. SIGHUP reads the configuration again."""
     if config is None and not SYSTEM_CONFIG.exists():
-        from heaved.config import data_directory
+        from heaved.config.read import data_directory
 
         _fail(
             f"no configuration: give one with --config FILE, or put one at {SYSTEM_CONFIG}; "
@@ -121,7 +121,7 @@ def run(
 def check_config(file: Annotated[Path, typer.Argument(metavar="FILE")]) -> None:
     """Check a configuration file: names every fault, and rates that a serial line cannot carry (exit code 78)."""
     config = _load_to_run(file)
-    from heaved.config import rate_faults
+    from heaved.config.rules import rate_faults
 
     if faults := rate_faults(config):
         _fail("\n".join(f"{file}: {fault}" for fault in faults), EX_CONFIG)
@@ -133,7 +133,7 @@ def check_config(file: Annotated[Path, typer.Argument(metavar="FILE")]) -> None:
 
 
 def _load_to_run(path: Path) -> Config:
-    from heaved.config import ConfigError, load_to_run
+    from heaved.config.read import ConfigError, load_to_run
 
     try:
         return load_to_run(path)
@@ -142,7 +142,7 @@ def _load_to_run(path: Path) -> Config:
 
 
 def _load(path: Path) -> Config:
-    from heaved.config import ConfigError, load
+    from heaved.config.read import ConfigError, load
 
     try:
         return load(path)
@@ -235,7 +235,7 @@ def probe(
     """Find Modbus devices on a line and the profiles that fit them. Only reads; the daemon must not use the line."""
     import asyncio
 
-    from heaved.config import packaged_profiles
+    from heaved.config.read import packaged_profiles
     from heaved.devices import probe as probing
     from heaved.devices.line import parse_link
 

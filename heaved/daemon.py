@@ -26,7 +26,9 @@ import structlog
 from heaved import __version__
 from heaved.acquisition import Acquisition
 from heaved.clock import UtcClock
-from heaved.config import Config, ConfigError, load_to_run, rate_faults
+from heaved.config import Config
+from heaved.config.read import ConfigError, load_to_run
+from heaved.config.rules import rate_faults
 from heaved.devices.line import buses
 from heaved.devices.modbus import Bus
 from heaved.devices.profile import DeviceSpec

@@ -21,7 +21,8 @@ from typing import Final
 import msgspec
 
 from heaved import daemon
-from heaved.config import Config, data_directory, load
+from heaved.config import Config
+from heaved.config.read import data_directory, load
 from heaved.craft_at_sea import voyages
 from heaved.devices.profile import DeviceSpec
 from heaved.estimation.craft import Vessel

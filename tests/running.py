@@ -7,7 +7,8 @@ from contextlib import asynccontextmanager
 
 import msgspec
 
-from heaved.config import HttpParams, StateParams, StreamParams, data_directory, load
+from heaved.config import HttpParams, StateParams, StreamParams
+from heaved.config.read import data_directory, load
 from heaved.daemon import Daemon
 from heaved.estimation import heave
 from heaved.estimation.sea import Params as SeaParams

@@ -9,7 +9,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from heaved.acquisition import IDLE_RATE_HZ, Acquisition
-from heaved.config import data_directory, load
+from heaved.config.read import data_directory, load
 from heaved.devices.modbus import PollResult
 from heaved.estimation.sea_window import SeaFit
 from heaved.estimation.stages import Stages

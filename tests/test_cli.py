@@ -17,7 +17,7 @@ import pytest
 
 from heaved import __version__, cli
 from heaved.cli import main
-from heaved.config import data_directory
+from heaved.config.read import data_directory
 
 COMMANDS = ("run", "demo", "status", "watch", "wait", "check-config", "probe", "replay", "sim")
 

@@ -14,7 +14,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from heaved.config import Config, ConfigError, data_directory, load, parse, rate_faults
+from heaved.config import Config
+from heaved.config.read import ConfigError, data_directory, load, parse
+from heaved.config.rules import rate_faults
 from heaved.devices.profile import Block, DeviceSpec, Field, Profile
 from heaved.estimation.points import Point
 

@@ -345,7 +345,7 @@ PROGRAM = """
 import sys, time
 from pathlib import Path
 from heaved import daemon, state
-from heaved.config import load
+from heaved.config.read import load
 path = Path(sys.argv[1])
 daemon._EXIT_S = float(sys.argv[2])
 if sys.argv[3] == "disk hangs":

@@ -67,10 +67,10 @@ def test_the_wheel_holds_the_package_and_its_data_and_nothing_else(wheel: Path) 
 
 def test_the_installed_command_finds_its_data_inside_the_package(installed: Path) -> None:
     python, heaved = str(installed / "bin/python"), str(installed / "bin/heaved")
-    where = run(installed, python, "-c", "import heaved.config as c; print(c.__file__); print(c.data_directory())")
+    where = run(installed, python, "-c", "import heaved.config.read as c; print(c.__file__); print(c.data_directory())")
     module, data = where.stdout.splitlines()
     assert module.startswith(str(installed))
-    assert data == str(Path(module).parent / "_config")
+    assert data == str(Path(module).parents[1] / "_config")
     helped = run(installed, heaved, "--help")
     assert (helped.returncode, helped.stderr) == (0, "")
     for name in ("heaved.toml", "demo.toml"):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pipelines import run
 
-from heaved.config import ConfigError, parse
+from heaved.config.read import ConfigError, parse
 from heaved.estimation import correction, heave, quiescence, reference, rock
 from heaved.estimation.forecast_check import DOUBT, ForecastCheck
 from heaved.estimation.points import Point

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
@@ -15,7 +16,9 @@ import pytest
 from accuracy import main as accuracy
 
 from heaved.cli import main
-from heaved.config import Config, ConfigError, data_directory, load, load_to_run, parse, rate_faults, stage_faults
+from heaved.config import Config
+from heaved.config.read import ConfigError, data_directory, load, load_to_run, parse
+from heaved.config.rules import rate_faults, stage_faults
 from heaved.devices.line import TcpLink
 from heaved.devices.polling import Reading, Station
 from heaved.devices.profile import encode, profile_faults
@@ -118,6 +121,70 @@ def test_a_stage_without_its_devices_is_a_fault_of_the_run_but_not_of_the_file(
     for command in (["check-config", str(path)], ["run", "--config", str(path)], ["demo", "--config", str(path)]):
         assert main(command) == 78
         assert expected in capsys.readouterr().err
+
+
+def faults_to_run(text: str, path: Path, capsys: pytest.CaptureFixture[str]) -> list[str]:
+    """What ``check-config`` prints, without the name of the file."""
+    path.write_text(text)
+    assert main(["check-config", str(path)]) == 78
+    lines = capsys.readouterr().err.splitlines()
+    assert all(line.startswith(f"{path}: ") for line in lines)
+    return [line.removeprefix(f"{path}: ") for line in lines]
+
+
+def test_what_stages_and_devices_lack_is_named_beside_every_other_fault(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    serial = device("imu", one("az_mps2", "m/s2")).replace("tcp://127.0.0.1:15020", "rtu:///dev/ttyS0?baudrate=1200")
+    text = (
+        '[hull]\nenabled = true\nmethod = "ekf"\n[attitude]\nenabled = true\nmode = "best"\n'
+        "[stream]\nport = 70000\n[haeve]\n" + serial
+    )
+    found = faults_to_run(text, tmp_path / "x.toml", capsys)
+    assert sorted(fault.split(":")[0] for fault in found) == [
+        "attitude.mode", "attitude.source", "haeve", "hull.enabled", "hull.enabled", "hull.method",
+        "line /dev/ttyS0 (1200 8N1)", "stream.port",
+    ]  # fmt: skip
+    assert any('a device of role "imu2"' in fault for fault in found)
+    assert any("has no gx_radps, gy_radps, gz_radps" in fault for fault in found)
+
+
+WRONG_ONLY: dict[str, tuple[str, list[str]]] = {
+    "a second IMU with a wrong rate": (device("imu2", RATES).replace("rate_hz = 100", "rate_hz = -1"), ["rate_hz"]),
+    "a second IMU with a profile that is not there": (
+        device("imu2", RATES).split("[device.profile]")[0] + 'profile = "acme"\n', ["profile"],
+    ),
+    "a second IMU with a wrong unit": (device("imu2", RATES.replace('"rad/s"', '"furlongs"')), ["profile"]),
+    "a role that may be the one": (device("imu2", RATES).replace('role = "imu2"', 'role = "imu 2"'), ["role"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG_ONLY)
+def test_a_device_that_is_there_and_wrong_is_not_said_to_be_absent(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong, keys = WRONG_ONLY[name]
+    found = faults_to_run("[hull]\nenabled = true\n" + device("imu", RATES) + wrong, tmp_path / "x.toml", capsys)
+    assert {re.split(r"[.:\[]", fault.removeprefix("device[1]."))[0] for fault in found} == set(keys)
+
+
+def test_a_source_that_is_not_one_is_named_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (fault,) = faults_to_run('[attitude]\nenabled = true\nsource = "both"', tmp_path / "x.toml", capsys)
+    assert fault.startswith("attitude.source: must be ")
+
+
+def test_devices_as_one_table_hide_no_other_fault(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = '[hull]\nenabled = true\n[device]\nrole = "imu"\n[stream]\nport = -1\n'
+    found = faults_to_run(text, tmp_path / "x.toml", capsys)
+    assert [fault.split(":")[0] for fault in found] == ["device", "stream.port"]
+
+
+def test_each_point_counts_as_it_is_written() -> None:
+    """One that is wrong hides neither that another needs the hull's stage nor that it is the one for quiet windows."""
+    text = (
+        '[quiet]\npoint = "tip"\n[[point]]\nname = "tip"\nup = 3\n[[point]]\nname = "hook"\nframe = "crane"\n'
+    )
+    assert [fault.split(":")[0] for fault in faults_of(text)] == ["point[0].up", "point[1].frame"]
 
 
 def test_with_their_devices_there_is_no_fault() -> None:

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from running import PATIENCE_S, demo_config, metric, running
 
-from heaved.config import HttpParams, StateParams, StreamParams, data_directory, load
+from heaved.config import HttpParams, StateParams, StreamParams
+from heaved.config.read import data_directory, load
 from heaved.craft_at_sea import voyages
 from heaved.estimation import fusion, hull
 from heaved.estimation.craft import Vessel

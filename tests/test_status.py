@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from heaved.acquisition import Acquisition
-from heaved.config import data_directory, load
+from heaved.config.read import data_directory, load
 from heaved.daemon import make_pipeline
 from heaved.metrics import Metrics
 from heaved.outputs import wire

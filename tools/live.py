@@ -24,7 +24,7 @@ from evidence.daemon import running_daemon
 from numpy.typing import NDArray
 from recordings import FADE_S, hebrides, sea
 
-from heaved.config import data_directory, load
+from heaved.config.read import data_directory, load
 from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.play import Player, read_recording, write_recording
 from heaved.simulate.sensors import Recording

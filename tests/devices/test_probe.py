@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from heaved.config import packaged_profiles
+from heaved.config.read import packaged_profiles
 from heaved.devices.line import parse_link
 from heaved.devices.probe import parse_ids, plausibility, probe
 from heaved.devices.profile import DeviceSpec, Profile, Quantity

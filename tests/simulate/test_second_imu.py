@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from heaved.config import data_directory, load
+from heaved.config.read import data_directory, load
 from heaved.devices.profile import DeviceSpec
 from heaved.samples import CraftSample
 from heaved.simulate.craft_sensors import CraftSensors

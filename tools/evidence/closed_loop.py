@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evidence.daemon import running_daemon
-from heaved.config import ConfigError, data_directory, load, parse
+from heaved.config.read import ConfigError, data_directory, load, parse
 from heaved.estimation.sea_window import look
 from heaved.outputs.wire import encode_motion
 from heaved.pipeline import Pipeline

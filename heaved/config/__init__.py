@@ -1,0 +1,80 @@
+"""The configuration: which tables there are, their keys, units, ranges and defaults.
+
+How a file becomes a :class:`Config` is in :mod:`heaved.config.read`; that every fault of it is named is the work of
+:mod:`heaved.config.typed` (each key by itself) and :mod:`heaved.config.rules` (keys beside each other).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+
+from heaved.devices.profile import DeviceSpec
+from heaved.estimation import correction, fusion, heave, hull, quiescence, reference, rock
+from heaved.estimation.points import Point
+
+Port = Annotated[int, msgspec.Meta(ge=0, le=65535)]
+
+
+class StreamParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[stream]``: the TCP stream of JSON lines."""
+
+    host: str = "127.0.0.1"
+    port: Port = 5570
+    max_clients: Annotated[int, msgspec.Meta(ge=1, le=1024)] = 64
+    queue_frames: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 256
+    stuck_s: Annotated[float, msgspec.Meta(gt=0, le=3600)] = 10.0
+    """A client whose queue has been full without progress for this long is disconnected."""
+    allow: tuple[str, ...] = ()
+    """Networks (CIDR) from which clients may connect, besides loopback."""
+
+
+class HttpParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[http]``: /metrics, /healthz, /readyz."""
+
+    enabled: bool = True
+    host: str = "127.0.0.1"
+    port: Port = 9570
+    allow: tuple[str, ...] = ()
+
+
+class StateParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[state]``: what a restart remembers."""
+
+    directory: str = ""
+    """Empty: $STATE_DIRECTORY (systemd), else ~/.local/state/heaved."""
+    save_period_s: Annotated[float, msgspec.Meta(ge=1, le=86400)] = 60.0
+
+
+class CompensationParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[compensation]``: what the consumer makes of the heave."""
+
+    lead_s: Annotated[float, msgspec.Meta(ge=0, le=5)] = 0.0
+    """Its own reaction time: heave, velocity and points are published for this long ahead."""
+
+
+class RuntimeParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[runtime]``: how the process runs."""
+
+    fifo_priority: Annotated[int, msgspec.Meta(ge=0, le=99)] = 0
+    """SCHED_FIFO priority of the event loop; 0: ordinary scheduling."""
+
+
+class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The whole configuration."""
+
+    device: tuple[DeviceSpec, ...] = ()
+    heave: heave.Params = heave.Params()
+    laser: reference.Params = reference.Params()
+    correction: correction.Params = correction.Params()
+    rock: rock.Params = rock.Params()
+    hull: hull.Params = hull.Params()
+    attitude: fusion.Params = fusion.Params()
+    quiet: quiescence.Params = quiescence.Params()
+    point: tuple[Point, ...] = ()
+    compensation: CompensationParams = CompensationParams()
+    stream: StreamParams = StreamParams()
+    http: HttpParams = HttpParams()
+    state: StateParams = StateParams()
+    runtime: RuntimeParams = RuntimeParams()
