@@ -26,13 +26,13 @@ that a sensor of class A leaves more of it than of the 3 m of S6."""
 
 
 @cache
-def trial(name: str = "T3") -> closed_loop.Trial:
+def trial(name: str) -> closed_loop.Trial:
     return closed_loop.replay(name, SETTINGS[name])
 
 
 def test_the_heave_is_what_the_wave_train_makes_it() -> None:
     """0.05 m with side lines of 15 % and 10 %, over two periods."""
-    none = trial().rows()[0]
+    none = trial("T3").rows()[0]
     assert none.hook_rms_m == pytest.approx(0.05 * np.sqrt((1.0 + 0.15**2 + 0.1**2) / 2.0), rel=0.25)
 
 
@@ -58,7 +58,7 @@ def test_the_hook_is_off_by_what_the_forecast_is_off_by(name: str) -> None:
 
 
 def test_the_figure_is_drawn(tmp_path: Path) -> None:
-    hook_motion(tmp_path / "hook.png", trial())
+    hook_motion(tmp_path / "hook.png", trial("T3"))
     assert (tmp_path / "hook.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
@@ -69,7 +69,7 @@ def test_from_the_command_line(
 
     def replay(name: str, setting: closed_loop.Setting) -> closed_loop.Trial:
         asked.append((name, setting))
-        return trial()
+        return trial("T3")
 
     monkeypatch.setattr(closed_loop, "replay", replay)
     words = ["--replay", "--warm-up", "120", "--duration", "16", "--no-figures", "--out", str(tmp_path)]
@@ -79,7 +79,7 @@ def test_from_the_command_line(
     assert "## Hook motion, replay: T3, sensor A, laser off" in table
     assert "dead time 0.15 s, lag 0.1 s" in table
     rows = [json.loads(line) for line in (tmp_path / "results.jsonl").read_text().splitlines()]
-    assert [row["method"] for row in rows] == [row.method for row in trial().rows()]
+    assert [row["method"] for row in rows] == [row.method for row in trial("T3").rows()]
     assert all(row["kind"] == "closed_loop" and row["commit"] for row in rows)
     assert rows[0]["forecast_share"] is None
 

@@ -79,7 +79,7 @@ async def test_the_deformation_of_a_simulated_hull_is_on_the_stream(tmp_path):
                 if hulls and hulls[-1]["refits"] and "crane_roll_deg" in motions[-1]:
                     break
             assert metric(daemon, 'heaved_hull_std_radians{axis="x"}') > 0.0
-            assert metric(daemon, "heaved_filter_resets_total") == 0
+            assert metric(daemon, 'heaved_filter_resets_total{filter="hull"') == 0
             status = daemon.status()
     finally:
         await plant.stop()

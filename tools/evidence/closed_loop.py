@@ -38,7 +38,6 @@ from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.seaway import Seaway, seaway
 from heaved.simulate.sensors import LASER_NOISE_M, record
 from heaved.simulate.winch import WinchParams
-from heaved.training.fit import fit
 
 Array = NDArray[np.float64]
 
@@ -211,6 +210,8 @@ def replay(name: str, setting: Setting) -> Trial:
             if (past := pipeline.fit_due()) is not None:
                 pipeline.accept_fit(look(past))
             if (window := pipeline.training_due()) is not None:
+                from heaved.training.fit import fit  # loads torch, which takes seconds: only when there is a laser
+
                 pipeline.accept(fit(window))
             if frame is None:
                 continue

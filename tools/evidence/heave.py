@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Final
@@ -124,6 +125,7 @@ def _judged(todo: Sequence[Task], jobs: int) -> Iterator[Judged]:
             pool.shutdown(cancel_futures=True)
 
 
+@cache
 def equal_tuning() -> float:
     """Largest difference (m) between KF and UKF on T1 with equal model and tuning."""
     case = build("T1", triplet(1), msgspec.structs.replace(TRAIN, duration_s=700.0))
