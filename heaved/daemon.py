@@ -42,7 +42,7 @@ from heaved.outputs import stage_wire, wire
 from heaved.outputs.access import ListenError
 from heaved.outputs.http import HttpServer, liveness, readiness
 from heaved.outputs.publisher import Publisher
-from heaved.outputs.wire import StatusRecord
+from heaved.outputs.records import StatusRecord
 from heaved.pipeline import Pipeline, PipelineState
 from heaved.realtime import freeze_memory, set_real_time
 from heaved.samples import (

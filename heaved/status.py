@@ -9,11 +9,22 @@ from heaved.acquisition import Acquisition
 from heaved.clock import UtcClock
 from heaved.config import Config
 from heaved.outputs import wire
+from heaved.outputs.records import (
+    AttitudeStatus,
+    ClockStatus,
+    CorrectionStatus,
+    DeviceStatus,
+    HeaveStatus,
+    HullStatus,
+    ObserverStatus,
+    QualityRecord,
+    StatusRecord,
+)
 from heaved.samples import CorrectionState, Fault, HeaveState, LaserState, MotionFrame
 
 _SHOWN_S = (0.15, 1.0)
 """Horizons whose predictions the status judges."""
-_NO_QUALITY = wire.QualityRecord(
+_NO_QUALITY = QualityRecord(
     heave=HeaveState.INVALID, laser=LaserState.OFF, correction=CorrectionState.OFF, reasons=("no frame yet",)
 )
 
@@ -29,11 +40,11 @@ def status_record(
     dropped: int,
     config_file: str | None,
     state_file: str | None,
-) -> wire.StatusRecord:
+) -> StatusRecord:
     """All that is known of the daemon at ``now_s`` (monotonic, as ``started_s``)."""
     frame = acquisition.last_frame
     summary = acquisition.pipeline.summary()
-    return wire.StatusRecord(
+    return StatusRecord(
         release=__version__,
         uptime_s=round(now_s - started_s, 3),
         frames=acquisition.frames,
@@ -44,7 +55,7 @@ def status_record(
         clients=clients,
         dropped=dropped,
         lead_s=wire.finite(summary.lead_s),
-        observer=wire.ObserverStatus(
+        observer=ObserverStatus(
             name=config.heave.observer,
             frequencies_hz=tuple(round(frequency_hz, 5) for frequency_hz in summary.frequencies_hz),
             resets=sum(count for (name, _), count in acquisition.pipeline.resets.items() if name == "heave"),
@@ -54,13 +65,13 @@ def status_record(
         attitude=_attitude(frame, now_s) if config.attitude.enabled else None,
         rock=wire.rock_status(summary.rock, _SHOWN_S),
         quiet=wire.quiet_status(frame.quiet) if frame is not None else None,
-        clock=wire.ClockStatus(utc_offset_s=round(utc.offset_s, 6), steps=utc.steps),
+        clock=ClockStatus(utc_offset_s=round(utc.offset_s, 6), steps=utc.steps),
         config_file=config_file,
         state_file=state_file,
     )
 
 
-def status_line(record: wire.StatusRecord) -> str:
+def status_line(record: StatusRecord) -> str:
     """``heave valid +0.12 m ± 0.03 m, 100.0 Hz, 2 clients, imu up, laser down (timeout)``"""
     parts = [f"heave {record.quality.heave.value}"]
     if record.heave.heave_m is not None:
@@ -76,30 +87,30 @@ def status_line(record: wire.StatusRecord) -> str:
     return ", ".join(parts if record.devices else [*parts, "no devices configured"])
 
 
-def _heave(frame: MotionFrame | None, now_s: float) -> wire.HeaveStatus:
+def _heave(frame: MotionFrame | None, now_s: float) -> HeaveStatus:
     if frame is None:
-        return wire.HeaveStatus()
-    return wire.HeaveStatus(
+        return HeaveStatus()
+    return HeaveStatus(
         heave_m=wire.finite(frame.heave_m),
         heave_std_m=wire.finite(frame.heave_std_m),
         age_s=wire.finite(now_s - frame.t_s),
     )
 
 
-def _quality(frame: MotionFrame | None) -> wire.QualityRecord:
+def _quality(frame: MotionFrame | None) -> QualityRecord:
     if frame is None:
         return _NO_QUALITY
     quality = frame.quality
-    return wire.QualityRecord(
+    return QualityRecord(
         heave=quality.heave, laser=quality.laser, correction=quality.correction, reasons=quality.reasons
     )
 
 
-def _hull(frame: MotionFrame | None) -> wire.HullStatus:
+def _hull(frame: MotionFrame | None) -> HullStatus:
     if frame is None or frame.hull is None:
-        return wire.HullStatus(state="no rates of both IMUs yet")
+        return HullStatus(state="no rates of both IMUs yet")
     hull = frame.hull
-    return wire.HullStatus(
+    return HullStatus(
         state=hull.state,
         z_deg=wire.degrees(hull.total_rad[2]),
         std_arcsec=wire.arcsec(max(hull.std_rad)),
@@ -108,11 +119,11 @@ def _hull(frame: MotionFrame | None) -> wire.HullStatus:
     )
 
 
-def _attitude(frame: MotionFrame | None, now_s: float) -> wire.AttitudeStatus:
+def _attitude(frame: MotionFrame | None, now_s: float) -> AttitudeStatus:
     if frame is None or frame.attitude is None:
-        return wire.AttitudeStatus()
+        return AttitudeStatus()
     motion = frame.attitude
-    return wire.AttitudeStatus(
+    return AttitudeStatus(
         heave_m=wire.finite(motion.heave_m),
         heave_std_m=wire.finite(motion.heave_std_m),
         pitch_deg=wire.degrees(motion.pitch_rad),
@@ -123,12 +134,12 @@ def _attitude(frame: MotionFrame | None, now_s: float) -> wire.AttitudeStatus:
     )
 
 
-def _devices(acquisition: Acquisition, config: Config, now_s: float) -> tuple[wire.DeviceStatus, ...]:
+def _devices(acquisition: Acquisition, config: Config, now_s: float) -> tuple[DeviceStatus, ...]:
     devices = []
     for spec in config.device:
         health = acquisition.health[spec.name]
         devices.append(
-            wire.DeviceStatus(
+            DeviceStatus(
                 name=spec.name,
                 role=spec.role,
                 up=health.up,
@@ -144,9 +155,9 @@ def _devices(acquisition: Acquisition, config: Config, now_s: float) -> tuple[wi
     return tuple(devices)
 
 
-def _correction(acquisition: Acquisition, frame: MotionFrame | None, now_s: float) -> wire.CorrectionStatus:
+def _correction(acquisition: Acquisition, frame: MotionFrame | None, now_s: float) -> CorrectionStatus:
     age_s = now_s - acquisition.accepted_s
-    return wire.CorrectionStatus(
+    return CorrectionStatus(
         state=frame.quality.correction if frame else CorrectionState.OFF,
         runs=acquisition.trainings,
         last_result=acquisition.last_training or None,

@@ -15,6 +15,7 @@ from heaved.estimation import correction, heave, quiescence, reference, rock
 from heaved.estimation.forecast_check import DOUBT, ForecastCheck
 from heaved.estimation.points import Point
 from heaved.outputs import report, wire
+from heaved.outputs.requests import Watch, parse_request
 from heaved.pipeline import Pipeline
 from heaved.replay import Columns
 from heaved.samples import GRAVITY_MPS2, ImuSample, MotionFrame, QuietForecast, QuietWindow, RockPrediction, RockScore
@@ -152,7 +153,7 @@ def test_quiet_on_the_wire() -> None:
     }  # fmt: skip
     none = json.loads(wire.encode_record(wire.quiet_record(QuietForecast(t_s=10.0), 100.0)))
     assert none == {"class": "QUIET", "time": "1970-01-01T00:01:40.000000Z", "mono_s": 10.0, "is_expected": False}
-    assert isinstance(wire.parse_request(b'?WATCH={"classes":["QUIET"]}'), wire.Watch)
+    assert isinstance(parse_request(b'?WATCH={"classes":["QUIET"]}'), Watch)
 
 
 def test_what_a_person_reads() -> None:

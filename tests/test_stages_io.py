@@ -28,6 +28,7 @@ from heaved.estimation import fusion, hull
 from heaved.estimation.hull import HullDeformation, refit
 from heaved.metrics import Metrics
 from heaved.outputs import report, stage_wire, wire
+from heaved.outputs.records import AttitudeStatus, HeaveStatus, HullStatus, QualityRecord, StatusRecord
 from heaved.replay import Columns, replay
 from heaved.samples import (
     CorrectionState,
@@ -475,11 +476,11 @@ def test_metrics_of_the_stages() -> None:
 
 
 def test_status_says_a_line_of_each() -> None:
-    quality = wire.QualityRecord(heave=HeaveState.VALID, laser=LaserState.OFF, correction=CorrectionState.OFF)
-    status = wire.StatusRecord(
-        release="1", uptime_s=1.0, frames=1, heave=wire.HeaveStatus(), quality=quality, devices=(), clients=0,
-        dropped=0, hull=wire.HullStatus(state="weak", z_deg=30.0, std_arcsec=45.0, warnings=("delay",), resets=2),
-        attitude=wire.AttitudeStatus(heave_m=0.25, heave_std_m=0.02, pitch_deg=2.0, pitch_std_deg=0.25, age_s=0.05),
+    quality = QualityRecord(heave=HeaveState.VALID, laser=LaserState.OFF, correction=CorrectionState.OFF)
+    status = StatusRecord(
+        release="1", uptime_s=1.0, frames=1, heave=HeaveStatus(), quality=quality, devices=(), clients=0,
+        dropped=0, hull=HullStatus(state="weak", z_deg=30.0, std_arcsec=45.0, warnings=("delay",), resets=2),
+        attitude=AttitudeStatus(heave_m=0.25, heave_std_m=0.02, pitch_deg=2.0, pitch_std_deg=0.25, age_s=0.05),
     )  # fmt: skip
     lines = list(report._stage_rows(status))
     assert lines[0] == "hull        weak   z +30.0000° ±45.0″   delay   started afresh 2 times"

@@ -10,11 +10,12 @@ from heaved.config.read import data_directory, load
 from heaved.daemon import make_pipeline
 from heaved.metrics import Metrics
 from heaved.outputs import wire
+from heaved.outputs.records import HeaveStatus, QualityRecord, StatusRecord
 from heaved.samples import CorrectionState, Fault, HeaveState, LaserState
 from heaved.status import status_line, status_record
 
 CONFIG = load(data_directory() / "demo.toml")
-QUALITY = wire.QualityRecord(heave=HeaveState.VALID, laser=LaserState.VALID, correction=CorrectionState.OFF)
+QUALITY = QualityRecord(heave=HeaveState.VALID, laser=LaserState.VALID, correction=CorrectionState.OFF)
 
 
 @pytest.fixture
@@ -48,7 +49,7 @@ def record_of(acquisition):
 def test_before_the_first_frame_and_poll_it_is_whole_json(acquisition):
     line = wire.encode_record(record_of(acquisition))
     assert b"null" not in line
-    assert msgspec.json.decode(line, type=wire.StatusRecord).uptime_s == 10.0
+    assert msgspec.json.decode(line, type=StatusRecord).uptime_s == 10.0
     assert wire.decode(line)["quality"] == {
         "heave": "invalid", "laser": "off", "correction": "off", "reasons": ["no frame yet"],
     }  # fmt: skip
@@ -71,7 +72,7 @@ def test_devices(acquisition):
 def test_line_when_all_is_well(acquisition):
     for health in acquisition.health.values():
         health.observe(109.0, Fault.NONE, "")
-    heave = wire.HeaveStatus(heave_m=-0.1234, heave_std_m=0.0312, age_s=0.01)
+    heave = HeaveStatus(heave_m=-0.1234, heave_std_m=0.0312, age_s=0.01)
     record = msgspec.structs.replace(record_of(acquisition), heave=heave, quality=QUALITY, rate_hz=99.97, clients=1)
     assert status_line(record) == "heave valid -0.12 m ± 0.03 m, 100.0 Hz, 1 client, imu up, laser up"
     assert status_line(msgspec.structs.replace(record, devices=())).endswith("1 client, no devices configured")

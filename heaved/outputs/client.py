@@ -11,7 +11,8 @@ from typing import Final
 
 import msgspec
 
-from heaved.outputs.wire import PROTO_MAJOR, MotionRecord, StatusRecord, VersionRecord, decode
+from heaved.outputs.records import PROTO_MAJOR, MotionRecord, StatusRecord, VersionRecord
+from heaved.outputs.wire import decode
 from heaved.samples import HeaveState
 
 _MAX_LINE_BYTES: Final = 1 << 20

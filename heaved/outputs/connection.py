@@ -9,6 +9,18 @@ from math import inf
 from typing import TYPE_CHECKING, Final, cast
 
 from heaved.outputs import wire
+from heaved.outputs.records import ErrorRecord
+from heaved.outputs.requests import (
+    ACCEPTED,
+    MAX_REQUEST_BYTES,
+    BadRequest,
+    LineSplitter,
+    Request,
+    StatusQuery,
+    VersionQuery,
+    Watch,
+    parse_request,
+)
 
 if TYPE_CHECKING:
     from heaved.outputs.publisher import Publisher
@@ -40,7 +52,7 @@ class Connection(asyncio.Protocol):
         self._transport: asyncio.Transport
         self._linger_timer: asyncio.TimerHandle | None = None
         self._discarded_bytes = 0
-        self._lines = wire.LineSplitter()
+        self._lines = LineSplitter()
         self._errors = 0
         self._requests = 0
         self._requests_since_s = -inf
@@ -86,7 +98,7 @@ class Connection(asyncio.Protocol):
         self._publisher.forget(self)
         self._transport.abort()
 
-    def _turn_away(self, refusal: wire.ErrorRecord) -> None:
+    def _turn_away(self, refusal: ErrorRecord) -> None:
         """Say why, then close. Closing at once would reset the connection of a client that is still sending, and it
         would never read the reason."""
         if not self._publisher.linger(self):
@@ -176,26 +188,26 @@ class Connection(asyncio.Protocol):
             if self._linger_timer is not None:
                 return
         if self._lines.overflow:
-            message = f"a line longer than {wire.MAX_REQUEST_BYTES} bytes: closed; {wire.ACCEPTED}"
+            message = f"a line longer than {MAX_REQUEST_BYTES} bytes: closed; {ACCEPTED}"
             self._turn_away(self._publisher.refusal("line_too_long", self.address, message))
 
-    def _read(self, line: bytes) -> wire.Request:
+    def _read(self, line: bytes) -> Request:
         now_s = self._publisher.clock()
         if now_s - self._requests_since_s >= 1.0:
             self._requests_since_s, self._requests = now_s, 0
         self._requests += 1
         if self._requests > _MAX_REQUESTS_PER_S:
-            return wire.BadRequest(f"more than {_MAX_REQUESTS_PER_S} requests in a second: send fewer")
-        return wire.parse_request(line)
+            return BadRequest(f"more than {_MAX_REQUESTS_PER_S} requests in a second: send fewer")
+        return parse_request(line)
 
-    def _obey(self, request: wire.Request) -> None:
-        if isinstance(request, wire.Watch):
+    def _obey(self, request: Request) -> None:
+        if isinstance(request, Watch):
             self.classes = frozenset(request.classes)
             self._period_s = 0.0 if request.rate_hz is None else 1.0 / request.rate_hz
             self._due_s = -inf
-        elif isinstance(request, wire.StatusQuery):
+        elif isinstance(request, StatusQuery):
             self.send(self._publisher.status_line())
-        elif isinstance(request, wire.VersionQuery):
+        elif isinstance(request, VersionQuery):
             self.send(self._publisher.greeting())
         else:
             self._complain(request.message)

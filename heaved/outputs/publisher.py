@@ -20,6 +20,7 @@ import structlog
 from heaved.outputs import wire
 from heaved.outputs.access import checked_networks, is_allowed, listen_error
 from heaved.outputs.connection import Connection
+from heaved.outputs.records import ErrorRecord, StatusRecord, VersionRecord
 from heaved.samples import MotionFrame
 
 _LOG_PERIOD_S: Final = 10.0
@@ -56,7 +57,7 @@ class Publisher:
         queue_frames: int,
         allow: tuple[str, ...],
         version: str,
-        status: Callable[[], wire.StatusRecord],
+        status: Callable[[], StatusRecord],
         metrics: StreamMetrics,
         stuck_s: float = 10.0,
         clock: Callable[[], float] = time.monotonic,
@@ -146,7 +147,7 @@ class Publisher:
 
     # What follows is for the connections.
 
-    def admit(self, client: Connection) -> wire.ErrorRecord | None:
+    def admit(self, client: Connection) -> ErrorRecord | None:
         """Serve ``client``, or say why not."""
         address = client.address
         if not is_allowed(address, self._networks):
@@ -159,7 +160,7 @@ class Publisher:
         _log.debug("stream client connected", peer=address, clients=self.clients)
         return None
 
-    def refusal(self, reason: str, address: str, message: str) -> wire.ErrorRecord:
+    def refusal(self, reason: str, address: str, message: str) -> ErrorRecord:
         """Count and log what a client did wrong, and make the record that tells it."""
         self.metrics.count_client_error(reason)
         now_s = self.clock()
@@ -168,7 +169,7 @@ class Publisher:
             self._logged_s, self._unlogged = now_s, 0
         else:
             self._unlogged += 1
-        return wire.ErrorRecord(message=message)
+        return ErrorRecord(message=message)
 
     def linger(self, client: Connection) -> bool:
         """Stop serving ``client`` but keep the connection for a moment; False when too many linger already."""
@@ -191,7 +192,7 @@ class Publisher:
         self.metrics.count_dropped("slow_client")
 
     def greeting(self) -> bytes:
-        return wire.encode_record(wire.VersionRecord(release=self._version))
+        return wire.encode_record(VersionRecord(release=self._version))
 
     def status_line(self) -> bytes:
         return wire.encode_record(self._status())

@@ -9,7 +9,7 @@ from typing import Final
 import msgspec
 
 from heaved.outputs.client import Snapshot, Trouble, Unreachable
-from heaved.outputs.wire import DeviceStatus, MotionRecord, QuietStatus, RockRecord, RockStatus, StatusRecord
+from heaved.outputs.records import DeviceStatus, MotionRecord, QuietStatus, RockRecord, RockStatus, StatusRecord
 from heaved.samples import Fault, HeaveState
 
 _FRESH_S: Final = 1.0

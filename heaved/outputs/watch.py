@@ -10,8 +10,8 @@ from contextlib import contextmanager
 from typing import Final, TextIO
 
 from heaved.outputs.client import SILENCE_S, StreamConnection, Trouble, Unreachable
+from heaved.outputs.records import MotionRecord, StatusRecord
 from heaved.outputs.report import duration, signed, spread
-from heaved.outputs.wire import MotionRecord, StatusRecord
 from heaved.samples import HeaveState
 
 _REDRAW_S: Final = 0.2

@@ -11,7 +11,7 @@ from typing import Final
 import msgspec
 
 from heaved.outputs.client import SILENCE_S, StreamConnection, Trouble, Unreachable
-from heaved.outputs.wire import MotionRecord
+from heaved.outputs.records import MotionRecord
 from heaved.simulate.compensator import Compensator, CompensatorParams, Source, Update
 from heaved.simulate.seaway import Seaway
 from heaved.simulate.winch import Winch, WinchParams, WinchState

@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 from heaved.outputs.publisher import Publisher
-from heaved.outputs.wire import DeviceStatus, HeaveStatus, QualityRecord, StatusRecord
+from heaved.outputs.records import DeviceStatus, HeaveStatus, QualityRecord, StatusRecord
 from heaved.samples import (
     CorrectionState,
     HeaveForecast,

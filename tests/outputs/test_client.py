@@ -14,11 +14,12 @@ from stream_peers import Connect, Serve, make_frame, make_status
 from heaved.outputs import wire
 from heaved.outputs.client import Trouble, Unreachable, fetch_status, is_ready, wait_until_ready
 from heaved.outputs.publisher import Publisher
+from heaved.outputs.records import MotionRecord, QualityRecord, VersionRecord
 from heaved.samples import CorrectionState, HeaveState, LaserState
 
 Play = Callable[[Callable[[socket.socket], None]], int]
 
-VERSION = wire.encode_record(wire.VersionRecord(release="9"))
+VERSION = wire.encode_record(VersionRecord(release="9"))
 STATUS = wire.encode_record(make_status())
 
 
@@ -87,7 +88,7 @@ async def test_status_of_a_daemon(serve: Serve) -> None:
     served = await serve(status=lambda: make_status(frames=321))
     async with frames(served.publisher):
         snapshot = await asyncio.to_thread(fetch_status, served.host, served.port, 10.0)
-    assert snapshot.version == wire.VersionRecord(release="1.2.3")
+    assert snapshot.version == VersionRecord(release="1.2.3")
     assert snapshot.status == make_status(frames=321)
     assert snapshot.motion is not None
     assert (snapshot.motion.heave_m, snapshot.motion.quality.heave) == (1.25, HeaveState.VALID)
@@ -185,8 +186,8 @@ def test_no_such_host(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None
 def test_what_a_compensator_may_start_on(
     heave: HeaveState, heave_m: float | None, age_s: float | None, ready: bool
 ) -> None:
-    quality = wire.QualityRecord(heave=heave, laser=LaserState.OFF, correction=CorrectionState.OFF, reasons=())
-    motion = wire.MotionRecord(seq=1, time="", mono_s=0.0, heave_m=heave_m, quality=quality, age_s=age_s)
+    quality = QualityRecord(heave=heave, laser=LaserState.OFF, correction=CorrectionState.OFF, reasons=())
+    motion = MotionRecord(seq=1, time="", mono_s=0.0, heave_m=heave_m, quality=quality, age_s=age_s)
     assert is_ready(motion) is ready
 
 

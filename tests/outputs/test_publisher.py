@@ -12,9 +12,9 @@ import pytest
 from stream_peers import Connect, Peer, Serve, Served, make_frame, make_status
 
 from heaved.outputs import publisher as publisher_module
-from heaved.outputs import wire
 from heaved.outputs.access import ListenError
 from heaved.outputs.publisher import Publisher
+from heaved.outputs.records import DelayedRecord, SeaRecord, StatusRecord
 
 
 async def connect_slow(served: Served) -> socket.socket:
@@ -203,12 +203,12 @@ async def test_status_and_version_are_answered(serve: Serve, connect: Connect) -
     peer = await connect(served)
     await peer.ask("?STATUS", "?VERSION")
     status, version = await peer.records(2)
-    assert msgspec.convert(status, wire.StatusRecord) == make_status(clients=17)
+    assert msgspec.convert(status, StatusRecord) == make_status(clients=17)
     assert version["release"] == "1.2.3"
 
 
 async def test_watch_chooses_classes(serve: Serve, connect: Connect) -> None:
-    sea_record = wire.SeaRecord(
+    sea_record = SeaRecord(
         time="2026-01-01T00:00:00.000000Z", significant_height_m=2.5, peak_period_s=9.0, mean_period_s=7.5,
         is_still=False, systems=(), frequencies_hz=(), spectrum_m2phz=(), model="", window_s=600.0,
     )  # fmt: skip
@@ -224,9 +224,9 @@ async def test_watch_chooses_classes(serve: Serve, connect: Connect) -> None:
     assert served.publisher.is_watched("SEA")
     assert not served.publisher.is_watched("DELAYED")
     served.publisher.publish_record(sea_record)
-    served.publisher.publish_record(wire.DelayedRecord(time="", mono_s=1.0, heave_m=0.5, std_m=0.01))
+    served.publisher.publish_record(DelayedRecord(time="", mono_s=1.0, heave_m=0.5, std_m=0.01))
     assert [record["class"] for record in await both.settle()] == ["MOTION", "SEA"]
-    assert [msgspec.convert(record, wire.SeaRecord) for record in await sea.settle()] == [sea_record]
+    assert [msgspec.convert(record, SeaRecord) for record in await sea.settle()] == [sea_record]
     assert await nothing.settle() == []
     assert served.counts.sent == 1
 

@@ -11,6 +11,17 @@ from stream_peers import make_frame, make_status
 
 from heaved.outputs import wire
 from heaved.outputs.client import Snapshot, Trouble, Unreachable
+from heaved.outputs.records import (
+    ClockStatus,
+    CorrectionStatus,
+    DeviceStatus,
+    HeaveStatus,
+    MotionRecord,
+    ObserverStatus,
+    QualityRecord,
+    StatusRecord,
+    VersionRecord,
+)
 from heaved.outputs.report import CheckState, check_line, duration, json_text, table
 from heaved.samples import CorrectionState, HeaveState, LaserState
 
@@ -18,23 +29,23 @@ from heaved.samples import CorrectionState, HeaveState, LaserState
 PERFORMANCE = re.compile(r"[a-z_]+=-?[0-9.e-]+[a-z]*;;;;")
 
 
-def motion(age_s: float = 0.002) -> wire.MotionRecord:
+def motion(age_s: float = 0.002) -> MotionRecord:
     frame = make_frame(5.0)
     line = wire.encode_motion(frame, seq=1, utc_s=1767225600.0, sent_mono_s=5.0 + age_s)
-    return msgspec.json.decode(line, type=wire.MotionRecord)
+    return msgspec.json.decode(line, type=MotionRecord)
 
 
-def quality(heave: HeaveState, *reasons: str) -> wire.QualityRecord:
-    return wire.QualityRecord(
+def quality(heave: HeaveState, *reasons: str) -> QualityRecord:
+    return QualityRecord(
         heave=heave, laser=LaserState.VALID, correction=CorrectionState.ACTIVE, reasons=tuple(reasons)
     )
 
 
-def snapshot(status: wire.StatusRecord | None = None, frame: wire.MotionRecord | None = None) -> Snapshot:
-    return Snapshot(version=wire.VersionRecord(release="1.2.3"), status=status or make_status(), motion=frame)
+def snapshot(status: StatusRecord | None = None, frame: MotionRecord | None = None) -> Snapshot:
+    return Snapshot(version=VersionRecord(release="1.2.3"), status=status or make_status(), motion=frame)
 
 
-LASER_DOWN = wire.DeviceStatus(
+LASER_DOWN = DeviceStatus(
     name="laser",
     role="laser",
     up=False,
@@ -65,8 +76,8 @@ IMU = make_status().devices[0]
             "CRITICAL - heave invalid (no IMU)",
         ),
         (snapshot(frame=motion(age_s=1.5)), CheckState.CRITICAL, "last frame is 1.5 s old"),
-        (snapshot(make_status(heave=wire.HeaveStatus(age_s=90.0))), CheckState.CRITICAL, "last frame is 90.0 s old"),
-        (snapshot(make_status(heave=wire.HeaveStatus())), CheckState.CRITICAL, "no frame yet"),
+        (snapshot(make_status(heave=HeaveStatus(age_s=90.0))), CheckState.CRITICAL, "last frame is 90.0 s old"),
+        (snapshot(make_status(heave=HeaveStatus())), CheckState.CRITICAL, "no frame yet"),
         (Unreachable(Trouble.REFUSED, "h:1: Connection refused"), CheckState.CRITICAL, "CRITICAL - h:1: Connection"),
         (Unreachable(Trouble.SILENT, "h:1: connected,\nbut"), CheckState.CRITICAL, "CRITICAL - h:1: connected, but"),
         (Unreachable(Trouble.TURNED_AWAY, "h:1: full"), CheckState.CRITICAL, "h:1: full"),
@@ -107,9 +118,9 @@ def test_table_shows_what_there_is() -> None:
         devices=(IMU, LASER_DOWN),
         lead_s=0.0123,
         dropped=44,
-        observer=wire.ObserverStatus(name="sea", frequencies_hz=(0.121, 0.2104), fit_age_s=12.0, resets=3),
-        correction=wire.CorrectionStatus(state=CorrectionState.ACTIVE, runs=12, last_result="accepted", age_s=35.0),
-        clock=wire.ClockStatus(utc_offset_s=1.7e9, steps=2),
+        observer=ObserverStatus(name="sea", frequencies_hz=(0.121, 0.2104), fit_age_s=12.0, resets=3),
+        correction=CorrectionStatus(state=CorrectionState.ACTIVE, runs=12, last_result="accepted", age_s=35.0),
+        clock=ClockStatus(utc_offset_s=1.7e9, steps=2),
         config_file="/etc/heaved/heaved.toml",
         state_file="/var/lib/heaved/state.json",
         quality=quality(HeaveState.DEGRADED, "laser and estimate disagree"),
@@ -142,7 +153,7 @@ def test_table_shows_what_there_is() -> None:
 
 
 def test_table_of_a_daemon_that_knows_nothing_yet() -> None:
-    status = make_status(heave=wire.HeaveStatus(), devices=(), rate_hz=None, quality=quality(HeaveState.SETTLING))
+    status = make_status(heave=HeaveStatus(), devices=(), rate_hz=None, quality=quality(HeaveState.SETTLING))
     text = table(snapshot(status))
     assert "no frame yet" in text
     assert "no frame came while waiting" in text

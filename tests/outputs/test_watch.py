@@ -12,15 +12,16 @@ import pytest
 from stream_peers import Serve, make_frame, make_status
 
 from heaved.outputs import wire
+from heaved.outputs.records import MotionRecord
 from heaved.outputs.watch import View, bar, big, watch
 from heaved.samples import HeaveState
 
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 
 
-def motion(heave: HeaveState = HeaveState.VALID, **changes: object) -> wire.MotionRecord:
+def motion(heave: HeaveState = HeaveState.VALID, **changes: object) -> MotionRecord:
     line = wire.encode_motion(make_frame(5.0, heave), seq=1, utc_s=1767225600.0, sent_mono_s=5.002)
-    return msgspec.structs.replace(msgspec.json.decode(line, type=wire.MotionRecord), **changes)
+    return msgspec.structs.replace(msgspec.json.decode(line, type=MotionRecord), **changes)
 
 
 def drawn(view: View, now_s: float, width: int = 100) -> str:

@@ -12,6 +12,19 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from heaved.outputs import wire
+from heaved.outputs.records import DeviceStatus, ErrorRecord, HeaveStatus, QualityRecord, StatusRecord, VersionRecord
+from heaved.outputs.requests import (
+    ACCEPTED,
+    MAX_REQUEST_BYTES,
+    STREAM_CLASSES,
+    BadRequest,
+    LineSplitter,
+    Request,
+    StatusQuery,
+    VersionQuery,
+    Watch,
+    parse_request,
+)
 from heaved.samples import (
     CorrectionState,
     DelayedHeave,
@@ -218,10 +231,10 @@ def test_time_is_utc_to_the_microsecond(microseconds: int) -> None:
 
 
 def test_records_that_are_not_known_are_left_out() -> None:
-    device = wire.DeviceStatus(name="imu", role="imu", up=False)
-    status = wire.StatusRecord(
-        release="1", uptime_s=1.0, frames=0, heave=wire.HeaveStatus(), devices=(device,), clients=0, dropped=0,
-        quality=wire.QualityRecord(
+    device = DeviceStatus(name="imu", role="imu", up=False)
+    status = StatusRecord(
+        release="1", uptime_s=1.0, frames=0, heave=HeaveStatus(), devices=(device,), clients=0, dropped=0,
+        quality=QualityRecord(
             heave=HeaveState.INVALID, laser=LaserState.OFF, correction=CorrectionState.OFF, reasons=()
         ),
     )  # fmt: skip
@@ -230,25 +243,25 @@ def test_records_that_are_not_known_are_left_out() -> None:
         "devices": [{"name": "imu", "role": "imu", "up": False}],
         "quality": {"heave": "invalid", "laser": "off", "correction": "off", "reasons": []},
     }  # fmt: skip
-    assert wire.encode_record(wire.VersionRecord(release="1.2.3")) == (
+    assert wire.encode_record(VersionRecord(release="1.2.3")) == (
         b'{"class":"VERSION","release":"1.2.3","proto_major":1,"proto_minor":1}\n'
     )
-    assert wire.encode_record(wire.ErrorRecord(message="no")) == b'{"class":"ERROR","message":"no"}\n'
+    assert wire.encode_record(ErrorRecord(message="no")) == b'{"class":"ERROR","message":"no"}\n'
 
 
 @pytest.mark.parametrize(
     ("line", "request_"),
     [
-        (b'?WATCH={"classes":["MOTION","SEA"],"rate_hz":10}', wire.Watch(classes=("MOTION", "SEA"), rate_hz=10.0)),
-        (b'?WATCH={"rate_hz":0.5}\r', wire.Watch(rate_hz=0.5)),
-        (b'?WATCH={"classes":[]}', wire.Watch(classes=())),
-        (b"?WATCH={}", wire.Watch(classes=("MOTION",), rate_hz=None)),
-        (b"?STATUS", wire.StatusQuery()),
-        (b"?VERSION\r\n", wire.VersionQuery()),
+        (b'?WATCH={"classes":["MOTION","SEA"],"rate_hz":10}', Watch(classes=("MOTION", "SEA"), rate_hz=10.0)),
+        (b'?WATCH={"rate_hz":0.5}\r', Watch(rate_hz=0.5)),
+        (b'?WATCH={"classes":[]}', Watch(classes=())),
+        (b"?WATCH={}", Watch(classes=("MOTION",), rate_hz=None)),
+        (b"?STATUS", StatusQuery()),
+        (b"?VERSION\r\n", VersionQuery()),
     ],
 )
-def test_requests(line: bytes, request_: wire.Request) -> None:
-    assert wire.parse_request(line) == request_
+def test_requests(line: bytes, request_: Request) -> None:
+    assert parse_request(line) == request_
 
 
 @pytest.mark.parametrize(
@@ -270,10 +283,10 @@ def test_requests(line: bytes, request_: wire.Request) -> None:
     ],
 )
 def test_anything_else_is_told_what_was_wrong_and_what_is_accepted(line: bytes, said: str) -> None:
-    answer = wire.parse_request(line)
-    assert isinstance(answer, wire.BadRequest)
+    answer = parse_request(line)
+    assert isinstance(answer, BadRequest)
     assert said in answer.message
-    assert wire.ACCEPTED in answer.message
+    assert ACCEPTED in answer.message
 
 
 @settings(deadline=None, derandomize=True)
@@ -282,19 +295,19 @@ def test_anything_else_is_told_what_was_wrong_and_what_is_accepted(line: bytes, 
         st.binary(max_size=600),
         st.binary(max_size=500).map(lambda tail: b"?WATCH=" + tail),
         st.recursive(
-            st.none() | st.booleans() | st.floats() | st.text(max_size=8) | st.sampled_from(wire.STREAM_CLASSES),
+            st.none() | st.booleans() | st.floats() | st.text(max_size=8) | st.sampled_from(STREAM_CLASSES),
             lambda inner: st.lists(inner, max_size=3)
             | st.dictionaries(st.sampled_from(["classes", "rate_hz", "x"]), inner, max_size=3),
         ).map(lambda value: b"?WATCH=" + json.dumps(value).encode()),
     )
 )
 def test_no_line_raises(line: bytes) -> None:
-    request = wire.parse_request(line)
-    assert isinstance(request, wire.Watch | wire.StatusQuery | wire.VersionQuery | wire.BadRequest)
-    if isinstance(request, wire.BadRequest):
-        strict(wire.encode_record(wire.ErrorRecord(message=request.message)))
-    if isinstance(request, wire.Watch):
-        assert set(request.classes) <= set(wire.STREAM_CLASSES)
+    request = parse_request(line)
+    assert isinstance(request, Watch | StatusQuery | VersionQuery | BadRequest)
+    if isinstance(request, BadRequest):
+        strict(wire.encode_record(ErrorRecord(message=request.message)))
+    if isinstance(request, Watch):
+        assert set(request.classes) <= set(STREAM_CLASSES)
         assert request.rate_hz is None or 0.0 < request.rate_hz < math.inf
 
 
@@ -306,12 +319,12 @@ def test_pieces_do_not_matter_to_the_splitter(data: bytes, cuts: list[int]) -> N
     for cut in [*sorted(cut for cut in cuts if cut <= len(data)), len(data)]:
         pieces.append(data[start:cut])
         start = cut
-    whole, parts, bytewise = wire.LineSplitter(), wire.LineSplitter(), wire.LineSplitter()
+    whole, parts, bytewise = LineSplitter(), LineSplitter(), LineSplitter()
     lines = whole.feed(data)
     assert [line for piece in pieces for line in parts.feed(piece)] == lines
     assert [line for byte in data for line in bytewise.feed(bytes([byte]))] == lines
     assert parts.overflow == bytewise.overflow == whole.overflow
-    too_long = [len(line) + 1 > wire.MAX_REQUEST_BYTES for line in data.split(b"\n")]
+    too_long = [len(line) + 1 > MAX_REQUEST_BYTES for line in data.split(b"\n")]
     assert whole.overflow == any(too_long)
     expected = data.split(b"\n")[:-1]
     assert lines == (expected[: too_long.index(True)] if whole.overflow else expected)

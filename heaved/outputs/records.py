@@ -1,0 +1,288 @@
+"""What the stream says: a record for each class of line, ``class`` first.
+
+What is not known is left out, never ``null`` or ``NaN``; angles are in degrees, times ISO 8601 UTC, signs those of
+:mod:`heaved.samples`. HULL and ATTITUDE are in :mod:`heaved.outputs.stage_wire`.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import msgspec
+
+from heaved.samples import CorrectionState, HeaveState, LaserState
+
+PROTO_MAJOR: Final = 1
+PROTO_MINOR: Final = 1
+
+
+class VersionRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class", tag="VERSION"):
+    """First line of every connection, and the answer to ``?VERSION``."""
+
+    release: str
+    proto_major: int = PROTO_MAJOR
+    """Changes when an old client would misread the stream."""
+    proto_minor: int = PROTO_MINOR
+    """Changes when fields or classes are added."""
+
+
+class ErrorRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class", tag="ERROR"):
+    message: str
+
+
+class QualityRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    heave: HeaveState
+    laser: LaserState
+    correction: CorrectionState
+    reasons: tuple[str, ...] = ()
+
+
+class RockRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_defaults=True):
+    """Attitude predicted for ``horizon_s`` after the time of validity; standard deviations of the prediction error, and
+    half-widths of the interval that holds 95 % of what is measured then."""
+
+    horizon_s: float
+    roll_deg: float | None = None
+    pitch_deg: float | None = None
+    yaw_deg: float | None = None
+    roll_std_deg: float | None = None
+    pitch_std_deg: float | None = None
+    yaw_std_deg: float | None = None
+    roll_interval_deg: float | None = None
+    pitch_interval_deg: float | None = None
+    yaw_interval_deg: float | None = None
+
+
+class ForecastRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_defaults=True):
+    """Heave predicted for ``horizon_s`` after the time of validity."""
+
+    horizon_s: float
+    heave_m: float | None = None
+    std_m: float | None = None
+
+
+class PointRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_defaults=True):
+    """A monitoring point, as configured."""
+
+    name: str
+    heave_m: float | None = None
+    heave_velocity_mps: float | None = None
+
+
+class MotionRecord(
+    msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_defaults=True, tag_field="class", tag="MOTION"
+):
+    """One frame. ``age_s`` and ``dropped`` are last, because :func:`motion_tail` writes them."""
+
+    seq: int
+    """Counts the frames of the daemon since its start."""
+    time: str
+    """UTC of validity, microseconds."""
+    mono_s: float
+    """The daemon's monotonic clock at validity."""
+    heave_m: float | None = None
+    heave_std_m: float | None = None
+    heave_velocity_mps: float | None = None
+    heave_acceleration_mps2: float | None = None
+    observer_m: float | None = None
+    correction_m: float | None = None
+    lead_s: float | None = None
+    reference_m: float | None = None
+    roll_deg: float | None = None
+    pitch_deg: float | None = None
+    yaw_deg: float | None = None
+    crane_roll_deg: float | None = None
+    """Attitude of the crane base, once the hull's deformation has converged."""
+    crane_pitch_deg: float | None = None
+    crane_yaw_deg: float | None = None
+    compensation_lead_s: float | None = None
+    """Heave, its standard deviation and velocity, and the points are for this long after ``time``; absent: 0."""
+    points: tuple[PointRecord, ...] = ()
+    rock: tuple[RockRecord, ...] = ()
+    forecast: tuple[ForecastRecord, ...] = ()
+    quality: QualityRecord
+    age_s: float | None = None
+    """From validity to the moment the line was given to the socket."""
+    dropped: int | None = None
+    """Frames that this client lost just before this one, because it did not keep up."""
+
+
+class WaveSystemRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """One peak of the heave spectrum."""
+
+    kind: str
+    significant_height_m: float
+    peak_period_s: float
+
+
+class SeaRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class", tag="SEA"):
+    """The sea as the heave shows it, with each refit."""
+
+    time: str
+    """UTC of the end of the record that it comes from."""
+    significant_height_m: float
+    peak_period_s: float
+    mean_period_s: float
+    is_still: bool
+    systems: tuple[WaveSystemRecord, ...]
+    """Swell and wind sea, longest waves first."""
+    frequencies_hz: tuple[float, ...]
+    spectrum_m2phz: tuple[float, ...]
+    """One-sided heave spectrum."""
+    model: str
+    window_s: float
+    """Length of the record that it was fitted to."""
+
+
+class DelayedRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class", tag="DELAYED"):
+    """Delayed heave: exact, and old."""
+
+    time: str
+    """UTC of validity."""
+    mono_s: float
+    heave_m: float
+    std_m: float
+
+
+class QuietRecord(
+    msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag_field="class", tag="QUIET"
+):
+    """The next quiet window, once a second; without one, ``is_expected`` is false and its fields are absent."""
+
+    time: str
+    """UTC at which it was foreseen."""
+    mono_s: float
+    is_expected: bool
+    start: str | None = None
+    """UTC of its beginning."""
+    start_s: float | None = None
+    """The same, from ``time`` on."""
+    length_s: float | None = None
+    confidence: float | None = None
+    """Probability that it is quiet for the time that was asked for."""
+    best_confidence: float | None = None
+    """Of the surest window within the look-ahead; absent while nothing has been learned."""
+
+
+class RockStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """How the predictions of an axis for a horizon have fared over the last minutes."""
+
+    axis: str
+    horizon_s: float
+    error_deg: float | None = None
+    """RMS."""
+    coverage: float | None = None
+    """Share of the measured angles within their 95 % interval."""
+
+
+class QuietStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """As the QUIET record has it."""
+
+    is_expected: bool
+    start_s: float | None = None
+    length_s: float | None = None
+    confidence: float | None = None
+    best_confidence: float | None = None
+
+
+class HeaveStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The last frame, so that a status line is complete even when no frame flows."""
+
+    heave_m: float | None = None
+    heave_std_m: float | None = None
+    age_s: float | None = None
+    """Age of the last frame when the status was made."""
+
+
+class DeviceStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    name: str
+    role: str
+    up: bool
+    link: str = ""
+    rate_hz: float | None = None
+    """Good samples a second, measured."""
+    wanted_rate_hz: float | None = None
+    results: dict[str, int] = {}
+    """Polls since the start, counted by :class:`heaved.samples.Fault` value (``none`` is a good one)."""
+    last_fault: str | None = None
+    last_fault_age_s: float | None = None
+    detail: str = ""
+    """What is wrong and what to do, for a person."""
+
+
+class ObserverStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    name: str
+    """As ``[heave] observer`` has it."""
+    frequencies_hz: tuple[float, ...] = ()
+    """Centre frequencies of the sea model in use."""
+    fit_age_s: float | None = None
+    resets: int = 0
+
+
+class CorrectionStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    state: CorrectionState
+    runs: int = 0
+    """Trainings finished since the start, of any result."""
+    last_result: str | None = None
+    age_s: float | None = None
+    """Since the network in use was accepted."""
+
+
+class HullStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The last HULL in short."""
+
+    state: str
+    z_deg: float | None = None
+    std_arcsec: float | None = None
+    """Of the worst axis."""
+    warnings: tuple[str, ...] = ()
+    resets: int = 0
+
+
+class AttitudeStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The last ATTITUDE in short; without numbers before the first."""
+
+    heave_m: float | None = None
+    heave_std_m: float | None = None
+    pitch_deg: float | None = None
+    pitch_std_deg: float | None = None
+    age_s: float | None = None
+    cautions: tuple[str, ...] = ()
+    resets: int = 0
+
+
+class ClockStatus(msgspec.Struct, frozen=True, kw_only=True):
+    utc_offset_s: float
+    """UTC minus the monotonic clock."""
+    steps: int = 0
+    """Steps of the system's UTC since the start."""
+
+
+class StatusRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag_field="class", tag="STATUS"):
+    """The daemon's state, for people, monitoring and the answer to ``?STATUS``. Not-finite numbers must be ``None``."""
+
+    release: str
+    uptime_s: float
+    frames: int
+    """Frames made since the start."""
+    rate_hz: float | None = None
+    """Frames a second, measured over the last seconds."""
+    heave: HeaveStatus
+    quality: QualityRecord
+    devices: tuple[DeviceStatus, ...]
+    clients: int
+    dropped: int
+    """Lines dropped for slow clients since the start, all clients together."""
+    lead_s: float | None = None
+    observer: ObserverStatus | None = None
+    correction: CorrectionStatus | None = None
+    hull: HullStatus | None = None
+    """When [hull] is enabled."""
+    attitude: AttitudeStatus | None = None
+    """When [attitude] is enabled."""
+    rock: tuple[RockStatus, ...] = ()
+    """Of 150 ms and 1 s, where they are predicted."""
+    quiet: QuietStatus | None = None
+    clock: ClockStatus | None = None
+    config_file: str | None = None
+    state_file: str | None = None
