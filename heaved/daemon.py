@@ -33,34 +33,22 @@ from heaved.devices.line import buses
 from heaved.devices.modbus import Bus
 from heaved.devices.profile import DeviceSpec
 from heaved.devices.timer import PeriodicTimer
-from heaved.estimation.hull import RefitJob
-from heaved.estimation.sea_window import SeaFit, SeaWindow
 from heaved.estimation.stages import Stages
 from heaved.logs import configure_logging
 from heaved.metrics import Metrics
-from heaved.outputs import stage_wire, wire
 from heaved.outputs.access import ListenError
+from heaved.outputs.feed import Feed
 from heaved.outputs.http import HttpServer, liveness, readiness
 from heaved.outputs.publisher import Publisher
 from heaved.outputs.records import StatusRecord
 from heaved.pipeline import Pipeline, PipelineState
 from heaved.realtime import freeze_memory, set_real_time
-from heaved.samples import (
-    CraftMotion,
-    DelayedHeave,
-    HullAngles,
-    MotionFrame,
-    SeaState,
-    TrainedNetwork,
-    TrainingWindow,
-)
+from heaved.samples import MotionFrame
 from heaved.sdnotify import Notifier
 from heaved.state import Memory, StateFile, state_directory
 from heaved.status import status_line, status_record
 from heaved.tasks import cancelled, in_time, supervise
-from heaved.training import hull_fitter
-from heaved.training.hull_fitter import HullFit
-from heaved.training.process import FITTER, HULL_FITTER, TRAINER, Worker
+from heaved.workers import Workers
 
 __all__ = ["Daemon", "configure_logging", "run"]
 
@@ -82,6 +70,7 @@ class Daemon:
     Attributes:
         addresses: where it listens, by ``stream`` and ``http``, once started.
         config: in force.
+        workers: the processes that learn.
     """
 
     def __init__(
@@ -102,13 +91,14 @@ class Daemon:
         self.addresses: dict[str, tuple[str, int]] = {}
         self.metrics = Metrics(__version__)
         self.utc = UtcClock(clock, realtime)
-        self.acquisition = Acquisition(
+        self.workers = Workers(lambda: self.acquisition, self.metrics)
+        self.acquisition: Acquisition = Acquisition(
             make_pipeline(config),
             metrics=self.metrics,
             publish=self._publish,
-            train=self._train,
-            fit=self._fit,
-            refit=self._refit,
+            train=self.workers.train,
+            fit=self.workers.fit,
+            refit=self.workers.refit,
             publish_stages=self._publish_stages,
             clock=clock,
         )
@@ -129,16 +119,8 @@ class Daemon:
         self._fed_s = -1.0
         self._fed_frames = 0
         self._publisher = self._make_publisher()
+        self._feed = Feed(self._publisher, self.utc)
         self._http = self._make_http() if config.http.enabled else None
-        self._trainer: Worker[TrainedNetwork] | None = None
-        self._fitter: Worker[SeaFit] | None = None
-        self._hull_fitter: Worker[HullFit] | None = None
-        self._hull_jobs = 0
-        self._troubles: dict[str, str] = {}
-        self._sea_sent: SeaState | None = None
-        self._delayed_sent: DelayedHeave | None = None
-        self._hull_sent: HullAngles | None = None
-        self._attitude_sent: CraftMotion | None = None
 
     # ---- start and stop ----------------------------------------------------------------------------------------------
 
@@ -158,7 +140,7 @@ class Daemon:
             raise
         self.memory.restore(self.acquisition.pipeline.restore)
         await self._poll_devices()
-        await self._have_workers()
+        await self.workers.have(self.config)
         self._supervise("heartbeat", self._beat)
         self._supervise("housekeeping", self._keep_house)
         self._supervise("state", partial(self.memory.keep_saving, self.config.state.save_period_s))
@@ -175,13 +157,8 @@ class Daemon:
         parts: dict[str, Awaitable[object]] = {
             "stream": self._publisher.close(0.5 * _STOP_S),
             "state": self.memory.save(),
+            **self.workers.stopping(),
         }
-        if self._trainer is not None:
-            parts["trainer"] = self._trainer.stop()
-        if self._fitter is not None:
-            parts["fitter"] = self._fitter.stop()
-        if self._hull_fitter is not None:
-            parts["hull fitter"] = self._hull_fitter.stop()
         if self._http is not None:
             parts["http"] = self._http.close()
         is_clean &= all(await asyncio.gather(*(in_time(name, part, _STOP_S) for name, part in parts.items())))
@@ -204,37 +181,6 @@ class Daemon:
 
     async def _poll(self, devices: tuple[DeviceSpec, ...]) -> None:
         await Bus(devices, self.acquisition.on_poll, self._clock).run()
-
-    async def _have_workers(self) -> None:
-        """A trainer process runs when there is something to learn, a fitter when there is a sea to fit, and only then:
-        they take memory."""
-        wanted = self.config.correction.enabled and has_laser(self.config)
-        if wanted and self._trainer is None:
-            self._trainer = Worker(
-                "trainer", TrainedNetwork, self._trained, partial(self._worker_failed, "trainer"), command=TRAINER
-            )
-            await self._trainer.start()
-        elif not wanted and self._trainer is not None:
-            await self._trainer.stop()
-            self._trainer = None
-        wanted = self.config.heave.observer == "sea"
-        if wanted and self._fitter is None:
-            self._fitter = Worker(
-                "fitter", SeaFit, self._fitted, partial(self._worker_failed, "fitter"), command=FITTER
-            )
-            await self._fitter.start()
-        elif not wanted and self._fitter is not None:
-            await self._fitter.stop()
-            self._fitter = None
-        wanted = self.config.hull.enabled and self.config.hull.refit_after_s > 0.0
-        if wanted and self._hull_fitter is None:
-            self._hull_fitter = Worker(
-                "hull fitter", HullFit, self._refitted, partial(self._worker_failed, "hull fitter"), command=HULL_FITTER
-            )
-            await self._hull_fitter.start()
-        elif not wanted and self._hull_fitter is not None:
-            await self._hull_fitter.stop()
-            self._hull_fitter = None
 
     def _supervise(self, name: str, run: Callable[[], Awaitable[None]]) -> None:
         self._tasks[name] = asyncio.create_task(supervise(name, run), name=name)
@@ -263,12 +209,12 @@ class Daemon:
         self.config = msgspec.structs.replace(new, **later)
         for table in later:
             _log.warning(f"[{table}] has changed: restart the daemon to bring it into force")
-        if any(getattr(new, table) != getattr(old, table) for table in _AT_ONCE) or has_laser(new) != has_laser(old):
+        if any(getattr(new, table) != getattr(old, table) for table in _AT_ONCE) or new.has_laser != old.has_laser:
             self._replace_pipeline()
-            await self._have_workers()
+            await self.workers.have(self.config)
         if new.hull != old.hull:
             self.acquisition.pipeline.stages.configure_hull(new.hull)
-            await self._have_workers()
+            await self.workers.have(self.config)
         if new.attitude != old.attitude:
             self.acquisition.pipeline.stages.configure_attitude(new.attitude)
         if new.device != old.device:
@@ -325,15 +271,11 @@ class Daemon:
         status = self.status()
         self._publisher.publish_record(status)
         frame = self.acquisition.last_frame
-        if frame is not None and frame.sea is not None and frame.sea is not self._sea_sent:
-            self._sea_sent = frame.sea
-            self._publisher.publish_record(wire.sea_record(frame.sea, self.utc.utc_s(frame.sea.t_s)))
         if frame is not None:
+            self._feed.outlook(frame)
             self.metrics.record_sea(frame)
             self.metrics.record_stages(frame)
             self.metrics.record_quiet(frame.quiet)
-            if frame.quiet is not None:
-                self._publisher.publish_record(wire.quiet_record(frame.quiet, self.utc.utc_s(frame.quiet.t_s)))
         self.metrics.record_rock(self.acquisition.pipeline.rock_scores())
         self._notifier.notify(f"STATUS={status_line(status)}")
 
@@ -354,68 +296,14 @@ class Daemon:
         )
 
     def _publish(self, frame: MotionFrame) -> None:
-        self._publisher.publish(frame, utc_s=self.utc.utc_s(frame.t_s))
-        delayed = frame.delayed
-        if delayed is not None and delayed is not self._delayed_sent:
-            self._delayed_sent = delayed
-            if self._publisher.is_watched("DELAYED"):
-                self._publisher.publish_record(wire.delayed_record(delayed, self.utc.utc_s(delayed.t_s)))
+        self._feed.motion(frame)
         if not self._is_ready:
             self._is_ready = True
             self._notifier.notify("READY=1", "STATUS=running")
 
     def _publish_stages(self) -> None:
         stages = self.acquisition.pipeline.stages
-        hull, attitude = stages.angles, stages.motion
-        if hull is not None and hull is not self._hull_sent:
-            self._hull_sent = hull
-            if self._publisher.is_watched("HULL"):
-                self._publisher.publish_record(stage_wire.hull_record(hull, self.utc.utc_s(hull.t_s)))
-        if attitude is not None and attitude is not self._attitude_sent:
-            self._attitude_sent = attitude
-            if self._publisher.is_watched("ATTITUDE"):
-                self._publisher.publish_record(stage_wire.attitude_record(attitude, self.utc.utc_s(attitude.t_s)))
-
-    def _train(self, window: TrainingWindow) -> None:
-        if self._trainer is not None:
-            self._trainer.submit(window)
-
-    def _fit(self, window: SeaWindow) -> None:
-        if self._fitter is not None:
-            self._fitter.submit(window)
-
-    def _trained(self, network: TrainedNetwork) -> None:
-        self._works_again("trainer")
-        self.acquisition.accept(network)
-
-    def _fitted(self, fit: SeaFit) -> None:
-        self._works_again("fitter")
-        self.acquisition.accept_fit(fit)
-
-    def _refit(self, job: RefitJob) -> None:
-        if self._hull_fitter is not None:
-            self._hull_jobs += 1
-            self._hull_fitter.submit(hull_fitter.pack(self._hull_jobs, job))
-
-    def _refitted(self, fit: HullFit) -> None:
-        self._works_again("hull fitter")
-        if fit.number == self._hull_jobs:  # Else it is the answer to a job of an earlier configuration.
-            self.acquisition.accept_refit(hull_fitter.unpack(fit))
-
-    def _works_again(self, name: str) -> None:
-        if self._troubles.pop(name, ""):
-            _log.info(f"the {name} works again")
-
-    def _worker_failed(self, name: str, reason: str) -> None:
-        if name == "hull fitter":
-            self.acquisition.accept_refit(None)
-        else:
-            runs = self.metrics.training_runs if name == "trainer" else self.metrics.sea_fits
-            runs.labels("failed").inc()
-        trouble = reason.split(";")[0]  # Without the growing pause before the next start.
-        if trouble != self._troubles.get(name):
-            self._troubles[name] = trouble
-            _log.warning(f"the {name} has failed: the stream goes on with what was learned", reason=reason)
+        self._feed.stages(stages.angles, stages.motion)
 
     def _make_publisher(self) -> Publisher:
         stream = self.config.stream
@@ -445,10 +333,6 @@ class Daemon:
         )
 
 
-def has_laser(config: Config) -> bool:
-    return any(device.role == "laser" for device in config.device)
-
-
 def make_pipeline(config: Config, stages: Stages | None = None) -> Pipeline:
     """``stages``: to be gone on with; new ones by default."""
     return Pipeline(
@@ -456,7 +340,7 @@ def make_pipeline(config: Config, stages: Stages | None = None) -> Pipeline:
         laser=config.laser,
         correction=config.correction,
         rock=config.rock,
-        has_laser=has_laser(config),
+        has_laser=config.has_laser,
         point=config.point,
         lead_s=config.compensation.lead_s,
         stages=stages or Stages(config.hull, config.attitude, refit_inline=False),

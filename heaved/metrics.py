@@ -44,155 +44,153 @@ class DeviceMetrics:
         self._reconnects.inc()
 
 
+class _Table:
+    """Makes the metrics of one registry. Series exist from the start where their labels are known: a rate over a
+    counter that appears with its first event misses that event."""
+
+    def __init__(self, registry: CollectorRegistry) -> None:
+        self._registry = registry
+
+    def gauge(self, name: str, what: str, *labels: str) -> Gauge:
+        return Gauge(name, what, labels, registry=self._registry)
+
+    def unknown(self, name: str, what: str) -> Gauge:
+        """A gauge that is not known yet."""
+        gauge = self.gauge(name, what)
+        gauge.set(nan)
+        return gauge
+
+    def counter(self, name: str, what: str, *labels: str) -> Counter:
+        return Counter(name, what, labels, registry=self._registry)
+
+    def results(self, name: str, what: str, *values: str, label: str = "result") -> Counter:
+        """A counter by one label, of which these values are known."""
+        counter = self.counter(name, what, label)
+        for value in values:
+            counter.labels(value)
+        return counter
+
+    def histogram(self, name: str, what: str, buckets: tuple[float, ...], *labels: str) -> Histogram:
+        return Histogram(name, what, labels, registry=self._registry, buckets=buckets)
+
+
 class Metrics:
     """One per daemon, with a registry of its own. What is not known yet is NaN, as Prometheus has it."""
 
     def __init__(self, release: str) -> None:
         disable_created_metrics()  # type: ignore[no-untyped-call]  # A time of creation beside every counter is noise.
-        registry = CollectorRegistry()
-        self._registry = registry
+        self._registry = CollectorRegistry()
+        Info("heaved_build", "Release of the daemon.", registry=self._registry).info({"version": release})
+        table = _Table(self._registry)
+        self._have_devices(table)
+        self._have_heave(table)
+        self._have_learning(table)
+        self._have_sea(table)
+        self._have_stages(table)
+        self._have_rock(table)
+        self._have_stream(table)
+        self._have_daemon(table)
 
-        Info("heaved_build", "Release of the daemon.", registry=registry).info({"version": release})
-        self.device_up = Gauge(
-            "heaved_device_up", "1 while the device gives good samples.", ["device"], registry=registry
+    def _have_devices(self, table: _Table) -> None:
+        self.device_up = table.gauge("heaved_device_up", "1 while the device gives good samples.", "device")
+        self.polls = table.counter("heaved_polls_total", "Requests to a device by how they ended.", "device", "result")
+        self.poll_duration = table.histogram(
+            "heaved_poll_duration_seconds", "From the request to the answer or the giving up.", _BUS_S, "device"
         )
-        self.polls = Counter(
-            "heaved_polls_total", "Requests to a device by how they ended.", ["device", "result"], registry=registry
-        )
-        self.poll_duration = Histogram(
-            "heaved_poll_duration_seconds",
-            "From the request to the answer or the giving up.",
-            ["device"],
-            registry=registry,
-            buckets=_BUS_S,
-        )
-        self.reconnects = Counter(
-            "heaved_reconnects_total", "Connections to a device opened again.", ["device"], registry=registry
-        )
-        self.sample_age = Histogram(
-            "heaved_sample_age_seconds",
-            "From the validity of a frame to its publication.",
-            registry=registry,
-            buckets=_BUS_S,
-        )
-        self.step_duration = Histogram(
-            "heaved_step_duration_seconds", "One step of the pipeline.", registry=registry, buckets=_SHORT_S
-        )
-        self.tick_lateness = Histogram(
-            "heaved_tick_lateness_seconds", "Lateness of the polling timer.", registry=registry, buckets=_SHORT_S
-        )
-        self.heave = Gauge("heaved_heave_meters", "Published heave, positive up.", registry=registry)
-        self.heave_std = Gauge("heaved_heave_std_meters", "Standard deviation of the heave.", registry=registry)
-        self.reference_error = Gauge(
-            "heaved_reference_error_meters", "Heave minus the laser's, while the laser is fresh.", registry=registry
-        )
-        self.lead = Gauge(
-            "heaved_lead_seconds", "Lead of the inertial displacement over the truth.", registry=registry
-        )
-        self.quality = Gauge(
-            "heaved_quality", "1 for the present state of the heave, 0 for the others.", ["state"], registry=registry
-        )
-        self.training_runs = Counter(
-            "heaved_training_runs_total", "Trainings of the correction by result.", ["result"], registry=registry
-        )
-        self.training_age = Gauge(
-            "heaved_training_age_seconds", "Since the correction in use was accepted.", registry=registry
-        )
-        self.sea_fits = Counter(
-            "heaved_sea_fits_total", "Fits of the sea model by result.", ["result"], registry=registry
-        )
-        self.significant_height = Gauge(
-            "heaved_significant_heave_meters", "Significant height of the heave: 4 standard deviations.",
-            registry=registry,
-        )  # fmt: skip
-        self.peak_period = Gauge("heaved_peak_period_seconds", "Of the heave spectrum.", registry=registry)
-        self.mean_period = Gauge("heaved_mean_period_seconds", "m0/m1 of the heave spectrum.", registry=registry)
-        self.delayed_heave = Gauge(
-            "heaved_delayed_heave_meters", "Delayed heave, valid at its own, earlier time.", registry=registry
-        )
-        self.hull_angle = Gauge(
-            "heaved_hull_angle_radians", "Deformation between the IMUs, total.", ["axis"], registry=registry
-        )
-        self.hull_std = Gauge(
-            "heaved_hull_std_radians", "Standard deviation of the deformation.", ["axis"], registry=registry
-        )
-        self.attitude_heave = Gauge("heaved_attitude_heave_meters", "Heave of the craft, fused.", registry=registry)
-        self.attitude_heave_std = Gauge(
-            "heaved_attitude_heave_std_meters", "Standard deviation of that heave.", registry=registry
-        )
-        self.attitude_pitch = Gauge("heaved_attitude_pitch_radians", "Pitch of the craft, fused.", registry=registry)
-        self.attitude_pitch_std = Gauge(
-            "heaved_attitude_pitch_std_radians", "Standard deviation of that pitch.", registry=registry
-        )
-        self.rock_error = Gauge(
-            "heaved_rock_error_radians", "Rolling RMS error of the attitude predictions.", ["axis", "horizon"],
-            registry=registry,
-        )  # fmt: skip
-        self.rock_coverage = Gauge(
-            "heaved_rock_coverage_ratio", "Rolling share of angles within their 95 % interval.", ["axis", "horizon"],
-            registry=registry,
-        )  # fmt: skip
-        self.quiet_confidence = Gauge(
-            "heaved_quiet_confidence_ratio", "Of the surest quiet window within the look-ahead.", registry=registry
-        )
-        self.quiet_start = Gauge(
-            "heaved_quiet_start_seconds", "From now to the next quiet window that is sure enough.", registry=registry
-        )
-        self.filter_resets = Counter(
-            "heaved_filter_resets_total", "Estimators started afresh.", ["filter", "reason"], registry=registry
-        )
-        self.clients = Gauge("heaved_clients", "Connections to the stream.", registry=registry)
-        self.frames_sent = Counter(
-            "heaved_frames_sent_total", "Frames handed to a client's connection, all clients together.",
-            registry=registry,
-        )  # fmt: skip
-        self.frames_dropped = Counter(
-            "heaved_frames_dropped_total", "Lines dropped before they were sent.", ["reason"], registry=registry
-        )
-        self.client_errors = Counter(
-            "heaved_client_errors_total", "Clients turned away or misunderstood.", ["reason"], registry=registry
-        )
-        self.clock_steps = Counter("heaved_clock_steps_total", "Steps of the system's UTC.", registry=registry)
-        self.state_saves = Counter(
-            "heaved_state_saves_total", "Saves of the state file by result.", ["result"], registry=registry
-        )
-        self.state_loads = Counter(
-            "heaved_state_loads_total", "Restorings of the saved state by result.", ["result"], registry=registry
-        )
-        self.config_reloads = Counter(
-            "heaved_config_reloads_total", "Reloads of the configuration by result.", ["result"], registry=registry
-        )
+        self.reconnects = table.counter("heaved_reconnects_total", "Connections to a device opened again.", "device")
 
-        # Series that exist from the start: a rate over a counter that appears with its first event misses that event.
-        for counter, values in (
-            (self.training_runs, ("accepted", "rejected", "failed")),
-            (self.sea_fits, ("accepted", "rejected", "failed")),
-            (self.state_saves, ("saved", "failed")),
-            (self.state_loads, ("restored", "absent", "refused")),
-            (self.config_reloads, ("applied", "refused")),
-            (self.frames_dropped, ("slow_client",)),
-            (self.client_errors, ("bad_request", "line_too_long", "not_allowed", "stuck", "too_many_clients")),
-        ):
-            for value in values:
-                counter.labels(value)
-
+    def _have_heave(self, table: _Table) -> None:
+        self.sample_age = table.histogram(
+            "heaved_sample_age_seconds", "From the validity of a frame to its publication.", _BUS_S
+        )
+        self.step_duration = table.histogram("heaved_step_duration_seconds", "One step of the pipeline.", _SHORT_S)
+        self.tick_lateness = table.histogram("heaved_tick_lateness_seconds", "Lateness of the polling timer.", _SHORT_S)
+        self.heave = table.unknown("heaved_heave_meters", "Published heave, positive up.")
+        self.heave_std = table.unknown("heaved_heave_std_meters", "Standard deviation of the heave.")
+        self.reference_error = table.unknown(
+            "heaved_reference_error_meters", "Heave minus the laser's, while the laser is fresh."
+        )
+        self.lead = table.unknown("heaved_lead_seconds", "Lead of the inertial displacement over the truth.")
+        self.quality = table.gauge(
+            "heaved_quality", "1 for the present state of the heave, 0 for the others.", "state"
+        )
         self._quality_states = {state: self.quality.labels(state.value) for state in HeaveState}
         self._quality: HeaveState | None = None
-        for gauge in (self.heave, self.heave_std, self.reference_error, self.lead, self.training_age):
-            gauge.set(nan)
-        for gauge in (self.quiet_confidence, self.quiet_start):
-            gauge.set(nan)
-        for gauge in (self.significant_height, self.peak_period, self.mean_period, self.delayed_heave):
+
+    def _have_learning(self, table: _Table) -> None:
+        results = ("accepted", "rejected", "failed")
+        self.training_runs = table.results(
+            "heaved_training_runs_total", "Trainings of the correction by result.", *results
+        )
+        self.training_age = table.unknown(
+            "heaved_training_age_seconds", "Since the correction in use was accepted."
+        )
+        self.sea_fits = table.results("heaved_sea_fits_total", "Fits of the sea model by result.", *results)
+
+    def _have_sea(self, table: _Table) -> None:
+        self.significant_height = table.unknown(
+            "heaved_significant_heave_meters", "Significant height of the heave: 4 standard deviations."
+        )
+        self.peak_period = table.unknown("heaved_peak_period_seconds", "Of the heave spectrum.")
+        self.mean_period = table.unknown("heaved_mean_period_seconds", "m0/m1 of the heave spectrum.")
+        self.delayed_heave = table.unknown(
+            "heaved_delayed_heave_meters", "Delayed heave, valid at its own, earlier time."
+        )
+
+    def _have_stages(self, table: _Table) -> None:
+        self.hull_angle = table.gauge("heaved_hull_angle_radians", "Deformation between the IMUs, total.", "axis")
+        self.hull_std = table.gauge("heaved_hull_std_radians", "Standard deviation of the deformation.", "axis")
+        self._hull = tuple((self.hull_angle.labels(axis), self.hull_std.labels(axis)) for axis in "xyz")
+        for gauge in (gauge for pair in self._hull for gauge in pair):
             gauge.set(nan)
         self._attitude = (
-            self.attitude_heave,
-            self.attitude_heave_std,
-            self.attitude_pitch,
-            self.attitude_pitch_std,
+            table.unknown("heaved_attitude_heave_meters", "Heave of the craft, fused."),
+            table.unknown("heaved_attitude_heave_std_meters", "Standard deviation of that heave."),
+            table.unknown("heaved_attitude_pitch_radians", "Pitch of the craft, fused."),
+            table.unknown("heaved_attitude_pitch_std_radians", "Standard deviation of that pitch."),
         )
-        self._hull = tuple((self.hull_angle.labels(axis), self.hull_std.labels(axis)) for axis in "xyz")
-        for gauge in (*self._attitude, *(gauge for pair in self._hull for gauge in pair)):
-            gauge.set(nan)
+
+    def _have_rock(self, table: _Table) -> None:
+        self.rock_error = table.gauge(
+            "heaved_rock_error_radians", "Rolling RMS error of the attitude predictions.", "axis", "horizon"
+        )
+        self.rock_coverage = table.gauge(
+            "heaved_rock_coverage_ratio", "Rolling share of angles within their 95 % interval.", "axis", "horizon"
+        )
+        self.quiet_confidence = table.unknown(
+            "heaved_quiet_confidence_ratio", "Of the surest quiet window within the look-ahead."
+        )
+        self.quiet_start = table.unknown(
+            "heaved_quiet_start_seconds", "From now to the next quiet window that is sure enough."
+        )
+        self.filter_resets = table.counter(
+            "heaved_filter_resets_total", "Estimators started afresh.", "filter", "reason"
+        )
+
+    def _have_stream(self, table: _Table) -> None:
+        self.clients = table.gauge("heaved_clients", "Connections to the stream.")
+        self.frames_sent = table.counter(
+            "heaved_frames_sent_total", "Frames handed to a client's connection, all clients together."
+        )
+        self.frames_dropped = table.results(
+            "heaved_frames_dropped_total", "Lines dropped before they were sent.", "slow_client", label="reason"
+        )
+        reasons = ("bad_request", "line_too_long", "not_allowed", "stuck", "too_many_clients")
+        self.client_errors = table.results(
+            "heaved_client_errors_total", "Clients turned away or misunderstood.", *reasons, label="reason"
+        )
+
+    def _have_daemon(self, table: _Table) -> None:
+        self.clock_steps = table.counter("heaved_clock_steps_total", "Steps of the system's UTC.")
+        self.state_saves = table.results(
+            "heaved_state_saves_total", "Saves of the state file by result.", "saved", "failed"
+        )
+        self.state_loads = table.results(
+            "heaved_state_loads_total", "Restorings of the saved state by result.", "restored", "absent", "refused"
+        )
+        self.config_reloads = table.results(
+            "heaved_config_reloads_total", "Reloads of the configuration by result.", "applied", "refused"
+        )
 
     def device(self, name: str) -> DeviceMetrics:
         """The metrics of one device; they appear, at zero, with this call."""

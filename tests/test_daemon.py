@@ -231,14 +231,13 @@ async def test_a_fitter_runs_for_the_observer_that_needs_it_and_only_then(tmp_pa
     sea = demo_config(tmp_path, device=())
     harmonic = msgspec.structs.replace(sea, heave=HARMONIC[0])
     async with running(sea, path) as daemon:
-        first = daemon._fitter
-        assert first is not None
+        first = daemon.workers.running["fitter"]
         for config, name in ((harmonic, "harmonic"), (sea, "sea")):
             path.write_text(to_toml(config))
             await daemon.reload()
-            assert (daemon._fitter is not None) == (name == "sea")
+            assert ("fitter" in daemon.workers.running) == (name == "sea")
             assert daemon.status().observer.name == name
-        assert daemon._fitter is not first
+        assert daemon.workers.running["fitter"] is not first
         await until(daemon, lambda record: True)
 
 

@@ -276,7 +276,7 @@ def let_die(monkeypatch, name):
     def make(called, *arguments, **options):
         return Worker(called, *arguments, **(options | dying if called == name else options))
 
-    monkeypatch.setattr("heaved.daemon.Worker", make)
+    monkeypatch.setattr("heaved.workers.Worker", make)
 
 
 def check_said_once(logs, name):
@@ -317,7 +317,7 @@ async def test_the_fitter_dies_again_and_again(tmp_path, monkeypatch):
                 assert [frame["seq"] for frame in frames] == list(range(frames[0]["seq"], frames[0]["seq"] + 100))
                 assert frames[0]["seq"] > first["seq"]
                 assert {frame["quality"]["heave"] for frame in frames} == {"settling"}
-                assert daemon._fitter.failures >= 3
+                assert daemon.workers.running["fitter"].failures >= 3
     check_said_once(logs, "fitter")
 
 

@@ -78,3 +78,8 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     http: HttpParams = HttpParams()
     state: StateParams = StateParams()
     runtime: RuntimeParams = RuntimeParams()
+
+    @property
+    def has_laser(self) -> bool:
+        """Whether there is a device to learn from."""
+        return any(device.role == "laser" for device in self.device)
