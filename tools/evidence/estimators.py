@@ -117,13 +117,13 @@ def traces(name: str, samples: Sequence[Sample], conditions: Conditions) -> list
 
 def pipeline(observer: str, conditions: Conditions) -> Pipeline:
     """The daemon's, with its defaults but for the observer and the horizons. The rock predictor, which shares nothing
-    with the heave and costs more than it, runs with one memory instead of three."""
+    with the heave, is the cheapest there is: the published method with one memory."""
     settings = {"observer": observer, "forecast_horizons_s": conditions.horizons_s}
     return Pipeline(
         heave=msgspec.convert(settings, heave.Params),
         laser=reference.Params(),
         correction=correction.Params(),
-        rock=rock.Params(thetas=(0.7,)),
+        rock=rock.Params(predictor="ml", thetas=(0.7,), horizons_s=()),
         has_laser=conditions.has_laser,
     )
 
