@@ -180,8 +180,9 @@ def _likelihood(model: SeaModel, steady: Steady, innovation: Array) -> float:
     model's filter left of it, nan in a hole: they are the samples whitened, so that nothing leaks in so short a
     stretch, and their periodogram is that of the acceleration over the model's spectrum."""
     known = np.isfinite(innovation)
-    white = np.abs(np.fft.rfft(np.where(known, innovation, 0.0))) ** 2 / (steady.S * max(np.count_nonzero(known), 1))
-    f = np.fft.rfftfreq(len(innovation), steady.dt_s)
+    count = max(1, int(np.count_nonzero(known)))
+    white = np.abs(np.fft.rfft(np.where(known, innovation, 0.0))) ** 2 / (steady.S * count)
+    f: Array = np.fft.rfftfreq(len(innovation), steady.dt_s).astype(np.float64)
     judged = (f > 0.0) & (f <= JUDGED_HZ)
     return -float(np.sum(np.log(model.acceleration_spectrum(f[judged])) + white[judged]))
 
