@@ -80,7 +80,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Lengths of the past that are fitted side by side."""
     first_fit_s: Annotated[float, msgspec.Meta(ge=30, le=300)] = 40.0
     """Seconds of samples before the first fit, and the first heave."""
-    refresh_s: Annotated[float, msgspec.Meta(ge=5, le=300)] = 20.0
+    refresh_s: Annotated[float, msgspec.Meta(ge=5, le=300)] = 30.0
     """Interval of the fits."""
     bias_walk_mps2_rts: Annotated[float, msgspec.Meta(gt=0, le=1)] = 3e-5
     """Random walk of the accelerometer's bias, m/s2 per root second (data sheet: bias instability)."""

@@ -31,8 +31,8 @@ PATIENCE: Final = 3.0
 FEW_COMPONENTS_BELOW_S: Final = 30.0
 """A shorter record does not bear more than two components."""
 SETTLE_S: Final = 400.0
-"""Before the samples that a model is judged on, its filter runs this long: after two minutes some of what swell leaves
-of the start is still there, and larger than what models differ by."""
+"""After this nothing of the start of a filter is left (in swell of 16 s: a hundredth of its error; after two minutes it
+is more than models differ by): before the samples that a model is judged on, its filter runs this long."""
 NEWEST_S: Final = 60.0
 """The newest stretch is taken when it is that long: the sea may have changed in the hole."""
 WHITENESS_S: Final = 2.0
@@ -129,7 +129,7 @@ def look(window: SeaWindow) -> SeaFit:
     steady = system.steady(record.dt_s)
     if steady is None:
         return SeaFit(number=window.number, message="the filter of the fitted model does not converge")
-    done = sea_run.run(system, steady, record)
+    done = sea_run.run(system, steady, record, careful=len(record.a_mps2) * record.dt_s < SETTLE_S)
     kept = round(window.delay_s / record.dt_s) + round(30.0 / record.dt_s)
     if not np.isfinite(done.x).all():
         return SeaFit(number=window.number, message="the filter of the fitted model left the finite numbers")
