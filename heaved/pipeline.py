@@ -24,6 +24,7 @@ from heaved.estimation.forecast_check import ForecastCheck
 from heaved.estimation.frames import up_acceleration
 from heaved.estimation.heave import HarmonicObserver
 from heaved.estimation.heave import Params as HeaveParams
+from heaved.estimation.level_bias import LevelBias
 from heaved.estimation.points import Attitude, Point
 from heaved.estimation.quality import COAST_S, Facts, judge
 from heaved.estimation.quiet_watch import QuietWatch
@@ -159,6 +160,7 @@ class Pipeline:
         self._attitude, self._attitude_t_s = (nan, nan, nan), nan
         self._attitudes = Ring(int(MAX_RATE_HZ), 3)
         self._tilt_removed, self._tilt_since_s = False, nan
+        self._level_bias = LevelBias()
         self._imu_fault = Fault.NONE
         self._trained: Counter[str] = Counter()
         self._fitted: Counter[str] = Counter()
@@ -225,10 +227,13 @@ class Pipeline:
         self._note_tilt(t, self._tilt_known(t) and isfinite(sample.ax_mps2 + sample.ay_mps2))
         if self._tilt_removed:
             roll, pitch = self._attitude_of_acceleration(t)
-            force = (sample.ax_mps2, sample.ay_mps2, sample.az_mps2)
+            bias = self._level_bias
+            force = (sample.ax_mps2 - bias.x_mps2, sample.ay_mps2 - bias.y_mps2, sample.az_mps2)
             up = up_acceleration(*force, roll, pitch)
         if isfinite(self._chain.observe(t, up, sample.az_mps2)):
             self._note_interval(t - before_s)
+            if self._tilt_removed:
+                bias.take(t, sample.ax_mps2, sample.ay_mps2, sample.az_mps2, roll, pitch)
         elif self._chain.stuck.is_stuck and abs(up) <= PLAUSIBLE_MPS2:
             self._imu_fault = Fault.STUCK
         else:

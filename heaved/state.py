@@ -14,8 +14,8 @@ from typing import Generic, TypeVar
 import msgspec
 import structlog
 
-VERSION = 1
-"""Of the file's layout; a file of another version is set aside."""
+VERSION = 2
+"""Of the file's layout and of what its numbers mean; a file of another version is set aside."""
 FILE_NAME = "state.json"
 
 T = TypeVar("T", bound=msgspec.Struct)

@@ -20,7 +20,7 @@ from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.seaway import seaway
 
 SWELL = SeaModel(
-    stages=8, frequency_hz=(0.2,), damping=(0.3,), level_m2phz=(4.0,), noise_psd=4e-6, bias_walk_psd=9e-10
+    stages=7, frequency_hz=(0.2,), damping=(0.3,), level_m2phz=(4.0,), noise_psd=4e-6, bias_walk_psd=9e-10
 )
 """Broad about 5 s, of the size that the default sea observer takes: what an earlier run may have left behind."""
 PATIENCE_S = 20.0

@@ -61,7 +61,7 @@ def test_round_trip(file):
 def test_it_is_json_for_people(file):
     file.write(file.encode(LEARNED))
     content = json.loads(file.path.read_text())
-    assert content["version"] == 1
+    assert content["version"] == 2
     assert content["state"]["lead_s"] == 0.11
 
 
@@ -88,7 +88,7 @@ def flipped(content, place, value):
         (lambda content: content[:-20], "damaged"),
         (lambda content: content[: len(content) // 2], "damaged"),
         (lambda content: bytes(4096), "damaged"),
-        (lambda content: content.replace(b'"version":1', b'"version":2'), "version 2"),
+        (lambda content: content.replace(b'"version":2', b'"version":1'), "version 1"),
         (lambda content: content.replace(b"0.11", b"0.12"), "checksum"),
         (lambda content: b"[]", "damaged"),
         (lambda content: b"\xff\xfe" + content, "damaged"),

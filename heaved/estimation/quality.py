@@ -17,7 +17,7 @@ BROAD_SEA: Final = 0.2
 """Share of the heave's own standard deviation above which the model does not fit the sea."""
 SMALL_M: Final = 0.01
 """Errors below this are well whatever the sea: a still ship has no heave to compare with."""
-STILL_M: Final = 0.03
+STILL_M: Final = 0.05
 """The same where the observer notes that the ship is still: what it does not see is then all of the heave."""
 DISAGREEMENT: Final = 3.0
 """The laser shows this many times the modelled error."""

@@ -72,15 +72,15 @@ CONVERGED: Final = 1.5
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[heave.sea]``: the sea observer."""
 
-    stages: Annotated[int, msgspec.Meta(ge=2, le=12)] = 8
+    stages: Annotated[int, msgspec.Meta(ge=3, le=12)] = 7
     """Resonators in a chain (M): the steeper the spectrum towards long waves, the more."""
-    components: Annotated[int, msgspec.Meta(ge=1, le=4)] = 3
+    components: Annotated[int, msgspec.Meta(ge=1, le=4)] = 2
     """Chains (K)."""
     windows_s: tuple[Annotated[float, msgspec.Meta(ge=60, le=1800)], ...] = (120.0, 300.0, 600.0)
     """Lengths of the past that are fitted side by side."""
     first_fit_s: Annotated[float, msgspec.Meta(ge=30, le=300)] = 40.0
     """Seconds of samples before the first fit, and the first heave."""
-    refresh_s: Annotated[float, msgspec.Meta(ge=5, le=300)] = 20.0
+    refresh_s: Annotated[float, msgspec.Meta(ge=5, le=300)] = 30.0
     """Interval of the fits."""
     bias_walk_mps2_rts: Annotated[float, msgspec.Meta(gt=0, le=1)] = 3e-5
     """Random walk of the accelerometer's bias, m/s2 per root second (data sheet: bias instability)."""

@@ -2,7 +2,7 @@
 
 A Kalman filter (on this linear model every set of sigma points reproduces it to rounding: the tests say so). While
 samples come in their usual interval and the covariance has converged to that of the steady filter, within STEADY of
-each variance, the steady gain is used: the estimate then differs by less than 1e-7 of the heave from the full one. A
+each variance, the steady gain is used: the estimate then differs by less than 1e-9 of the heave from the full one. A
 missing sample, a rejected one or a gap brings the covariance back, and it grows as it should.
 
 Jitter of the sampling times is taken in exactly by the mean (F(T) times a Taylor series of the rest); the covariance
@@ -22,7 +22,7 @@ from heaved.estimation.sea_model import SeaSystem, Steady, measurement_variance
 
 Array = NDArray[np.float64]
 
-STEADY: Final = 1e-9
+STEADY: Final = 1e-8
 """Relative difference of every variance below which the covariance counts as converged."""
 GATE: Final = 10.0
 """Innovations beyond this many standard deviations are not of the sea."""

@@ -1,16 +1,18 @@
 """Fitting the sea model to the recent past: Whittle's likelihood of the spectrum of the vertical acceleration.
 
-    minimise  sum_f  log S(f) + P(f) / S(f),      S = w^4 sum_k S_k + N + 2 B / w^2,
+    minimise  sum_f  (log S(f) + P(f) / S(f)) f_1 / f,      S = w^4 sum_k S_k + N + 2 B / w^2,
 
 over log f0, log zeta and log L of each component and log N, P being the periodogram. The ordinates of a periodogram are
 nearly independent exponential variables, so Fisher scoring applies: each step is the weighted least-squares fit of
 P / S - 1 by the slopes of log S, and a handful of steps do what a general minimiser needs hundreds of evaluations for.
 All starts run side by side; the best one is taken.
 
-What the error of the heave lives on is the low-frequency skirt of the spectrum, four decades below its peak. A window
-function spills the peak into it: the segments are therefore as long as they can be, and ordinates within the main lobe
-of zero frequency are left out. N soaks up what the components cannot follow above the waves; the noise that the filter
-is given is taken from above the wave band instead.
+What the error of the heave lives on is the low-frequency skirt of the spectrum, four decades below its peak. It has a
+dozen ordinates, and the tail above the peak has hundreds: were they weighed alike, a skirt that is far off would be
+paid for by a slightly better tail. So each octave weighs the same. A window function spills the peak into the skirt:
+the segments are therefore as long as they can be, and ordinates within the main lobe of zero frequency are left out. N
+soaks up what the components cannot follow above the waves; the noise that the filter is given is taken from above the
+wave band instead.
 """
 
 from __future__ import annotations
@@ -40,6 +42,8 @@ NOISE_OVER_HZ: Final = 0.8
 """The sensor's noise is looked for above."""
 NOISE_BANDS: Final = 4
 """In that many bands of equal ratio; the quietest counts, because an engine fills one of them, not all."""
+OCTAVES_AT_HZ: Final = 0.15
+"""f_1: ordinates at this frequency have the weight 1."""
 STEPS: Final = 25
 GAIN_ENOUGH: Final = 1e-2
 """Fall of the likelihood in one step below which a start has converged: the data cannot tell such models apart."""
@@ -69,6 +73,11 @@ class Spectrum(msgspec.Struct, frozen=True, eq=False):
     noise_psd: float
     """one-sided, (m/s2)2/Hz"""
 
+    @property
+    def weight(self) -> Array:
+        """(n,) of each ordinate in the likelihood."""
+        return OCTAVES_AT_HZ / self.f_hz
+
 
 def spectrum(a_mps2: Array, rate_hz: float) -> Spectrum:
     """Of ``a_mps2`` (n,), evenly sampled; n of at least some tens of seconds."""
@@ -84,10 +93,13 @@ def spectrum(a_mps2: Array, rate_hz: float) -> Spectrum:
 
 
 class Fitted(msgspec.Struct, frozen=True):
-    """A model, and minus its log-likelihood over the spectrum that it was fitted to (less is better)."""
+    """A model, and how well it suits the spectrum that it was fitted to."""
 
     model: SeaModel
     cost: float
+    """What was minimised: minus the log-likelihood, each octave weighing the same."""
+    waves: float
+    """How much likelier the spectrum is with waves than with noise alone: difference of the plain log-likelihoods."""
 
 
 def fit(sp: Spectrum, stages: int, components: int, bias_walk_psd: float, warm: SeaModel | None = None) -> Fitted:
@@ -105,7 +117,9 @@ def fit(sp: Spectrum, stages: int, components: int, bias_walk_psd: float, warm: 
         noise_psd=sp.noise_psd,
         bias_walk_psd=bias_walk_psd,
     )
-    return Fitted(model, float(cost[best]))
+    log_S = _log_spectrum(theta[best : best + 1], sp.f_hz, stages, bias_walk_psd)[0][0]
+    waves = _noise_cost(sp, bias_walk_psd) - float(np.sum(log_S + sp.power * np.exp(-log_S)))
+    return Fitted(model, float(cost[best]), waves)
 
 
 def measured_share(sp: Spectrum, model: SeaModel) -> float:
@@ -119,14 +133,6 @@ def measured_share(sp: Spectrum, model: SeaModel) -> float:
     seen = waves * sp.power / model.acceleration_spectrum(sp.f_hz)
     whole = float(np.trapezoid(waves, sp.f_hz))
     return float(np.trapezoid(seen, sp.f_hz)) / whole if whole > 0.0 else 1.0
-
-
-def noise_cost(sp: Spectrum, bias_walk_psd: float) -> float:
-    """The cost of the best model without waves: white noise of any level, and the bias."""
-    floor = 2.0 * bias_walk_psd / (2.0 * pi * sp.f_hz) ** 2
-    levels = np.geomspace(max(float(np.min(sp.power)), 1e-12), float(np.max(sp.power)) + 1e-12, 60)
-    S = levels[:, None] + floor
-    return float(np.min(np.sum(np.log(S) + sp.power / S, axis=1)))
 
 
 def _starts(sp: Spectrum, components: int, warm: SeaModel | None) -> Array:
@@ -159,16 +165,19 @@ def _score(sp: Spectrum, starts: Array, stages: int, bias_walk_psd: float) -> tu
     centre[:, K : 2 * K] = log(DAMPING_GUESS)
     eye = np.eye(starts.shape[1])
 
+    weight = sp.weight
+
     def cost_of(log_S: Array, at: Array) -> Array:
-        whittle = np.sum(log_S + sp.power * np.exp(-log_S), axis=1)
+        whittle = (log_S + sp.power * np.exp(-log_S)) @ weight
         return np.asarray(whittle + 0.5 * np.sum(prior * (at - centre) ** 2, axis=1))
 
     log_S, J = _log_spectrum(theta, sp.f_hz, stages, bias_walk_psd)
     cost = cost_of(log_S, theta)
     damping = np.full(len(theta), 1e-2)
     for _ in range(STEPS):
-        slope = np.matmul(J, (sp.power * np.exp(-log_S) - 1.0)[:, :, None])[:, :, 0] - prior * (theta - centre)
-        fisher = np.matmul(J, J.transpose(0, 2, 1)) + prior * eye
+        slope = np.matmul(J, (weight * (sp.power * np.exp(-log_S) - 1.0))[:, :, None])[:, :, 0]
+        slope -= prior * (theta - centre)
+        fisher = np.matmul(J * weight, J.transpose(0, 2, 1)) + prior * eye
         fisher += damping[:, None, None] * (fisher * eye)
         step = np.clip(np.linalg.solve(fisher, slope[:, :, None])[:, :, 0], -LONGEST_STEP, LONGEST_STEP)
         trial = np.clip(theta + step, low, high)
@@ -191,15 +200,23 @@ def _log_spectrum(theta: Array, f: Array, stages: int, bias_walk_psd: float) -> 
     c = 4.0 * np.exp(2.0 * theta[:, K : 2 * K, None])
     D = (1.0 - x2) ** 2 + c * x2
     w2 = (2.0 * pi * f) ** 2
-    log_chain = theta[:, 2 * K : 3 * K, None] + stages * (np.log(c) - np.log(D)) + (stages - 1) * np.log(x2)
+    log_chain = theta[:, 2 * K : 3 * K, None] + stages * (np.log(c) - np.log(D)) + 2 * (stages - 2) * np.log(x2)
     S_chain = np.exp(log_chain) * w2**2
     N = np.exp(theta[:, 3 * K :])
     S = S_chain.sum(axis=1) + N + 2.0 * bias_walk_psd / w2
     J = np.empty((*theta.shape, len(f)))
     share = S_chain / S[:, None, :]
     q = 2.0 * stages * c * x2 / D
-    J[:, :K] = share * (q - 2.0 * (stages - 1) - 4.0 * stages * x2 * (1.0 - x2) / D)
+    J[:, :K] = share * (q - 4.0 * (stages - 2) - 4.0 * stages * x2 * (1.0 - x2) / D)
     J[:, K : 2 * K] = share * (2.0 * stages - q)
     J[:, 2 * K : 3 * K] = share
     J[:, 3 * K] = N / S
     return np.log(S), J
+
+
+def _noise_cost(sp: Spectrum, bias_walk_psd: float) -> float:
+    """The cost of the best model without waves: white noise of any level, and the bias."""
+    floor = 2.0 * bias_walk_psd / (2.0 * pi * sp.f_hz) ** 2
+    levels = np.geomspace(max(float(np.min(sp.power)), 1e-12), float(np.max(sp.power)) + 1e-12, 60)
+    S = levels[:, None] + floor
+    return float(np.min(np.sum(np.log(S) + sp.power / S, axis=1)))

@@ -1,17 +1,21 @@
 """The sea as a linear stochastic model: cascaded resonators, their spectrum, and the filter that belongs to them.
 
-K components; each is a chain of M identical resonators, every stage driven by the velocity of the stage before, the
-first one by white noise; heave is the position of the last (index 0 here, the noise enters at M - 1):
+K components; each is a chain of M equal resonators. White noise drives the first, the position of the first the second,
+and the acceleration of each the next; heave is the position of the last (index 0 here, the noise enters at M - 1):
 
-    x_s'' = -w^2 x_s - 2 zeta w x_s' + 2 zeta w x_{s+1}'
+    x_s'' = -w^2 x_s - 2 zeta w x_s' + 2 zeta w u_s,    u_s w = x_{s+1}'' (s < M - 2),  w^2 x_{s+1} (s = M - 2),
 
-so that each stage passes its resonance with gain 1. The displacement spectrum of one component, x = f / f0,
+two low-passes and M - 2 high-passes, each with gain 1 at its resonance. The displacement spectrum of one component,
+x = f / f0,
 
-    S(f) = L (2 zeta)^(2M) x^(2(M-1)) / ((1 - x^2)^2 + (2 zeta x)^2)^M,      L = S(f0),
+    S(f) = L (2 zeta)^(2M) x^(4(M-2)) / ((1 - x^2)^2 + (2 zeta x)^2)^M,      L = S(f0),
 
-falls to zero at f = 0: heave has no mean, and nothing drifts, because the model says so. The vertical acceleration is
-an exact linear function of the state (for M > 1 without the driving noise in it); a slow bias is a state of its own. A
-single resonator (M = 1) puts the white noise into the acceleration itself and does not work.
+falls to zero at f = 0: heave has no mean, and nothing drifts, because the model says so. Its two sides are apart: the
+skirt towards long waves, in which the error of the heave lives, is as steep as M says, while above the peak it falls
+with f^-8 whatever M, about as the heave of a ship in a wind sea does. (Were every resonator driven by the velocity of
+the one before, a steep skirt would bring an equally steep tail, and a second and a third component would be spent on
+the tail.) The vertical acceleration is an exact linear function of the state, without the driving noise in it; a slow
+bias is a state of its own.
 
 Velocities are kept as x'/w, so that every element of the state is in metres and of the size of the heave.
 """
@@ -74,7 +78,7 @@ class SeaModel(msgspec.Struct, frozen=True, kw_only=True):
 def chain_shape(x: Array, zeta: float, stages: int) -> Array:
     """Spectrum of one chain over x = f / f0 (n,), 1 at its resonance."""
     c = 4.0 * zeta * zeta
-    return np.asarray(c**stages * x ** (2 * (stages - 1)) / ((1.0 - x * x) ** 2 + c * x * x) ** stages)
+    return np.asarray(c**stages * x ** (4 * (stages - 2)) / ((1.0 - x * x) ** 2 + c * x * x) ** stages)
 
 
 class SeaSystem:
@@ -95,12 +99,15 @@ class SeaSystem:
         chains = zip(model.frequency_hz, model.damping, model.level_m2phz, strict=True)
         for k, (f0, zeta, level) in enumerate(chains):
             w, at = 2.0 * np.pi * f0, 2 * M * k
-            for s in range(M):
+            for s in reversed(range(M)):
                 x, v = at + 2 * s, at + 2 * s + 1
                 self.A[x, v] = w
-                self.A[v, x], self.A[v, v] = -w, -2.0 * zeta * w
-                if s + 1 < M:
-                    self.A[v, v + 2] = 2.0 * zeta * w
+                if s < M - 2:
+                    self.A[v] = 2.0 * zeta * self.A[v + 2]
+                elif s == M - 2:
+                    self.A[v, x + 2] = 2.0 * zeta * w
+                self.A[v, x] -= w
+                self.A[v, v] -= 2.0 * zeta * w
             self.H[:] += w * self.A[at + 1] * _inside(n, at, at + 2 * M)
             self.heave[at], self.velocity[at + 1] = 1.0, w
             self.diffusion[at + 2 * M - 1] = 2.0 * (zeta * w) ** 2 * level

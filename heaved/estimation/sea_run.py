@@ -1,10 +1,10 @@
 """The filter of a fitted model run over stored samples: how a new model takes over without a start of its own.
 
 A model that was fitted a moment ago knows the sea but not the state. It is therefore run over all that is stored; the
-filter's memory of its start is the bias, half a minute, and the noise below the wave band, minutes long: after ten
-minutes nothing of the start is left. Where it begins, and after a hole, the full covariance is carried for a minute, so
-that the gain is what little is known, not what would be known in the end; then the steady gain runs in blocks, which
-costs a matrix product for every BLOCK samples.
+filter's memory of its start is the bias, half a minute, and the noise below the wave band, minutes long: after seven
+nothing of the start is left. Where it begins later than that, and after a hole, the full covariance is carried for a
+minute, so that the gain is what little is known, not what would be known in the end; then the steady gain runs in
+blocks, which costs a matrix product for every BLOCK samples.
 """
 
 from __future__ import annotations

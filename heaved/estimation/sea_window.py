@@ -2,12 +2,13 @@
 
 Several lengths of the past are fitted side by side. Long ones are exact in a steady sea, short ones follow a change;
 which serves best is decided by what each *foretold*: the models of the last look are run over the samples that came
-since, and the likelihood of their innovations, with a memory of a few looks, picks the length whose new model is used.
+since, and the likelihood of what they made of the wave band, with a memory of a few looks, picks the length whose new
+model is used.
 """
 
 from __future__ import annotations
 
-from math import isfinite, log, sqrt
+from math import isfinite, nan, sqrt
 from typing import Final
 
 import msgspec
@@ -23,12 +24,15 @@ Array = NDArray[np.float64]
 
 SCORE_MEMORY: Final = 0.7
 """Share of the score of a length that is kept from look to look."""
-PATIENCE: Final = 6.0
+JUDGED_HZ: Final = 0.5
+"""Models are judged up to here: what the innovations are above is the end of the tail, and no matter to the heave."""
+PATIENCE: Final = 3.0
 """Log-likelihood that a length must be ahead of the next longer one: differences of this size come by chance."""
 FEW_COMPONENTS_BELOW_S: Final = 30.0
 """A shorter record does not bear more than two components."""
-SETTLE_S: Final = 120.0
-"""Before the samples that a model is judged on, its filter runs this long."""
+SETTLE_S: Final = 400.0
+"""After this nothing of the start of a filter is left (in swell of 16 s: a hundredth of its error; after two minutes it
+is more than models differ by): before the samples that a model is judged on, its filter runs this long."""
 NEWEST_S: Final = 60.0
 """The newest stretch is taken when it is that long: the sea may have changed in the hole."""
 WHITENESS_S: Final = 2.0
@@ -125,7 +129,7 @@ def look(window: SeaWindow) -> SeaFit:
     steady = system.steady(record.dt_s)
     if steady is None:
         return SeaFit(number=window.number, message="the filter of the fitted model does not converge")
-    done = sea_run.run(system, steady, record)
+    done = sea_run.run(system, steady, record, careful=len(record.a_mps2) * record.dt_s < SETTLE_S)
     kept = round(window.delay_s / record.dt_s) + round(30.0 / record.dt_s)
     if not np.isfinite(done.x).all():
         return SeaFit(number=window.number, message="the filter of the fitted model left the finite numbers")
@@ -165,11 +169,22 @@ def _scores(window: SeaWindow, record: sea_run.Record) -> dict[float, float]:
         if steady is None:
             continue
         y = sea_run.run(system, steady, recent, careful=False).innovation[-fresh:]
-        y = y[recent.is_known[-fresh:]]
-        likelihood = -0.5 * float(np.sum(log(steady.S) + y * y / steady.S))
+        likelihood = _likelihood(candidate.model, steady, np.where(recent.is_known[-fresh:], y, nan))
         found[candidate.window_s] = SCORE_MEMORY * candidate.score + (likelihood if np.isfinite(likelihood) else -1e9)
     best = max(found.values(), default=0.0)
     return {window_s: score - best for window_s, score in found.items()}
+
+
+def _likelihood(model: SeaModel, steady: Steady, innovation: Array) -> float:
+    """Log-likelihood (Whittle's) of a stretch of acceleration within the wave band, from the innovations (n,) that a
+    model's filter left of it, nan in a hole: they are the samples whitened, so that nothing leaks in so short a
+    stretch, and their periodogram is that of the acceleration over the model's spectrum."""
+    known = np.isfinite(innovation)
+    count = max(1, int(np.count_nonzero(known)))
+    white = np.abs(np.fft.rfft(np.where(known, innovation, 0.0))) ** 2 / (steady.S * count)
+    f: Array = np.fft.rfftfreq(len(innovation), steady.dt_s).astype(np.float64)
+    judged = (f > 0.0) & (f <= JUDGED_HZ)
+    return -float(np.sum(np.log(model.acceleration_spectrum(f[judged])) + white[judged]))
 
 
 def _fit_all(
@@ -191,7 +206,7 @@ def _fit_all(
         warm = earlier.get(length)
         fitted = sea_fit.fit(sp, window.stages, components, window.bias_walk_psd, warm)
         if not candidates:
-            waves = sea_fit.noise_cost(sp, window.bias_walk_psd) - fitted.cost
+            waves = fitted.waves
         # A length that is new starts as well as the longest one before it.
         score = scores.get(length, scores[known[-1]] if known else 0.0)
         candidates.append(Candidate(window_s=length, model=fitted.model, score=score))

@@ -29,7 +29,7 @@ angles = st.floats(-3.0, 3.0)
 tilts = st.floats(-1.5, 1.5)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(angles, angles, angles)
 def test_a_passive_rotation_is_the_exponential_of_minus_the_cross_product(x, y, z):
     r = np.array([x, y, z])
@@ -37,7 +37,7 @@ def test_a_passive_rotation_is_the_exponential_of_minus_the_cross_product(x, y, 
     assert cross_matrix(r) @ np.array([1.0, -2.0, 0.5]) == pytest.approx(np.cross(r, [1.0, -2.0, 0.5]), abs=1e-12)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(angles, angles, angles)
 def test_rotation_vector_is_that_of_scipy(x, y, z):
     C = passive(np.array([x, y, z]))
@@ -57,7 +57,7 @@ def test_rotation_vector_at_its_seams(size):
         assert passive(found) == pytest.approx(C, abs=1e-8)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(angles, tilts, angles)
 def test_euler_angles_are_r3_r2_r1(x, y, z):
     R1, R2, R3 = (passive(a * e) for a, e in zip((x, y, z), np.eye(3), strict=True))
@@ -74,7 +74,7 @@ def test_at_ninety_degrees_the_angles_give_the_matrix_back(sign):
     assert from_euler(x, y, z) == pytest.approx(C, abs=1e-9)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(tilts, tilts, st.floats(0.0, 6.2))
 def test_attitudes_agree_with_the_vertical_of_the_heave_chain(roll, pitch, yaw):
     """``up_acceleration`` is the third row of level_from_body applied to the specific force, less gravity."""

@@ -89,6 +89,17 @@ def test_a_sea_that_grew_is_judged_by_the_short_past() -> None:
     assert (best.window_s, best.score) == (120.0, 0.0)
 
 
+def test_a_swell_that_stays_is_judged_by_the_long_past() -> None:
+    """Whatever the filters' starts have left of a swell of 16 s is not held against a length."""
+    t, _, a = sea("S6S", 660.0)
+    fit, lengths = None, []
+    for end in range(400, 661, 20):
+        fit = look(window(t[: end * 20], a[: end * 20], fit, stages=7))
+        lengths.append(fit.window_s)
+    assert lengths.count(600.0) >= 12
+    assert 120.0 not in lengths
+
+
 def test_candidates_that_outlive_their_past_are_no_reason_to_fail(s6: tuple[Array, Array, Array]) -> None:
     """After a reset there is a new record, and no time of the last look."""
     t, _, a = s6

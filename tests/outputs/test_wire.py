@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from typing import Any, NoReturn
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from heaved.outputs import wire
@@ -108,7 +108,6 @@ def check_value(record: dict[str, Any], key: str, value: float, factor: float = 
         assert key not in record
 
 
-@settings(deadline=None, derandomize=True)
 @given(frame=frames, seq=st.integers(1, 2**53), dropped=st.integers(0, 2**40))
 def test_any_frame_is_one_strict_line_with_class_first(frame: MotionFrame, seq: int, dropped: int) -> None:
     line = wire.encode_motion(frame, seq=seq, utc_s=1.75e9, sent_mono_s=frame.t_s + 0.25, dropped=dropped)
@@ -218,7 +217,6 @@ def test_golden_delayed_line() -> None:
     )
 
 
-@settings(deadline=None, derandomize=True)
 @given(st.integers(0, 4102444800 * 10**6))
 @example(1767225600 * 10**6)  # A whole second keeps its six zeros.
 @example(1767225600 * 10**6 - 1)
@@ -289,7 +287,6 @@ def test_anything_else_is_told_what_was_wrong_and_what_is_accepted(line: bytes, 
     assert ACCEPTED in answer.message
 
 
-@settings(deadline=None, derandomize=True)
 @given(
     st.one_of(
         st.binary(max_size=600),
@@ -311,7 +308,6 @@ def test_no_line_raises(line: bytes) -> None:
         assert request.rate_hz is None or 0.0 < request.rate_hz < math.inf
 
 
-@settings(deadline=None, derandomize=True)
 @given(data=st.lists(st.sampled_from([b"?STATUS\n", b"\n", b"x" * 300, b"\r\n", b"ab"]), max_size=12).map(b"".join),
        cuts=st.lists(st.integers(0, 4000), max_size=8))  # fmt: skip
 def test_pieces_do_not_matter_to_the_splitter(data: bytes, cuts: list[int]) -> None:
