@@ -227,7 +227,7 @@ class Blocks:
     def _mean(self, channel: int, innovations: Sequence[float]) -> float:
         """Of a block, for its middle: about the curve, where there is one, and without what is far from it."""
         limit = self._gates[-1][channel]
-        if not all(-limit <= e <= limit for e in innovations):
+        if not (isfinite(sum(innovations)) and -limit <= min(innovations) and max(innovations) <= limit):
             known = [e for e in innovations if isfinite(e)]
             if not known:
                 plain = [v[channel] for v in self._values_in if isfinite(v[channel])]

@@ -56,6 +56,9 @@ class Channel:
         ``curve`` (H + 1,): a view of the latest value and predictions, whatever they are when a sample is taken.
         """
         self._timing = timing
+        self._armed = ARMED_S / timing.interval_s
+        self._step_memory = STEP_ERROR_MEMORY_S / timing.interval_s
+        self._mean_memory = MEAN_MEMORY_S / timing.interval_s
         self._gap_weights, self._curve = gap_weights, curve
         self._anchor = np.zeros(gap_weights.shape[1])
         self.level = 0.0
@@ -174,7 +177,7 @@ class Channel:
         error = x - expected
         count = self._step_count
         settled = self.since > self._timing.settling  # before, the prediction knows little of the motion
-        if settled and count > ARMED_S / self._timing.interval_s:
+        if settled and count > self._armed:
             limit = GATE * sqrt(self.step_square)
             if self.quantum < inf:
                 limit = max(limit, QUANTA * self.quantum)
@@ -186,19 +189,19 @@ class Channel:
         self._absent = 0
         if settled and not absent:
             self._step_count = count + 1
-            share = 1.0 / min(count // 2 + 1, STEP_ERROR_MEMORY_S / self._timing.interval_s)
+            share = 1.0 / min(count // 2 + 1, self._step_memory)
             self.step_square += share * (error * error - self.step_square)
         self._follow(x)
         return True
 
     def _follow(self, x: float) -> None:
         """Slow mean and variance; a manoeuvre is motion far outside of them."""
-        interval_s = self._timing.interval_s
-        memory = MEAN_MEMORY_S / interval_s
+        memory = self._mean_memory
         deviation = x - self.mean
         square = deviation * deviation
         count = self._mean_count
         if count > 0.5 * memory and square > MANOEUVRE**2 * self._square > 0.0:
+            interval_s = self._timing.interval_s
             self._manoeuvre += 1
             if self._manoeuvre < MANOEUVRE_LASTS_S / interval_s:
                 self.calm = 0
@@ -208,7 +211,6 @@ class Channel:
             count = MANOEUVRE_MEAN_S / interval_s
         elif self._manoeuvre:
             self._manoeuvre -= 1
-        share = 1.0 / min(count + 1.0, memory)
-        self.mean += share * deviation
-        self._square += share * (square - self._square)
-        self._mean_count = min(count + 1.0, memory)
+        self._mean_count = count = min(count + 1.0, memory)
+        self.mean += deviation / count
+        self._square += (square - self._square) / count

@@ -34,8 +34,10 @@ EXTRAPOLATED_S: Final = 0.5
 """Up to this horizon the residual to the fading-memory extrapolation is fitted."""
 RIDGE: Final = 0.1
 """Ridge over the noise variance, for which the square of the one-step error stands."""
-YOUNG_BATCH_S, BATCH_S = 0.5, 2.0
-"""Predictions are scored, equations summed and solved so often: while young, and then."""
+FIRST_BATCH_S, BATCH_S = 0.5, 2.0
+"""Predictions are scored, equations summed and solved so often: at first, and in the end."""
+GROWTH: Final = 100
+"""Batches' worth of rows after which a batch is made of twice as many."""
 SCORE_S: Final = 0.11
 """Errors closer together than this are hardly different ones."""
 SOLVED_PER_BATCH: Final = 2
@@ -70,7 +72,7 @@ class Learner:
         self._every = samples_per_step(interval_s)
         spacing_s = self._spacing_s = self._every * interval_s
         self._score_every = 2 if 2.0 * spacing_s < SCORE_S else 1
-        self._rows_per_late_batch = max(1, round(BATCH_S / spacing_s))
+        self._most_rows = max(1, round(BATCH_S / spacing_s))
         self._spans = np.array([round(s / interval_s) for s in EXPERT_SPANS_S])
         self._floor = np.concatenate([self._spans, np.zeros(EXPERTS - FADING, dtype=np.intp)])[:, None]
         features = len(regressors.features)
@@ -103,7 +105,7 @@ class Learner:
         self._extrapolates[:, FADING] = True
         self._row_map = np.concatenate([regressors.features, regressors.taps[:count], regressors.block[None]]).T.copy()
 
-        self._kept = int(self._delay[-1]) + self._rows_per_late_batch + 2
+        self._kept = int(self._delay[-1]) + self._most_rows + 2
         capacity = 3 * self._kept
         self._features = np.zeros((capacity, n, features))
         self._offsets = np.zeros((capacity, count, n))
@@ -114,13 +116,14 @@ class Learner:
         self._age = np.full((capacity, n), UNUSABLE, dtype=np.intp)
         self._row_end = self._kept  # as if there had been rows that predicted nothing
         self._rows_seen = 0
-        self._schedule(max(1, round(YOUNG_BATCH_S / spacing_s)))
+        self._schedule(max(1, round(FIRST_BATCH_S / spacing_s)))
+        self._until_batch = self._rows
         self.weights = self._weights()
         """(n, H, width): what is published of a channel's vector."""
 
     def _schedule(self, rows: int) -> None:
         """``rows`` per batch from now on."""
-        self._rows = self._until_batch = rows
+        self._rows = rows
         ago = np.arange(rows - 1, -1, -1)
         self._ends = -self._every * ago
         self._scored = -1 - ago[:, None] - self._delay
@@ -173,9 +176,9 @@ class Learner:
             self._turn = (self._turn + 1) % pairs
         self._switch.choose(np.array([channel.calm for channel in channels]) >= self._floor)
         self.weights = self._weights()
+        if self._rows < self._most_rows and self._rows_seen >= GROWTH * self._rows:
+            self._schedule(min(2 * self._rows, self._most_rows))
         self._until_batch = self._rows
-        if not self.is_young and self._rows != self._rows_per_late_batch:
-            self._schedule(self._rows_per_late_batch)
 
     def _complete(self) -> None:
         """Features of the rows since the last batch, and what each expert makes of them."""
