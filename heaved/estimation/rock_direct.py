@@ -10,7 +10,7 @@ predictions that would let its errors grow.
   level: a list, a change of draught or heading shifts nothing but the mean.
 * Experts run side by side: regressions on 2, 10 and 40 s of lags (each learns once its own lags are filled), the
   extrapolation, hold and the mean. Per horizon the one with the least realised error is published.
-* Work is in samples on an even grid (:mod:`heaved.estimation.rock_clock`); equations are taken every 50 ms; every
+* Work is in samples on an even grid (:mod:`heaved.estimation.rock_clock`); equations are taken every 0.2 s; every
   other second they are summed and, a few sets in turn, solved (:mod:`heaved.estimation.rock_learning`).
 
 Missing samples are filled with the prediction; what else may be wrong with them is dealt with in
@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from heaved.estimation.rock_clock import SampleClock
 from heaved.estimation.rock_experts import Switch
 from heaved.estimation.rock_gate import JUDGED_S, Channel, Timing
-from heaved.estimation.rock_lags import SampleWindow, curve_weights, fading_taps, lag_knots, samples_per_step
+from heaved.estimation.rock_lags import SampleWindow, curve_weights, fading_taps, lag_knots
 from heaved.estimation.rock_learning import BATCH_S, EXPERT_SPANS_S, EXPERTS, Learner, first_choice
 from heaved.estimation.rock_regressors import Regressors
 
@@ -178,7 +178,6 @@ class DirectPredictor:
         self._built = True
         horizons, n = self._horizons, self._n
         count = len(horizons)
-        self._until_row = self._every = samples_per_step(interval_s)
         knots = lag_knots(interval_s, EXPERT_SPANS_S[-1])
         taps = fading_taps(interval_s, np.append(horizons, [0.0, 1e-3]))
         settling = taps.shape[1]
@@ -186,8 +185,7 @@ class DirectPredictor:
         judged = max(round(JUDGED_S / interval_s), 3)
         self._unmeasured, self._rates = [nan] * n, [0.0] * n
 
-        rows_per_batch = max(1, round(BATCH_S / (self._every * interval_s)))
-        keep = int(knots[-1]) + self._every * (rows_per_batch + 2) + judged + 8
+        keep = int(knots[-1]) + round((BATCH_S + 1.0) / interval_s) + judged + 8
         columns = 3 * n if self._with_rates else 2 * n
         self._window = SampleWindow(knots, columns, max(keep, settling))
         # Predictions by extrapolation, and the slope now.
@@ -202,6 +200,7 @@ class DirectPredictor:
             regressors=self._regressors,
             switch=self._switch,
         )
+        self._until_row = self._learner.every
         self._batch_due = False
 
         # Interpolation of the predicted curve: one sample on, and its slope at each horizon.
@@ -249,7 +248,7 @@ class DirectPredictor:
         self._until_row -= 1
         self._batch_due = False
         if self._until_row == 0:
-            self._until_row = self._every
+            self._until_row = self._learner.every
             if self._learner.keep(self._curves[:, 1:].T, channels):
                 self._learner.batch(channels)
                 self._map = self._mapped()

@@ -1,6 +1,6 @@
 """The experts of the direct predictor: what they learn from, how they have fared, which of them is published.
 
-Every 50 ms a row is kept: what was published, and whether it may be learned from. Every other second the rows since
+Every 0.2 s a row is kept: what was published, and whether it may be learned from. Every other second the rows since
 the last time are completed with their features and with what each expert said, those whose targets have become known
 are scored and summed into normal equations, and a few sets of those, in turn, are solved. In between nothing changes
 but the samples, so what is published is one matrix (:attr:`Learner.weights`) on the vectors of
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from heaved.estimation.rock_equations import NormalEquations, moments_of
 from heaved.estimation.rock_experts import Switch
 from heaved.estimation.rock_gate import Channel
-from heaved.estimation.rock_lags import Indices, SampleWindow, between, samples_per_step
+from heaved.estimation.rock_lags import Indices, SampleWindow, between
 from heaved.estimation.rock_regressors import Regressors
 
 Array = NDArray[np.float64]
@@ -38,8 +38,8 @@ FIRST_BATCH_S, BATCH_S = 0.5, 2.0
 """Predictions are scored, equations summed and solved so often: at first, and in the end."""
 GROWTH: Final = 100
 """Batches' worth of rows after which a batch is made of twice as many."""
-SCORE_S: Final = 0.11
-"""Errors closer together than this are hardly different ones."""
+ROW_S: Final = 0.2
+"""Errors and equations closer together than this are hardly different ones."""
 SOLVED_PER_BATCH: Final = 2
 """Sets of equations (three experts, short and long horizons) solved in a batch, in turn: each every 6 s, a fiftieth of
 the memory. While young all of them."""
@@ -69,9 +69,9 @@ class Learner:
     ) -> None:
         """``memory_s``: of the regression with the longest lags."""
         self._window, self._regressors, self._switch = window, regressors, switch
-        self._every = samples_per_step(interval_s)
-        spacing_s = self._spacing_s = self._every * interval_s
-        self._score_every = 2 if 2.0 * spacing_s < SCORE_S else 1
+        self.every = every = max(1, round(ROW_S / interval_s))
+        """Samples from one row to the next."""
+        spacing_s = self._spacing_s = every * interval_s
         self._most_rows = max(1, round(BATCH_S / spacing_s))
         self._spans = np.array([round(s / interval_s) for s in EXPERT_SPANS_S])
         self._floor = np.concatenate([self._spans, np.zeros(EXPERTS - FADING, dtype=np.intp)])[:, None]
@@ -83,7 +83,7 @@ class Learner:
         # Where the measured value of each horizon lies, in samples and in rows.
         self._target = between(horizons_s / interval_s)
         self._whole = bool(np.all(self._target.weights == (0.0, 1.0, 0.0, 0.0)))
-        self._delay = np.ceil((self._target.first + 3) / self._every).astype(np.intp)
+        self._delay = np.ceil((self._target.first + 3) / every).astype(np.intp)
         self._h = np.arange(len(horizons_s))
 
         # Horizons that share a set of equations: those whose targets are known early, and the others.
@@ -125,9 +125,9 @@ class Learner:
         """``rows`` per batch from now on."""
         self._rows = rows
         ago = np.arange(rows - 1, -1, -1)
-        self._ends = -self._every * ago
+        self._ends = -self.every * ago
         self._scored = -1 - ago[:, None] - self._delay
-        self._aimed = -1 - self._every * (ago[:, None] + self._delay) + self._target.first
+        self._aimed = -1 - self.every * (ago[:, None] + self._delay) + self._target.first
 
     @property
     def is_young(self) -> bool:
@@ -148,7 +148,7 @@ class Learner:
         ages = []
         for channel in channels:
             if channel.unsettled > 0:
-                channel.unsettled -= self._every
+                channel.unsettled -= self.every
             ages.append(channel.calm if channel.since > 0 and channel.unsettled <= 0 else UNUSABLE)
         self._age[row] = ages
         self._row_end += 1
@@ -207,14 +207,12 @@ class Learner:
         if not known.all():
             measured[~known] = np.nan
         self._aims[rows, h] = measured
-        if self._score_every > 1:  # from the newest row backwards
-            rows, measured = rows[:: -self._score_every], measured[:: -self._score_every]
         error = measured[:, :, None, :] - self._made[rows, h]
         filled = self._age[rows][:, :, None, :] >= self._floor
         if not filled.all():
             error[~filled] = np.nan
         shown = measured - self._shown[rows, h]
-        self._switch.score(self._score_every * self._spacing_s, error, shown, self._shown_half[rows, h])
+        self._switch.score(self._spacing_s, error, shown, self._shown_half[rows, h])
 
     def _sum(self, equations: Sequence[NormalEquations], group: slice) -> None:
         end = self._row_end - int(self._delay[group.stop - 1])
