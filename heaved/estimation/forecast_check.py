@@ -14,8 +14,8 @@ from typing import Final
 from heaved.estimation.rock_direct import DirectPredictor, Params
 
 FEED_S: Final = 0.2
-"""Least interval of what is fed and compared. With half of it the regression is 4 to 12 % better and costs twice as much;
-a wrong model is doubted as surely."""
+"""Least interval of what is fed and compared. With half of it the regression is 4 to 12 % better for twice the cost, and a
+wrong model is doubted no more surely."""
 GAP_S: Final = 0.5
 """A forecast for a moment between frames further apart than this is not judged."""
 MEMORY_S: Final = 60.0
