@@ -14,7 +14,7 @@ from typing import Final
 from heaved.estimation.rock_direct import DirectPredictor, Params
 
 FEED_S: Final = 0.2
-"""Least interval of what is fed and compared. With half of it the regression is 4 to 12 % better for twice the cost, and a
+"""Least interval of what is fed and compared. With half of it the regression is 4 to 12 % better at twice the cost; a
 wrong model is doubted no more surely."""
 GAP_S: Final = 0.5
 """A forecast for a moment between frames further apart than this is not judged."""
