@@ -31,7 +31,7 @@ ON_TIME: Final = 0.02
 """Deviation of a stamp from its place, in samples, that makes no difference."""
 FINE_S: Final = 0.25
 """Up to here the curve has a node for each block: what is published soon lies between them at any phase."""
-BATCH_S: Final = 2.0
+BATCH_S: Final = 4.0
 SCORED: Final = 2
 """Every second block is scored, one phase after the other: errors closer together are hardly different ones."""
 
@@ -245,7 +245,7 @@ class Blocks:
         middle: float = self._expected[-1][channel]
         return middle + sum(innovations) / len(innovations)
 
-    # -- every other second ------------------------------------------------------------------------------------------
+    # -- every few seconds -----------------------------------------------------------------------------------------
 
     def _batch(self) -> None:
         """Learn from what came true of the blocks whose targets are known, and score it."""

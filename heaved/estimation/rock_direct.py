@@ -10,8 +10,8 @@ predictions that would let its errors grow.
   level: a list, a change of draught or heading shifts nothing but the mean.
 * Experts run side by side: regressions on 2, 10 and 40 s of lags (each learns once its own lags are filled), the
   extrapolation, hold and the mean. Per horizon the one with the least realised error is published.
-* Work is in samples on an even grid (:mod:`heaved.estimation.rock_clock`); equations are taken every 0.2 s; every
-  other second they are summed and, a few sets in turn, solved (:mod:`heaved.estimation.rock_learning`).
+* Work is in samples on an even grid (:mod:`heaved.estimation.rock_clock`); equations are taken every 0.2 s,
+  and every few seconds they are summed and, some sets in turn, solved (:mod:`heaved.estimation.rock_learning`).
 
 Missing samples are filled with the prediction; what else may be wrong with them is dealt with in
 :mod:`heaved.estimation.rock_gate`. While the motion leaves its own range nothing is learned.

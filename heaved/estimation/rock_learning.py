@@ -1,7 +1,7 @@
 """The experts of the direct predictor: what they learn from, how they have fared, which of them is published.
 
-Every 0.2 s a row is kept: what was published, and whether it may be learned from. Every other second the rows since
-the last time are completed with their features and with what each expert said, those whose targets have become known
+Every 0.2 s a row is kept: what was published, and whether it may be learned from. Every few seconds the rows since the
+last time are completed with their features and with what each expert said, those whose targets have become known
 are scored and summed into normal equations, and a few sets of those, in turn, are solved. In between nothing changes
 but the samples, so what is published is one matrix (:attr:`Learner.weights`) on the vectors of
 :mod:`heaved.estimation.rock_regressors`.
@@ -34,14 +34,14 @@ EXTRAPOLATED_S: Final = 0.5
 """Up to this horizon the residual to the fading-memory extrapolation is fitted."""
 RIDGE: Final = 0.1
 """Ridge over the noise variance, for which the square of the one-step error stands."""
-FIRST_BATCH_S, BATCH_S = 0.5, 2.0
+FIRST_BATCH_S, BATCH_S = 0.5, 4.0
 """Predictions are scored, equations summed and solved so often: at first, and in the end."""
 GROWTH: Final = 100
 """Batches' worth of rows after which a batch is made of twice as many."""
 ROW_S: Final = 0.2
 """Errors and equations closer together than this are hardly different ones."""
-SOLVED_PER_BATCH: Final = 2
-"""Sets of equations (three experts, short and long horizons) solved in a batch, in turn: each every 6 s, a fiftieth of
+SOLVED_PER_BATCH: Final = 3
+"""Sets of equations (three experts, short and long horizons) solved in a batch, in turn: each every 8 s, a fortieth of
 the memory. While young all of them."""
 YOUNG_S: Final = 120.0
 UNUSABLE: Final = -1
@@ -161,7 +161,7 @@ class Learner:
         self._age[:, channel] = UNUSABLE
         self._shown[:, :, channel] = np.nan
 
-    # -- every other second ---------------------------------------------------------------------------------------
+    # -- every few seconds -----------------------------------------------------------------------------------------
 
     def batch(self, channels: Sequence[Channel]) -> None:
         """Score what came true, learn from it, solve, choose."""
