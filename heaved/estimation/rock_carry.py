@@ -66,15 +66,12 @@ class Carry:
             self._solve(enough)
 
     def _follow_scale(self, innovations: Array) -> None:
-        known = np.isfinite(innovations).any(axis=0)
-        if not known.any():
-            return
         size = np.sort(np.abs(innovations), axis=0)  # what is not known is last
-        half = np.maximum(np.count_nonzero(np.isfinite(size), axis=0) - 1, 0) // 2
-        scale = DEVIATION * np.take_along_axis(size, half[None], axis=0)[0]
+        half = np.maximum(np.isfinite(size).sum(axis=0) - 1, 0) // 2
+        scale = DEVIATION * np.take_along_axis(size, half[None], axis=0)[0]  # nan: nothing is known
         share = min(len(innovations) * self._block_s / SCALE_MEMORY_S, 1.0)
         followed = np.where(np.isnan(self._scale), scale, self._scale + share * (scale - self._scale))
-        self._scale = np.where(known, followed, self._scale)
+        self._scale = np.where(np.isnan(followed), self._scale, followed)
         self.gate = np.where(np.isnan(self._scale), np.inf, GATE * self._scale)
 
     def _solve(self, enough: NDArray[np.bool_]) -> None:

@@ -36,7 +36,7 @@ RIDGE: Final = 0.1
 """Ridge over the noise variance, for which the square of the one-step error stands."""
 FIRST_BATCH_S, BATCH_S = 0.5, 4.0
 """Predictions are scored, equations summed and solved so often: at first, and in the end."""
-GROWTH: Final = 100
+GROWTH: Final = 50
 """Batches' worth of rows after which a batch is made of twice as many."""
 ROW_S: Final = 0.2
 """Errors and equations closer together than this are hardly different ones."""
