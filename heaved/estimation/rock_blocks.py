@@ -57,6 +57,8 @@ class Blocks:
         self.gated = 0
         """Samples of blocks that were left out as spikes."""
         self._unknown = np.full((horizons, channels), nan)
+        self.values: Array = self._unknown
+        """What is published."""
 
         # Of a channel: the curve (latest mean and nodes), then the innovations since; maps by samples since.
         self._state = np.zeros((channels, nodes + samples - 1, 1))
@@ -118,8 +120,8 @@ class Blocks:
 
     # -- one sample ------------------------------------------------------------------------------------------------
 
-    def take(self, t_s: float, values: list[float], rates: Sequence[float] | None) -> None:
-        """A sample later than the one before; what is published is renewed."""
+    def step(self, t_s: float, values: list[float], rates: Sequence[float] | None) -> Array:
+        """Take a sample later than the one before and predict from it."""
         if self._end_s == -inf:
             self._end_s = t_s - self._interval_s
             self.origin_s = self._end_s - self._lag_s
@@ -129,10 +131,10 @@ class Blocks:
             place = self._catch_up(t_s)
             phase = round(place)
         if phase < 1:
-            return
+            return self.values
         off = place - phase
         expected = self._expected[phase]
-        if is_off := abs(off) > ON_TIME:
+        if is_off := not -ON_TIME <= off <= ON_TIME:
             expected = [x + off * (x - y) for x, y in zip(expected, self._expected[phase - 1], strict=True)]
         innovation = [value - curve for value, curve in zip(values, expected, strict=True)]
         self._values_in[phase - 1] = values
@@ -159,6 +161,7 @@ class Blocks:
         if phase == self._shown_phase:
             self._shown[self._row] = self.values
             self._shown_half[self._row] = self.switch.half_width
+        return self.values
 
     @property
     def correction(self) -> Array:
@@ -211,7 +214,6 @@ class Blocks:
     def _lose(self) -> None:
         """Nothing is expected."""
         self.values = self._unknown
-        """What is published."""
         self._expected = [self._nothing] * (self._samples + 2)
         self._curve[:] = nan
         self._empty()

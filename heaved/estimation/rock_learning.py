@@ -41,9 +41,8 @@ GROWTH: Final = 50
 ROW_S: Final = 0.2
 """Errors and equations closer together than this are hardly different ones."""
 SOLVED_PER_BATCH: Final = 3
-"""Sets of equations (three experts, short and long horizons) solved in a batch, in turn: each every 8 s, a fortieth of
-the memory. While young all of them."""
-YOUNG_S: Final = 120.0
+"""Sets of equations (three experts, short and long horizons) solved in a batch, in turn: each every 8 s in the end, a
+fortieth of the memory."""
 UNUSABLE: Final = -1
 """Age of a row that is neither scored nor learned from."""
 
@@ -129,10 +128,6 @@ class Learner:
         self._scored = -1 - ago[:, None] - self._delay
         self._aimed = -1 - self.every * (ago[:, None] + self._delay) + self._target.first
 
-    @property
-    def is_young(self) -> bool:
-        return self._rows_seen * self._spacing_s < YOUNG_S
-
     # -- rows ------------------------------------------------------------------------------------------------------
 
     def keep(self, shown: Array, channels: Sequence[Channel]) -> bool:
@@ -170,8 +165,7 @@ class Learner:
         for equations, group in zip(self._equations, self._groups, strict=True):
             self._sum(equations, group)
         pairs = len(self._groups) * len(self._sizes)
-        solved = pairs if self.is_young else SOLVED_PER_BATCH
-        for _ in range(solved):
+        for _ in range(SOLVED_PER_BATCH):
             self._solve(*divmod(self._turn, len(self._sizes)), channels)
             self._turn = (self._turn + 1) % pairs
         self._switch.choose(np.array([channel.calm for channel in channels]) >= self._floor)

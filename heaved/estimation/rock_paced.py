@@ -56,6 +56,8 @@ class PacedPredictor:
         """What predicts; None until the rate is known."""
         self._blocks: Blocks | None = None
         """What it is fed through; None if with every sample."""
+        self._taking: Blocks | DirectPredictor | None = None
+        """Which of them takes the samples."""
         self._scored: Switch | DirectPredictor | None = None
         """What knows the errors of what is published."""
 
@@ -113,7 +115,7 @@ class PacedPredictor:
         if self.t_s > -inf:
             self._recent.append(t_s - self.t_s)
         self.t_s = t_s
-        if self.fed is None:
+        if self._taking is None:
             self._pending.append((t_s, values, rates))
             if len(self._pending) >= FIRST:
                 self._begin()
@@ -124,7 +126,7 @@ class PacedPredictor:
             return self.values
         if not isfinite(sum(values)):
             values = [value if isfinite(value) else nan for value in values]
-        self._take(t_s, values, rates)
+        self.values = self._taking.step(t_s, values, rates)
         return self.values
 
     def at(self, t_s: float) -> Array:
@@ -139,13 +141,6 @@ class PacedPredictor:
         at_s = np.minimum(t_s - origin_s + np.array(self.horizons_s), nodes[-1])
         seen: Array = np.where(np.isfinite(curve).all(axis=0), CubicSpline(nodes, np.nan_to_num(curve))(at_s), nan)
         return seen if self._blocks is None else seen + self._blocks.correction
-
-    def _take(self, t_s: float, values: list[float], rates: Sequence[float] | None) -> None:
-        if self._blocks is not None:
-            self._blocks.take(t_s, values, rates)
-            self.values = self._blocks.values
-        elif self.fed is not None:
-            self.values = self.fed.step(t_s, values, rates)
 
     def _rate_changed(self) -> bool:
         self._until_check = len(self._recent)
@@ -164,10 +159,10 @@ class PacedPredictor:
         self._interval_s = interval_s = float(stamps[-1] - stamps[0]) / float(whole.sum())
         samples = max(1, int(1.0 / (PACE_HZ * interval_s) + SPARE))
         if samples > 1:
-            self._blocks = Blocks(self._params, samples, interval_s, self._n, rates=self._rates)
-            self.fed, self._scored = self._blocks.fed, self._blocks.switch
+            blocks = self._taking = self._blocks = Blocks(self._params, samples, interval_s, self._n, rates=self._rates)
+            self.fed, self._scored = blocks.fed, blocks.switch
         else:
-            self.fed = self._scored = DirectPredictor(self._n, self._params, rates=self._rates)
+            self._taking = self.fed = self._scored = DirectPredictor(self._n, self._params, rates=self._rates)
         for t, values, rates in self._pending:
-            self._take(t, values, rates)
+            self.values = self._taking.step(t, values, rates)
         self._pending = []
