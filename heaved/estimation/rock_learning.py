@@ -1,9 +1,9 @@
 """The experts of the direct predictor: what they learn from, how they have fared, which of them is published.
 
-Every 0.2 s a row is kept: what was published, and whether it may be learned from. Every few seconds the rows since the
-last time are completed with their features and with what each expert said, those whose targets have become known
-are scored and summed into normal equations, and a few sets of those, in turn, are solved. In between nothing changes
-but the samples, so what is published is one matrix (:attr:`Learner.weights`) on the vectors of
+Every 0.2 s a row is kept: what was published, and whether it may be learned from. Once a second the new rows are
+completed with what each expert made of them, those whose targets have become known are scored, and the best expert is
+chosen; every few seconds they are summed into normal equations, and some sets of those, in turn, are solved. In between
+nothing changes but the samples, so what is published is one matrix (:attr:`Learner.weights`) on the vectors of
 :mod:`heaved.estimation.rock_regressors`.
 """
 
@@ -34,8 +34,10 @@ EXTRAPOLATED_S: Final = 0.5
 """Up to this horizon the residual to the fading-memory extrapolation is fitted."""
 RIDGE: Final = 0.1
 """Ridge over the noise variance, for which the square of the one-step error stands."""
+CHOICE_S: Final = 1.0
+"""Predictions are scored, and experts chosen, so often."""
 FIRST_BATCH_S, BATCH_S = 0.5, 4.0
-"""Predictions are scored, equations summed and solved so often: at first, and in the end."""
+"""Equations are summed and solved so often: at first, and in the end."""
 GROWTH: Final = 50
 """Batches' worth of rows after which a batch is made of twice as many."""
 ROW_S: Final = 0.2
@@ -95,19 +97,36 @@ class Learner:
             for g in self._groups
         ]
         self._turn = 0
-        # Every expert is a linear one: coefficients on the features, added to the extrapolation or the latest block.
-        self._coefficients = np.zeros((n, count, EXPERTS, features))
-        self._coefficients[:, :, :FADING] = np.nan
-        self._coefficients[:, :, MEAN, 0] = 1.0
-        self._extrapolates = np.zeros((count, EXPERTS), dtype=bool)
-        self._extrapolates[:early, :FADING] = True
-        self._extrapolates[:, FADING] = True
-        self._row_map = np.concatenate([regressors.features, regressors.taps[:count], regressors.block[None]]).T.copy()
+        self._build_experts(early)
+        self._most_choice = max(1, round(CHOICE_S / spacing_s))
+        self._build_rings(n, count)
+        self._unlearned = 0
+        """Rows scored since equations were summed."""
+        self._schedule(max(1, round(FIRST_BATCH_S / spacing_s)))
+        self._until_batch = self._rows
+        self.weights = self._weights()
+        """(n, H, width): what is published of a channel's vector."""
 
-        self._kept = int(self._delay[-1]) + self._most_rows + 2
+    def _build_experts(self, early: int) -> None:
+        """Every one is linear: coefficients on the features, added to the extrapolation or to the latest block."""
+        regressors, (count, n), features = self._regressors, self._switch.best.shape, len(self._regressors.features)
+        self._parts = np.concatenate([regressors.features, regressors.taps[:count], regressors.block[None]])
+        self._row_map = self._parts.T.copy()
+        self._p = features
+        self._coefficients = np.zeros((n, count, EXPERTS, len(self._parts)))
+        self._coefficients[:, :, :FADING, :features] = np.nan
+        self._coefficients[:, :, MEAN, 0] = 1.0
+        self._base = np.full((count, EXPERTS), -1)
+        """Column of what the features are added to."""
+        self._base[:early, :FADING] = features + self._h[:early, None]
+        self._base[:, FADING] = features + self._h
+        np.put_along_axis(self._coefficients, self._base[None, :, :, None] % len(self._parts), 1.0, axis=3)
+
+    def _build_rings(self, n: int, count: int) -> None:
+        """Rows that wait for their targets."""
+        self._kept = int(self._delay[-1]) + self._most_rows + self._most_choice + 2
         capacity = 3 * self._kept
-        self._features = np.zeros((capacity, n, features))
-        self._offsets = np.zeros((capacity, count, n))
+        self._seen = np.zeros((capacity, n, len(self._parts)))
         self._made = np.full((capacity, count, EXPERTS, n), np.nan)
         self._shown = np.full((capacity, count, n), np.nan)
         self._shown_half = np.full((capacity, count, n), np.nan)
@@ -115,15 +134,12 @@ class Learner:
         self._age = np.full((capacity, n), UNUSABLE, dtype=np.intp)
         self._row_end = self._kept  # as if there had been rows that predicted nothing
         self._rows_seen = 0
-        self._schedule(max(1, round(FIRST_BATCH_S / spacing_s)))
-        self._until_batch = self._rows
-        self.weights = self._weights()
-        """(n, H, width): what is published of a channel's vector."""
 
-    def _schedule(self, rows: int) -> None:
-        """``rows`` per batch from now on."""
-        self._rows = rows
-        ago = np.arange(rows - 1, -1, -1)
+    def _schedule(self, batch: int) -> None:
+        """``batch`` rows are summed at a time from now on."""
+        self._batch_rows = batch
+        self._rows = min(batch, self._most_choice)
+        ago = np.arange(self._rows - 1, -1, -1)
         self._ends = -self.every * ago
         self._scored = -1 - ago[:, None] - self._delay
         self._aimed = -1 - self.every * (ago[:, None] + self._delay) + self._target.first
@@ -134,7 +150,7 @@ class Learner:
         """A row as of the latest sample: what was published (H, n). True: a batch is due."""
         if self._row_end == len(self._age):
             start = self._row_end - self._kept
-            rings = (self._features, self._offsets, self._made, self._shown, self._shown_half, self._aims)
+            rings = (self._seen, self._made, self._shown, self._shown_half, self._aims)
             for ring in (*rings, self._age):
                 ring[: self._kept] = ring[start:]
             self._row_end = self._kept
@@ -156,35 +172,26 @@ class Learner:
         self._age[:, channel] = UNUSABLE
         self._shown[:, :, channel] = np.nan
 
-    # -- every few seconds -----------------------------------------------------------------------------------------
+    # -- once a second, and every few ----------------------------------------------------------------------------
 
     def batch(self, channels: Sequence[Channel]) -> None:
-        """Score what came true, learn from it, solve, choose."""
+        """Score what came true and choose; learn and solve when it is time."""
         self._complete()
         self._score()
-        for equations, group in zip(self._equations, self._groups, strict=True):
-            self._sum(equations, group)
-        pairs = len(self._groups) * len(self._sizes)
-        for _ in range(SOLVED_PER_BATCH):
-            self._solve(*divmod(self._turn, len(self._sizes)), channels)
-            self._turn = (self._turn + 1) % pairs
+        self._unlearned += self._rows
+        if self._unlearned >= self._batch_rows:
+            self._learn(channels)
         self._switch.choose(np.array([channel.calm for channel in channels]) >= self._floor)
         self.weights = self._weights()
-        if self._rows < self._most_rows and self._rows_seen >= GROWTH * self._rows:
-            self._schedule(min(2 * self._rows, self._most_rows))
         self._until_batch = self._rows
 
     def _complete(self) -> None:
-        """Features of the rows since the last batch, and what each expert makes of them."""
+        """What is seen from the new rows, and what each expert makes of it."""
         rows = slice(self._row_end - self._rows, self._row_end)
-        seen = self._regressors.at(self._window.end + self._ends) @ self._row_map  # (R, n, p + H + 1)
-        n, count, experts, p = self._coefficients.shape
-        features = self._features[rows] = seen[:, :, :p]
-        extrapolation, block = seen[:, :, p:-1].transpose(0, 2, 1), seen[:, None, :, -1]
-        self._offsets[rows] = np.where(self._extrapolates[:, :1], extrapolation, block)
-        added = self._coefficients.reshape(n, count * experts, p) @ features.transpose(1, 2, 0)
-        made = np.where(self._extrapolates[:, :, None], extrapolation[:, :, None], block[:, :, None])
-        self._made[rows] = made + added.reshape(n, count, experts, -1).transpose(3, 1, 2, 0)
+        seen = self._seen[rows] = self._regressors.at(self._window.end + self._ends) @ self._row_map
+        n, count, experts, parts = self._coefficients.shape
+        made = self._coefficients.reshape(n, count * experts, parts) @ seen.transpose(1, 2, 0)
+        self._made[rows] = made.reshape(n, count, experts, -1).transpose(3, 1, 2, 0)
         self._shown_half[rows] = self._switch.half_width
 
     def _score(self) -> None:
@@ -208,11 +215,22 @@ class Learner:
         shown = measured - self._shown[rows, h]
         self._switch.score(self._spacing_s, error, shown, self._shown_half[rows, h])
 
+    def _learn(self, channels: Sequence[Channel]) -> None:
+        for equations, group in zip(self._equations, self._groups, strict=True):
+            self._sum(equations, group)
+        self._unlearned = 0
+        for _ in range(SOLVED_PER_BATCH):
+            self._solve(*divmod(self._turn, len(self._sizes)), channels)
+            self._turn = (self._turn + 1) % (len(self._groups) * len(self._sizes))
+        if self._batch_rows < self._most_rows and self._rows_seen >= GROWTH * self._batch_rows:
+            self._schedule(min(2 * self._batch_rows, self._most_rows))
+
     def _sum(self, equations: Sequence[NormalEquations], group: slice) -> None:
         end = self._row_end - int(self._delay[group.stop - 1])
-        rows = slice(end - self._rows, end)
-        wanted = (self._aims[rows, group] - self._offsets[rows, group]).transpose(2, 0, 1)
-        augmented = np.concatenate([wanted, self._features[rows].transpose(1, 0, 2)], axis=2)
+        rows = slice(end - self._unlearned, end)
+        seen = self._seen[rows].transpose(1, 0, 2)
+        wanted = self._aims[rows, group].transpose(2, 0, 1) - seen[:, :, self._base[group, 0]]
+        augmented = np.concatenate([wanted, seen[:, :, : self._p]], axis=2)
         targets, age = group.stop - group.start, self._age[rows]
         used = np.isfinite(wanted).all(axis=2).T & (age >= self._spans[0])
         moments = moments_of(augmented, used)
@@ -228,11 +246,10 @@ class Learner:
             found = self._equations[g][expert].solve(c, RIDGE * channel.noise_square)
             if found is not None:
                 self._coefficients[c, group, expert, :size] = found
-                self._coefficients[c, group, expert, size:] = 0.0
+                self._coefficients[c, group, expert, size : self._p] = 0.0
 
     def _weights(self) -> Array:
-        best, h = self._switch.best, self._h[:, None]
-        regressors, count = self._regressors, len(h)
-        chosen = self._coefficients[np.arange(best.shape[1]), h, best]  # (H, n, p)
-        base = np.where(self._extrapolates[h, best][:, :, None], regressors.taps[:count, None], regressors.block)
-        return (base + chosen @ regressors.features).transpose(1, 0, 2)
+        best = self._switch.best
+        chosen = self._coefficients[np.arange(best.shape[1]), self._h[:, None], best]  # (H, n, parts)
+        weights: Array = (chosen @ self._parts).transpose(1, 0, 2)
+        return weights
