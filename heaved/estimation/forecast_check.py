@@ -16,6 +16,8 @@ from heaved.estimation.rock_direct import DirectPredictor, Params
 FEED_S: Final = 0.2
 """Least interval of what is fed and compared. With half of it the regression is 4 to 12 % better at twice the cost; a
 wrong model is doubted no more surely."""
+CHOICE_S: Final = 4.0
+"""Of the regression: what is compared is a minute's errors."""
 GAP_S: Final = 0.5
 """A forecast for a moment between frames further apart than this is not judged."""
 MEMORY_S: Final = 60.0
@@ -39,7 +41,7 @@ class ForecastCheck:
 
     def reset(self) -> None:
         """Forget everything."""
-        self._regression = DirectPredictor(1, Params(horizons_s=(self._horizon_s,)))
+        self._regression = DirectPredictor(1, Params(horizons_s=(self._horizon_s,), choice_s=CHOICE_S))
         # (time that it is for, value), each by the clock of the heave that is given.
         self._observer: deque[tuple[float, float]] = deque()
         self._plain: deque[tuple[float, float]] = deque()

@@ -48,6 +48,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Of the regression on 40 s of lags; those on 10 and 2 s forget faster."""
     max_gap_s: Annotated[float, msgspec.Meta(ge=0.05, le=5.0)] = 2.0
     """Gaps up to this are filled with predictions; after longer ones the lags are filled anew."""
+    choice_s: Annotated[float, msgspec.Meta(ge=0.1, le=4.0)] = 1.0
+    """Predictions are scored and experts chosen so often: how soon a turn is noticed, and a good part of the cost."""
 
 
 class DirectPredictor:
@@ -195,6 +197,7 @@ class DirectPredictor:
             horizons,
             interval_s,
             self._params.memory_s,
+            self._params.choice_s,
             knots=knots,
             window=self._window,
             regressors=self._regressors,
@@ -250,8 +253,8 @@ class DirectPredictor:
         if self._until_row == 0:
             self._until_row = self._learner.every
             if self._learner.keep(self._curves[:, 1:].T, channels):
-                self._learner.batch(channels)
-                self._map = self._mapped()
+                if self._learner.batch(channels):
+                    self._map = self._mapped()
                 self._batch_due = True
 
     def _publish(self, late_s: float) -> None:

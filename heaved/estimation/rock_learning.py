@@ -1,6 +1,6 @@
 """The experts of the direct predictor: what they learn from, how they have fared, which of them is published.
 
-Every 0.2 s a row is kept: what was published, and whether it may be learned from. Once a second the new rows are
+Every 0.2 s a row is kept: what was published, and whether it may be learned from. About once a second the new rows are
 completed with what each expert made of them, those whose targets have become known are scored, and the best expert is
 chosen; every few seconds they are summed into normal equations, and some sets of those, in turn, are solved. In between
 nothing changes but the samples, so what is published is one matrix (:attr:`Learner.weights`) on the vectors of
@@ -34,8 +34,6 @@ EXTRAPOLATED_S: Final = 0.5
 """Up to this horizon the residual to the fading-memory extrapolation is fitted."""
 RIDGE: Final = 0.1
 """Ridge over the noise variance, for which the square of the one-step error stands."""
-CHOICE_S: Final = 1.0
-"""Predictions are scored, and experts chosen, so often."""
 FIRST_BATCH_S, BATCH_S = 0.5, 4.0
 """Equations are summed and solved so often: at first, and in the end."""
 GROWTH: Final = 50
@@ -62,13 +60,14 @@ class Learner:
         horizons_s: Array,
         interval_s: float,
         memory_s: float,
+        choice_s: float,
         *,
         knots: Indices,
         window: SampleWindow,
         regressors: Regressors,
         switch: Switch,
     ) -> None:
-        """``memory_s``: of the regression with the longest lags."""
+        """``memory_s``: of the regression with the longest lags; ``choice_s``: from one choice to the next."""
         self._window, self._regressors, self._switch = window, regressors, switch
         self.every = every = max(1, round(ROW_S / interval_s))
         """Samples from one row to the next."""
@@ -98,7 +97,7 @@ class Learner:
         ]
         self._turn = 0
         self._build_experts(early)
-        self._most_choice = max(1, round(CHOICE_S / spacing_s))
+        self._most_choice = max(1, round(choice_s / spacing_s))
         self._build_rings(n, count)
         self._unlearned = 0
         """Rows scored since equations were summed."""
@@ -174,16 +173,20 @@ class Learner:
 
     # -- once a second, and every few ----------------------------------------------------------------------------
 
-    def batch(self, channels: Sequence[Channel]) -> None:
-        """Score what came true and choose; learn and solve when it is time."""
+    def batch(self, channels: Sequence[Channel]) -> bool:
+        """Score what came true and choose; learn and solve when it is time. True: the weights are new."""
         self._complete()
         self._score()
         self._unlearned += self._rows
-        if self._unlearned >= self._batch_rows:
+        if is_due := self._unlearned >= self._batch_rows:
             self._learn(channels)
-        self._switch.choose(np.array([channel.calm for channel in channels]) >= self._floor)
-        self.weights = self._weights()
         self._until_batch = self._rows
+        before = self._switch.best
+        self._switch.choose(np.array([channel.calm for channel in channels]) >= self._floor)
+        if not is_due and np.array_equal(before, self._switch.best):
+            return False
+        self.weights = self._weights()
+        return True
 
     def _complete(self) -> None:
         """What is seen from the new rows, and what each expert makes of it."""
