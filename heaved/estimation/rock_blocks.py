@@ -39,9 +39,7 @@ SCORED: Final = 2
 class Blocks:
     """Blocks of ``samples`` for n channels; arrays published are (H, n)."""
 
-    def __init__(
-        self, params: Params, samples: int, interval_s: float, channels: int, *, rates: bool = False
-    ) -> None:
+    def __init__(self, params: Params, samples: int, interval_s: float, channels: int, *, rates: bool = False) -> None:
         """``interval_s``: of the samples; ``rates``: the first derivative of every channel is given with each."""
         self._horizons = np.unique(params.horizons_s)
         self._samples, self._interval_s, self._n = samples, interval_s, channels
@@ -65,18 +63,7 @@ class Blocks:
         self._curve, self._e = self._state[:, :nodes, 0], self._state[:, nodes:, 0]
         self._maps = np.zeros((samples, channels, horizons, nodes + samples - 1))
         self._aim()
-        self._per_batch = max(SCORED, SCORED * round(BATCH_S / block_s / SCORED))
-        # In blocks, even ones: those that are scored.
-        ahead = self._horizons / interval_s
-        self._delay = SCORED * np.ceil((samples + ahead + 1.0) / samples / SCORED).astype(np.intp)
-        self._kept = self._per_batch + int(self._delay[-1]) + SCORED + 1
-        # By blocks: what was measured, what of it had not been expected, from which curve; what was published of it.
-        self._measured = np.full((2 * self._kept, samples, channels), nan)
-        self._innovations = np.full((2 * self._kept, samples - 1, channels), nan)
-        self._curves = np.full((2 * self._kept, nodes, channels), nan)
-        self._shown = np.full((2 * self._kept, horizons, channels), nan)
-        self._shown_half = np.full((2 * self._kept, horizons, channels), nan)
-        self._row = self._kept
+        self._build_rings(horizons, nodes)
         self._since_batch = 0
         self._blocks = 0
         self._shown_phase = -1
@@ -88,6 +75,20 @@ class Blocks:
         self._e_in: list[list[float]]
         self._rates_in: list[Sequence[float]] = []
         self._lose()
+
+    def _build_rings(self, horizons: int, nodes: int) -> None:
+        """By blocks: what was measured, what of it had not been expected, from which curve; what was published."""
+        samples, channels = self._samples, self._n
+        self._per_batch = max(SCORED, SCORED * round(BATCH_S / self._block_s / SCORED))
+        # In blocks, even ones: those that are scored.
+        self._delay = SCORED * np.ceil((samples + self._ahead + 1.0) / samples / SCORED).astype(np.intp)
+        self._kept = self._per_batch + int(self._delay[-1]) + SCORED + 1
+        self._measured = np.full((2 * self._kept, samples, channels), nan)
+        self._innovations = np.full((2 * self._kept, samples - 1, channels), nan)
+        self._curves = np.full((2 * self._kept, nodes, channels), nan)
+        self._shown = np.full((2 * self._kept, horizons, channels), nan)
+        self._shown_half = np.full((2 * self._kept, horizons, channels), nan)
+        self._row = self._kept
 
     def _nodes(self) -> tuple[float, ...]:
         """Horizons of what is fed with means, from which the curve is drawn."""
