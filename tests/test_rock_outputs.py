@@ -121,7 +121,7 @@ def test_the_lead_of_the_heave_is_allowed_for() -> None:
     for k in range(2000):
         t = k / 20
         check.step(t, sin(tau * (t + 0.3) / 8), sin(tau * (t + 1.0) / 8))
-    assert check.errors_m[0] < 2e-3  # linear interpolation over 0.1 s
+    assert check.errors_m[0] < 2e-3  # linear interpolation between frames
 
 
 def test_unknown_forecasts_are_not_compared() -> None:

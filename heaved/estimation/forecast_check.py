@@ -13,8 +13,13 @@ from typing import Final
 
 from heaved.estimation.rock_direct import DirectPredictor, Params
 
-FEED_S: Final = 0.1
-"""Least interval of what is fed."""
+FEED_S: Final = 0.2
+"""Least interval of what is fed and compared. With half of it the regression is 4 to 12 % better at twice the cost; a
+wrong model is doubted no more surely."""
+CHOICE_S: Final = 4.0
+"""Of the regression: what is compared is a minute's errors."""
+GAP_S: Final = 0.5
+"""A forecast for a moment between frames further apart than this is not judged."""
 MEMORY_S: Final = 60.0
 """Of the errors."""
 WORSE: Final = 1.5
@@ -36,48 +41,54 @@ class ForecastCheck:
 
     def reset(self) -> None:
         """Forget everything."""
-        self._regression = DirectPredictor(1, Params(horizons_s=(self._horizon_s,)))
+        self._regression = DirectPredictor(1, Params(horizons_s=(self._horizon_s,), choice_s=CHOICE_S))
         # (time that it is for, value), each by the clock of the heave that is given.
         self._observer: deque[tuple[float, float]] = deque()
         self._plain: deque[tuple[float, float]] = deque()
         self._squares, self._seconds = [nan, nan], [0.0, 0.0]
         self._last: tuple[float, float] = (-inf, nan)
+        self._due_s = inf
+        """When the next of them can be judged."""
         self._worse_since_s = nan
 
     def step(self, t_s: float, heave_m: float, forecast_m: float) -> None:
         """``heave_m``: the observer's now; ``forecast_m``: its forecast for ``horizon_s`` later (nan: not known)."""
-        since_s = t_s - self._fed_s
-        if 0.0 <= since_s < 0.98 * FEED_S:
+        if t_s >= self._due_s:
+            self._judge(t_s, heave_m)
+        self._last = (t_s, heave_m)
+        if 0.0 <= t_s - self._fed_s < 0.98 * FEED_S:
             return
         self._fed_s = t_s
         plain_m = float(self._regression.step(t_s, (heave_m,))[0, 0])
-        for i, waiting in enumerate((self._observer, self._plain)):
-            self._judge(i, waiting, t_s, heave_m)
-        self._last = (t_s, heave_m)
         # Only what can be compared is: both or none.
         if isfinite(forecast_m + plain_m):
             self._observer.append((t_s + self._horizon_s - self._lead_s, forecast_m))
             self._plain.append((t_s + self._horizon_s, plain_m))
+            self._due_s = min(self._due_s, self._observer[0][0])
+
+    def _judge(self, t_s: float, heave_m: float) -> None:
+        """Take the errors of what was foretold for a time between the last heave and this one; which are greater?"""
+        last_s, last_m = self._last
+        gap_s = t_s - last_s
+        self._due_s = inf
+        for i, waiting in enumerate((self._observer, self._plain)):
+            while waiting and not t_s < waiting[0][0]:
+                at_s, foretold_m = waiting.popleft()
+                if not (last_s <= at_s and gap_s < GAP_S):
+                    continue  # It fell into a gap.
+                error_m = last_m + (at_s - last_s) / gap_s * (heave_m - last_m) - foretold_m
+                if isfinite(error_m):
+                    square, mean = error_m * error_m, self._squares[i]
+                    self._seconds[i] = min(self._seconds[i] + FEED_S, MEMORY_S)
+                    share = FEED_S / self._seconds[i]
+                    self._squares[i] = square if mean != mean else mean + share * (square - mean)
+            if waiting:
+                self._due_s = min(self._due_s, waiting[0][0])
         observer_m, plain_m = self.errors_m
         if observer_m > max(WORSE * plain_m, SMALL_M):
             self._worse_since_s = t_s if not self._worse_since_s <= t_s else self._worse_since_s
         else:
             self._worse_since_s = nan
-
-    def _judge(self, which: int, waiting: deque[tuple[float, float]], t_s: float, heave_m: float) -> None:
-        """Take the errors of what was foretold for a time between the last heave and this one."""
-        last_s, last_m = self._last
-        while waiting and not t_s < waiting[0][0]:
-            at_s, foretold_m = waiting.popleft()
-            gap_s = t_s - last_s
-            if not (last_s <= at_s and gap_s < 5.0 * FEED_S):
-                continue  # It fell into a gap.
-            error_m = last_m + (at_s - last_s) / gap_s * (heave_m - last_m) - foretold_m
-            if isfinite(error_m):
-                square, mean = error_m * error_m, self._squares[which]
-                self._seconds[which] = min(self._seconds[which] + gap_s, MEMORY_S)
-                share = gap_s / self._seconds[which]
-                self._squares[which] = square if mean != mean else mean + share * (square - mean)
 
     @property
     def errors_m(self) -> tuple[float, float]:

@@ -43,7 +43,9 @@ class Carry:
         self._scale = np.full((samples, channels), np.nan)
         self.gate = np.full((samples, channels), np.inf)
         """Largest innovation of each sample of a block that is believed."""
-        self.gains = np.zeros((samples, channels, horizons, samples))
+        there = np.tri(samples, dtype=bool)[:, None, :, None]  # (k, 1, sample, 1)
+        self._there, self._among = there, there & there.transpose(0, 1, 3, 2)
+        self.gains: Array = np.zeros((samples, channels, horizons, samples))
         """By samples that are there, less one: weights of the innovations."""
 
     def learn(self, innovations: Array, missing: Array) -> None:
@@ -64,21 +66,18 @@ class Carry:
             self._solve(enough)
 
     def _follow_scale(self, innovations: Array) -> None:
-        known = np.isfinite(innovations).any(axis=0)
-        if not known.any():
-            return
         size = np.sort(np.abs(innovations), axis=0)  # what is not known is last
-        half = np.maximum(np.count_nonzero(np.isfinite(size), axis=0) - 1, 0) // 2
-        scale = DEVIATION * np.take_along_axis(size, half[None], axis=0)[0]
+        half = np.maximum(np.isfinite(size).sum(axis=0) - 1, 0) // 2
+        scale = DEVIATION * np.take_along_axis(size, half[None], axis=0)[0]  # nan: nothing is known
         share = min(len(innovations) * self._block_s / SCALE_MEMORY_S, 1.0)
         followed = np.where(np.isnan(self._scale), scale, self._scale + share * (scale - self._scale))
-        self._scale = np.where(known, followed, self._scale)
+        self._scale = np.where(np.isnan(followed), self._scale, followed)
         self.gate = np.where(np.isnan(self._scale), np.inf, GATE * self._scale)
 
     def _solve(self, enough: NDArray[np.bool_]) -> None:
         squares = np.einsum("njj->jn", self._gram)
         ridge = RIDGE * squares.mean(axis=0)[:, None, None] + 1e-300
-        gram = self._gram + ridge * np.eye(self._samples)
-        for k in range(self._samples):
-            found = np.linalg.solve(gram[:, : k + 1, : k + 1], self._cross[k][:, : k + 1])
-            self.gains[k, :, :, : k + 1] = np.where(enough[:, None, None], found, 0.0).transpose(0, 2, 1)
+        # All at once: for k samples the leading k equations, the others made to say nothing.
+        gram = np.where(self._among, self._gram + ridge * np.eye(self._samples), np.eye(self._samples))
+        found = np.linalg.solve(gram, np.where(self._there, self._cross, 0.0))
+        self.gains = np.where(enough[:, None, None], found, 0.0).transpose(0, 1, 3, 2)

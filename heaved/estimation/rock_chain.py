@@ -17,6 +17,9 @@ from heaved.samples import ImuSample, RockPrediction, RockScore
 Array = NDArray[np.float64]
 
 AXES: Final = ("roll", "pitch", "yaw")
+TURN: Final = 2.0 * pi
+Spread = tuple[list[list[float]], list[list[float]]]
+"""Standard deviations and half-widths of the intervals, rad, by horizon and axis."""
 
 
 def angle_rates(sample: ImuSample) -> tuple[float, float, float]:
@@ -41,17 +44,14 @@ class DirectRockPredictor:
         self.horizons_s = self.predictor.horizons_s
         self._yaw_reference_rad = nan
         self._yaw_rad = 0.0
+        self._half_width: Array = np.empty(0)
+        self._spread: Spread = ([], [])
 
     def reset(self) -> None:
         """Forget everything."""
         self.predictor.reset()
         self._yaw_reference_rad = nan
         self._yaw_rad = 0.0
-
-    @property
-    def half_width_rad(self) -> Array:
-        """Half-widths of the 95 % intervals, (H, 3)."""
-        return self.predictor.half_width
 
     def step(
         self,
@@ -64,7 +64,10 @@ class DirectRockPredictor:
         """Take one sample (nan: not known) and predict from it, one record per horizon, shortest first."""
         predictor = self.predictor
         values = predictor.step(t_s, [roll_rad, pitch_rad, self._unwrapped(yaw_rad)], rates_radps)
-        return self._records(values, predictor.std, predictor.half_width)
+        if predictor.half_width is not self._half_width:  # a new one when there is something new in it
+            self._half_width = predictor.half_width
+            self._spread = (predictor.std.tolist(), predictor.half_width.tolist())
+        return self._records(values, self._spread)
 
     def at(self, t_s: float) -> tuple[RockPrediction, ...]:
         """Predictions as seen from a moment without a sample, with the deviations of horizons that much longer."""
@@ -72,28 +75,28 @@ class DirectRockPredictor:
         horizons = np.array(self.horizons_s)
         later = horizons + max(t_s - predictor.t_s, 0.0) if predictor.t_s > -inf else horizons
         std, half_width = (
-            np.stack([np.interp(later, horizons, column) for column in columns.T], axis=1)
+            np.stack([np.interp(later, horizons, column) for column in columns.T], axis=1).tolist()
             for columns in (predictor.std, predictor.half_width)
         )
-        return self._records(predictor.at(t_s), std, half_width)
+        return self._records(predictor.at(t_s), (std, half_width))
 
-    def _records(self, values: Array, std: Array, half_width: Array) -> tuple[RockPrediction, ...]:
+    def _records(self, values: Array, spread: Spread) -> tuple[RockPrediction, ...]:
         reference = self._yaw_reference_rad
         records = []
-        for h, v, s, w in zip(self.horizons_s, values.tolist(), std.tolist(), half_width.tolist(), strict=True):
-            yaw = (v[2] + reference) % (2 * pi)
+        for h, (roll, pitch, yaw), std, half_width in zip(self.horizons_s, values.tolist(), *spread, strict=True):
+            yaw = (yaw + reference) % TURN
             records.append(
                 RockPrediction(
                     horizon_s=h,
-                    roll_rad=v[0],
-                    pitch_rad=v[1],
-                    yaw_rad=0.0 if yaw >= 2 * pi else yaw,  # x % 2 pi may round up to 2 pi
-                    roll_std_rad=s[0],
-                    pitch_std_rad=s[1],
-                    yaw_std_rad=s[2],
-                    roll_interval_rad=w[0],
-                    pitch_interval_rad=w[1],
-                    yaw_interval_rad=w[2],
+                    roll_rad=roll,
+                    pitch_rad=pitch,
+                    yaw_rad=yaw if yaw != TURN else 0.0,  # x % 2 pi may round up to 2 pi
+                    roll_std_rad=std[0],
+                    pitch_std_rad=std[1],
+                    yaw_std_rad=std[2],
+                    roll_interval_rad=half_width[0],
+                    pitch_interval_rad=half_width[1],
+                    yaw_interval_rad=half_width[2],
                 )
             )
         return tuple(records)
@@ -104,7 +107,7 @@ class DirectRockPredictor:
             return nan
         if self._yaw_reference_rad != self._yaw_reference_rad:
             self._yaw_reference_rad = yaw_rad
-        self._yaw_rad += (yaw_rad - self._yaw_reference_rad - self._yaw_rad + pi) % (2 * pi) - pi
+        self._yaw_rad += (yaw_rad - self._yaw_reference_rad - self._yaw_rad + pi) % TURN - pi
         return self._yaw_rad
 
 

@@ -10,8 +10,8 @@ predictions that would let its errors grow.
   level: a list, a change of draught or heading shifts nothing but the mean.
 * Experts run side by side: regressions on 2, 10 and 40 s of lags (each learns once its own lags are filled), the
   extrapolation, hold and the mean. Per horizon the one with the least realised error is published.
-* Work is in samples on an even grid (:mod:`heaved.estimation.rock_clock`); equations are taken every 50 ms; once
-  or twice a second they are summed and, a few sets in turn, solved.
+* Work is in samples on an even grid (:mod:`heaved.estimation.rock_clock`); equations are taken every 0.2 s,
+  and every few seconds they are summed and, some sets in turn, solved (:mod:`heaved.estimation.rock_learning`).
 
 Missing samples are filled with the prediction; what else may be wrong with them is dealt with in
 :mod:`heaved.estimation.rock_gate`. While the motion leaves its own range nothing is learned.
@@ -28,42 +28,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.rock_clock import SampleClock
-from heaved.estimation.rock_equations import NormalEquations, moments_of
 from heaved.estimation.rock_experts import Switch
 from heaved.estimation.rock_gate import JUDGED_S, Channel, Timing
-from heaved.estimation.rock_lags import (
-    SampleWindow,
-    between,
-    curve_weights,
-    fading_taps,
-    lag_knots,
-    samples_per_step,
-)
+from heaved.estimation.rock_lags import SampleWindow, curve_weights, fading_taps, lag_knots
+from heaved.estimation.rock_learning import BATCH_S, EXPERT_SPANS_S, EXPERTS, Learner, first_choice
+from heaved.estimation.rock_regressors import Regressors
 
 Array = NDArray[np.float64]
 
-EXPERT_SPANS_S: Final = (2.0, 10.0, 40.0)
-"""Lags of the regressions, s."""
-EXPERT_MEMORY: Final = (0.4, 0.7, 1.0)
-"""Their memory over that of the configuration."""
-FADING, HOLD, MEAN = 3, 4, 5
-"""The experts that are not regressions."""
-EXPERTS: Final = 6
-EXTRAPOLATED_S: Final = 0.5
-"""Up to this horizon the residual to the fading-memory extrapolation is fitted."""
-RIDGE: Final = 0.1
-"""Ridge over the noise variance, for which the square of the one-step error stands."""
-YOUNG_BATCH_S, BATCH_S = 0.5, 1.0
-"""Predictions are scored, equations summed and solved so often: while young, and then."""
-SCORE_S: Final = 0.11
-"""Errors closer together than this are hardly different ones."""
-SOLVED_PER_BATCH: Final = 1
-"""Sets of equations (three experts, short and long horizons) solved in a batch, in turn: each every 6 s, a fiftieth of
-the memory. While young all of them."""
-YOUNG_S: Final = 120.0
-RATE_LAGS: Final = 4
-RATE_SCALE_S: Final = 0.1
-"""Makes an angular rate commensurate with differences of angles over a step or two."""
 BACKWARDS: Final = 20
 """Stamps in a row that are not later: the clock has been set back, begin anew."""
 
@@ -76,6 +48,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Of the regression on 40 s of lags; those on 10 and 2 s forget faster."""
     max_gap_s: Annotated[float, msgspec.Meta(ge=0.05, le=5.0)] = 2.0
     """Gaps up to this are filled with predictions; after longer ones the lags are filled anew."""
+    choice_s: Annotated[float, msgspec.Meta(ge=0.1, le=4.0)] = 1.0
+    """Predictions are scored and experts chosen so often: how soon a turn is noticed, and a good part of the cost."""
 
 
 class DirectPredictor:
@@ -94,7 +68,7 @@ class DirectPredictor:
         self._n = channels
         self._with_rates = rates
         self._no_rates = [0.0] * channels
-        self._unknown_values = np.full((len(self.horizons_s), channels), nan)
+        self._unknown_curve = np.full((len(self.horizons_s) + 1, channels), nan)
         self.restarts = 0
         """Times that the stream was begun anew."""
         self.reset()
@@ -107,19 +81,10 @@ class DirectPredictor:
         self._pending: list[tuple[float, Sequence[float], Sequence[float]]] = []
         self._built = False
         self._channels: list[Channel] = []
-        self._switch = Switch(self._horizons, EXPERTS, self._n, self._first_choice())
-        self.values = self._unknown_values
-
-    def _first_choice(self) -> NDArray[np.intp]:
-        return np.where(self._horizons <= EXTRAPOLATED_S, FADING, HOLD).astype(np.intp)
-
-    @property
-    def curve(self) -> Array:
-        """What is known of the latest sample (filled where it was missing) and the predictions, (H + 1, n)."""
-        if not self._built:
-            return np.concatenate([self._unknown_values[:1], self._unknown_values])
-        now = [channel.level if channel.ready else nan for channel in self._channels]
-        return np.concatenate([[self._curve[0] + now], self.values])
+        self._switch = Switch(self._horizons, EXPERTS, self._n, first_choice(self._horizons))
+        self.curve = self._unknown_curve
+        """What is known of the latest sample (filled where it was missing) and of the horizons, (H + 1, n)."""
+        self.values = self._unknown_curve[1:]
 
     @property
     def std(self) -> Array:
@@ -178,7 +143,7 @@ class DirectPredictor:
         if steps > self._longest_gap:
             for channel in self._channels:
                 channel.lose()
-            self._made[:] = self._shown[:] = self._aims[:] = nan
+            self._learner.forget(slice(None))
             steps = 1
         for _ in range(steps - 1):
             self._row(self._unmeasured, self._no_rates, 0.0)
@@ -186,8 +151,8 @@ class DirectPredictor:
             self._row(values, given, late_s)
         if self._batch_due and self._clock.changed():
             self._restart()
-            return self.values
-        self.values = self._published(late_s)
+        else:
+            self._publish(late_s)
         return self.values
 
     def _restart(self) -> None:
@@ -206,7 +171,7 @@ class DirectPredictor:
             if count > 0:
                 self._row(values, rates, 0.0)
         self._pending.clear()
-        self.values = self._published(self._clock.late_s)
+        self._publish(self._clock.late_s)
 
     # -- geometry, for one sample interval -------------------------------------------------------------------------
 
@@ -215,246 +180,87 @@ class DirectPredictor:
         self._built = True
         horizons, n = self._horizons, self._n
         count = len(horizons)
-        self._interval_s = interval_s
-        self._every = samples_per_step(interval_s)
-        spacing_s = self._spacing_s = self._every * interval_s
-        self._score_every = 2 if 2.0 * spacing_s < SCORE_S else 1
-        self._rows_per_batch = max(1, round(YOUNG_BATCH_S / spacing_s))
-        self._rows_per_late_batch = max(1, round(BATCH_S / spacing_s))
         knots = lag_knots(interval_s, EXPERT_SPANS_S[-1])
-        self._spans = np.array([round(s / interval_s) for s in EXPERT_SPANS_S])
-        self._fronts = 1 + (RATE_LAGS if self._with_rates else 0)
-        lags = [int(np.searchsorted(knots, span + 0.5)) - 2 for span in self._spans]
-        self._sizes = [self._fronts + max(lag, 1) for lag in lags]
-        self._width = self._sizes[-1] = self._fronts + len(knots) - 2
-
-        # Predictions by extrapolation, and the slope now.
         taps = fading_taps(interval_s, np.append(horizons, [0.0, 1e-3]))
-        self._taps = np.concatenate([taps[:count], (taps[-1:] - taps[-2:-1]) / 1e-3])
-        self._extrapolated = int(np.count_nonzero(horizons <= EXTRAPOLATED_S))
-        # Interpolation of the predicted curve: one sample on, and its slope at each horizon.
-        ahead_s = interval_s * np.arange(1, ceil(self._horizons[-1] / interval_s) + 2)
-        self._gap_weights = curve_weights(horizons, ahead_s)
-        slopes = curve_weights(horizons, horizons, derivative=1)
-        self._curve_weights = np.concatenate([self._gap_weights[:1], slopes])
-        # Where the measured value of each horizon lies, in samples and in rows.
-        self._target = between(horizons / interval_s)
-        self._whole = bool(np.all(self._target.weights == (0.0, 1.0, 0.0, 0.0)))
-        self._delay = np.ceil((self._target.first + 3) / self._every).astype(np.intp)
+        settling = taps.shape[1]
         self._longest_gap = max(round(self._params.max_gap_s / interval_s), 3)
         judged = max(round(JUDGED_S / interval_s), 3)
-        self._unmeasured = [nan] * n
+        self._unmeasured, self._rates = [nan] * n, [0.0] * n
 
-        keep = int(knots[-1]) + self._every * (self._rows_per_late_batch + 2) + judged + 8
-        self._window = SampleWindow(knots, 2 * n if self._with_rates else n, max(keep, self._taps.shape[1]))
-        self._build_rows(count, n)
-        # Horizons that share a set of equations: those whose targets are known early, and the others.
-        groups = [np.flatnonzero(horizons <= EXTRAPOLATED_S), np.flatnonzero(horizons > EXTRAPOLATED_S)]
-        self._groups = [slice(int(g[0]), int(g[-1]) + 1) for g in groups if len(g)]
-        memory = [self._params.memory_s * share / spacing_s for share in EXPERT_MEMORY]
-        self._equations = [
-            [NormalEquations(n, g.stop - g.start, p, m) for p, m in zip(self._sizes, memory, strict=True)]
-            for g in self._groups
-        ]
-        self._turn = 0
-        self._coefficients = np.full((n, count, len(EXPERT_SPANS_S), self._width), nan)
-        self._flat_coefficients = self._coefficients.reshape(n, count * len(EXPERT_SPANS_S), self._width)
+        keep = int(knots[-1]) + round((BATCH_S + 1.0) / interval_s) + judged + 8
+        columns = 3 * n if self._with_rates else 2 * n
+        self._window = SampleWindow(knots, columns, max(keep, settling))
+        # Predictions by extrapolation, and the slope now.
+        taps = np.concatenate([taps[:count], (taps[-1:] - taps[-2:-1]) / 1e-3])
+        self._regressors = Regressors(self._window, n, taps, rates=self._with_rates)
+        self._learner = Learner(
+            horizons,
+            interval_s,
+            self._params.memory_s,
+            self._params.choice_s,
+            knots=knots,
+            window=self._window,
+            regressors=self._regressors,
+            switch=self._switch,
+        )
+        self._until_row = self._learner.every
         self._batch_due = False
 
-        timing = Timing(
-            interval_s=interval_s,
-            settling=self._taps.shape[1],
-            longest_gap=self._longest_gap,
-            judged=judged,
-        )
-        self._channels = [Channel(timing, self._gap_weights) for _ in range(n)]
-        self._ahead = np.zeros((count + 1, n))
-        self._curve = np.zeros((count + 1, n))
-        self._curves = list(self._curve.T)
-        self._slope = [0.0] * n
+        # Interpolation of the predicted curve: one sample on, and its slope at each horizon.
+        ahead_s = interval_s * np.arange(1, ceil(horizons[-1] / interval_s) + 2)
+        gap_weights = curve_weights(horizons, ahead_s)
+        self._one_step = gap_weights[:1]
+        self._slopes = curve_weights(horizons, horizons, derivative=1)
+        self._seen = np.zeros((n, count + 3, 1))
+        self._curves, self._near = self._seen[:, :-2, 0], self._seen[:, -2:, 0]
+        self._map = self._mapped()
+        timing = Timing(interval_s=interval_s, settling=settling, longest_gap=self._longest_gap, judged=judged)
+        self._channels = [Channel(timing, gap_weights, curve) for curve in self._curves]
 
-    def _build_rows(self, count: int, n: int) -> None:
-        """Rings of what is kept per equation until its targets are known."""
-        self._kept = int(self._delay[-1]) + self._rows_per_late_batch + 2
-        capacity = 4 * self._kept
-        self._features = np.zeros((capacity, n, self._width))
-        self._offsets = np.zeros((capacity, count, n))
-        self._made = np.full((capacity, count, EXPERTS, n), nan)
-        self._shown = np.full((capacity, count, n), nan)
-        self._shown_half = np.full((capacity, count, n), nan)
-        self._aims = np.full((capacity, count, n), nan)
-        self._age = np.zeros((capacity, n), dtype=np.intp)
-        self._sample = np.zeros(capacity, dtype=np.intp)
-        self._row_end = self._kept  # as if there had been rows that predicted nothing
-        self._rows_seen = 0
-        self._until_row = self._every
-        self._until_batch = self._rows_per_batch
+    def _mapped(self) -> Array:
+        """(n, H + 3, width) from the vectors to the latest sample, the predictions, one step on, the slope."""
+        regressors, n = self._regressors, self._n
+        now, slope = (np.tile(row, (n, 1, 1)) for row in (regressors.sample, regressors.taps[-1]))
+        curve = np.concatenate([now, self._learner.weights], axis=1)
+        return np.concatenate([curve, self._one_step @ curve, slope], axis=1)
 
     # -- one sample ------------------------------------------------------------------------------------------------
 
     def _row(self, values: Sequence[float], rates: Sequence[float], late_s: float) -> None:
-        """One step of the grid: take the sample, look back, predict."""
-        window, n = self._window, self._n
-        taken, known = [], []
-        one_step = self._ahead[0].tolist()
-        for c, channel in enumerate(self._channels):
-            x, measured = channel.take(values[c], late_s, one_step[c], self._slope[c], self._curves[c])
+        """One step of the grid: take the sample, predict, learn when it is time."""
+        window, channels = self._window, self._channels
+        taken, known, means = [], [], []
+        near = self._near.tolist()
+        for c, channel in enumerate(channels):
+            x, measured = channel.take(values[c], late_s, *near[c])
             if channel.since == 1:
                 window.flatten(c, x)
+                self._learner.forget(c)
             taken.append(x)
             known.append(measured)
+            means.append(channel.mean)
         if self._with_rates:
-            previous = window.x[window.end - 1, n:].tolist()
-            taken += [r if isfinite(r) else p for r, p in zip(rates, previous, strict=True)]
-            known += known
-        window.append(taken, known)
-        for c, channel in enumerate(self._channels):
-            if (instead := channel.judge()) is not None:
-                window.replace(c, instead)
-
+            self._rates = [r if isfinite(r) else p for r, p in zip(rates, self._rates, strict=True)]
+            taken += self._rates
+        window.append(taken + means, known)
+        if not all(known):
+            for c, channel in enumerate(channels):
+                if (instead := channel.judge()) is not None:
+                    window.replace(c, instead)
+        np.matmul(self._map, self._regressors.now()[:, :, None], out=self._seen)
         self._until_row -= 1
-        learned = self._until_row <= 0
-        features, offset, made = self._look_back()
-        best = made[self._switch._horizon, self._switch.best, self._switch._channel]
-        self._curve[0] = window.x[window.end - 1, :n]
-        self._curve[1:] = best
-        np.matmul(self._curve_weights, self._curve, out=self._ahead)
         self._batch_due = False
-        if learned:
-            self._until_row = self._every
-            self._keep_row(features, offset, made, best)
-            self._rows_seen += 1
-            self._until_batch -= 1
-            if self._until_batch == 0:
-                self._batch()
+        if self._until_row == 0:
+            self._until_row = self._learner.every
+            if self._learner.keep(self._curves[:, 1:].T, channels):
+                if self._learner.batch(channels):
+                    self._map = self._mapped()
                 self._batch_due = True
-                if self._rows_seen * self._spacing_s > YOUNG_S:
-                    self._rows_per_batch = self._rows_per_late_batch
-                self._until_batch = self._rows_per_batch
 
-    def _look_back(self) -> tuple[Array, Array, Array]:
-        """Features (n, p) of the latest sample, what the regression adds to (H, n), all predictions (H, E, n)."""
-        n, fronts = self._n, self._fronts
-        means = self._window.means()
-        latest = means[0, :n]
-        features = np.empty((n, self._width))
-        slow = np.array([channel.mean for channel in self._channels])
-        features[:, 0] = slow - latest
-        features[:, fronts:] = (means[1:, :n] - latest).T
-        if self._with_rates:
-            features[:, 1:fronts] = RATE_SCALE_S * means[:RATE_LAGS, n:].T
-        base = self._taps @ self._window.latest(self._taps.shape[1])[:, :n]
-        extrapolation = base[:-1]
-        offset = extrapolation.copy()
-        offset[self._extrapolated :] = latest
-        made = np.empty((len(offset), EXPERTS, n))
-        regressed = self._flat_coefficients @ features[:, :, None]
-        np.add(regressed.reshape(n, -1, FADING).transpose(1, 2, 0), offset[:, None], out=made[:, :FADING])
-        made[:, FADING] = extrapolation
-        made[:, HOLD] = latest
-        made[:, MEAN] = slow
-        self._slope = base[-1].tolist()
-        return features, offset, made
-
-    def _keep_row(self, features: Array, offset: Array, made: Array, best: Array) -> None:
-        if self._row_end == len(self._features):
-            start = self._row_end - self._kept
-            rings = (self._features, self._offsets, self._made, self._shown, self._shown_half, self._aims)
-            for ring in (*rings, self._age, self._sample):
-                ring[: self._kept] = ring[start:]
-            self._row_end = self._kept
-        row = self._row_end
-        self._features[row] = features
-        self._offsets[row] = offset
-        self._made[row] = made
-        for c, channel in enumerate(self._channels):
-            if channel.unsettled > 0 or channel.since == 0:
-                channel.unsettled -= self._every
-                self._made[row, :, :, c] = nan
-        self._shown[row] = best
-        self._shown_half[row] = self._switch.half_width
-        self._age[row] = [channel.calm for channel in self._channels]
-        self._sample[row] = self._window.end - 1 + self._window.moved
-        self._row_end += 1
-
-    def _published(self, late_s: float) -> Array:
+    def _publish(self, late_s: float) -> None:
         """The latest predictions as seen from ``late_s`` after their grid time."""
-        values: Array = self._curve[1:] + [channel.level for channel in self._channels]
+        levels = [channel.level if channel.ready else nan for channel in self._channels]
+        self.curve = self._curves.T + levels
+        self.values = self.curve[1:]
         if abs(late_s) > 1e-5:
-            values += late_s * self._ahead[1:]
-        blind = [c for c, channel in enumerate(self._channels) if not channel.ready]
-        if blind:
-            values[:, blind] = nan
-        return values
-
-    # -- once or twice a second ---------------------------------------------------------------------------------------
-
-    def _batch(self) -> None:
-        """Score what came true, learn from it, solve, choose."""
-        self._score()
-        back = self._row_end - 1 - np.arange(self._rows_per_batch)
-        solved = 0
-        young = self._rows_seen * self._spacing_s < YOUNG_S
-        for g, group in enumerate(self._groups):
-            rows = back - self._delay[group.stop - 1]
-            aims = self._aims[rows, group]
-            wanted = (aims - self._offsets[rows, group]).transpose(2, 0, 1)
-            known = np.isfinite(wanted).all(axis=2).T
-            augmented = np.concatenate([wanted, self._features[rows].transpose(1, 0, 2)], axis=2)
-            targets = group.stop - group.start
-            age = self._age[rows]
-            used = known & (age >= self._spans[0])
-            moments = moments_of(augmented, used)
-            for equations, span, size in zip(self._equations[g], self._spans, self._sizes, strict=True):
-                if not ((age >= span) | ~used).all():  # fewer equations than of the shorter lags
-                    used &= age >= span
-                    moments = moments_of(augmented, used)
-                width = targets + size
-                equations.add(moments[:, :width, :width], used.sum(axis=0))
-        pairs = len(self._groups) * len(self._sizes)
-        for i in range(pairs):
-            if not young and solved >= SOLVED_PER_BATCH:
-                break
-            which = (self._turn + i) % pairs
-            self._solve(*divmod(which, len(self._sizes)))
-            solved += 1
-        self._turn = (self._turn + solved) % pairs
-        self._choose()
-
-    def _solve(self, g: int, expert: int) -> None:
-        group, size = self._groups[g], self._sizes[expert]
-        for c, channel in enumerate(self._channels):
-            found = self._equations[g][expert].solve(c, RIDGE * channel.noise_square)
-            if found is not None:
-                self._coefficients[c, group, expert, :size] = found
-                self._coefficients[c, group, expert, size:] = 0.0
-
-    def _choose(self) -> None:
-        calm = np.array([channel.calm for channel in self._channels])
-        available = np.ones((EXPERTS, self._n), dtype=bool)
-        available[:FADING] = calm >= self._spans[:, None]
-        self._switch.choose(available)
-
-    def _score(self) -> None:
-        rows = self._row_end - 1 - np.arange(self._rows_per_batch)[:, None] - self._delay
-        h = np.arange(len(self._delay))
-        window, weights = self._window, self._target.weights
-        first = self._sample[rows] - window.moved + self._target.first
-        if self._whole:
-            measured: Array = window.x[first + 1, : self._n]
-            known = window.known[first + 1, : self._n]
-        else:
-            support = first[:, :, None] + np.arange(4)
-            measured = (weights[:, None, :] @ window.x[support, : self._n])[:, :, 0]
-            known = (window.known[support, : self._n] | (weights == 0.0)[:, :, None]).all(axis=2)
-        if not known.all():
-            measured[~known] = nan
-        self._aims[rows, h] = measured
-        if self._score_every > 1:
-            rows, measured = rows[:: self._score_every], measured[:: self._score_every]
-        error = measured[:, :, None, :] - self._made[rows, h]
-        filled = self._age[rows][:, :, None, :] >= self._spans[:, None]
-        if not filled.all():
-            error[:, :, :FADING][~filled] = nan
-        shown = measured - self._shown[rows, h]
-        self._switch.score(self._score_every * self._spacing_s, error, shown, self._shown_half[rows, h])
+            self.values += late_s * (self._slopes @ self._curves.T)

@@ -54,45 +54,34 @@ class Switch:
     def score(self, spacing_s: float, error: Array, published: Array, half_width: Array) -> None:
         """Take the errors of R predictions made ``spacing_s`` apart: of the experts (R, H, E, n), of what was published
         (R, H, n), and the half-widths published with it."""
-        square = error * error
-        mean = square.sum(axis=0) / len(square)
-        count: NDArray[np.intp] = np.full(mean.shape, len(square), dtype=np.intp)
-        if not np.isfinite(mean).all():
-            known = np.isfinite(square)
-            count = np.count_nonzero(known, axis=0)
-            mean = np.where(known, square, 0.0).sum(axis=0) / np.maximum(count, 1)
+        mean, count = _mean_square(error)
         elapsed_s = spacing_s * count
         self._seconds += elapsed_s
-        memory_s = np.minimum(np.maximum(self._seconds, elapsed_s) / EARLY, self._memory_s)
-        weight = np.minimum(elapsed_s / np.maximum(memory_s, 1e-9), 1.0)
-        self._mean_square += weight * (mean - self._mean_square)
+        memory_s = np.minimum(self._seconds / EARLY, self._memory_s)
+        self._mean_square += _share(elapsed_s, memory_s) * (mean - self._mean_square)
 
         size = np.abs(published)
-        judged = half_width == half_width
-        judged &= size == size
-        count = np.count_nonzero(judged, axis=0)
-        misses = np.count_nonzero((size > half_width) & judged, axis=0)
-        self._quantile += QUANTILE_STEP * (misses - MISS_SHARE * count)
-        np.clip(self._quantile, *QUANTILE_RANGE, out=self._quantile)
-        seconds, square_reported, coverage = self._report
-        seconds += spacing_s * count
-        weight = np.minimum(spacing_s * count / np.clip(seconds, 1e-9, REPORT_MEMORY_S), 1.0)
-        per = np.maximum(count, 1)
-        square_reported += weight * (np.where(judged, size * size, 0.0).sum(axis=0) / per - square_reported)
-        coverage += weight * (1.0 - misses / per - coverage)
+        misses = (size > half_width).sum(axis=0)
+        mean, count = _mean_square(np.where(half_width == half_width, size, np.nan))
+        quantile = self._quantile + QUANTILE_STEP * (misses - MISS_SHARE * count)
+        self._quantile = np.minimum(np.maximum(quantile, QUANTILE_RANGE[0]), QUANTILE_RANGE[1])
+        seconds, square, coverage = self._report
+        elapsed_s = spacing_s * count
+        seconds += elapsed_s
+        share = _share(elapsed_s, np.minimum(seconds, REPORT_MEMORY_S))
+        square += share * (mean - square)
+        coverage += share * (1.0 - misses / np.maximum(count, 1) - coverage)
 
     def choose(self, available: NDArray[np.bool_]) -> None:
         """Choose among the ``available`` (E, n) experts."""
-        scored = np.where(self._seconds >= ENOUGH_S, self._mean_square, np.inf)
-        scored = np.where(available, scored, np.inf)
+        mean_square = np.where(available & (self._seconds >= ENOUGH_S), self._mean_square, np.inf)
         h, n = self._horizon, self._channel
-        least = np.argmin(scored, axis=1)
-        in_office = scored[h, self.best, n]
-        best_known = scored[h, least, n]
-        self.best = np.where(best_known < BETTER * in_office, least, self.best)
-        self.best = np.where(best_known == np.inf, self._first, self.best)
-        self.std = np.sqrt(self._mean_square[h, self.best, n])
-        self.std[self._seconds[h, self.best, n] < ENOUGH_S] = np.nan
+        least = np.argmin(mean_square, axis=1)
+        best = np.where(mean_square[h, least, n] < BETTER * mean_square[h, self.best, n], least, self.best)
+        square = mean_square[h, best, n]
+        unknown = square == np.inf
+        self.best = np.where(unknown, self._first, best)
+        self.std = np.sqrt(np.where(unknown, np.nan, square))
         self.half_width = self._quantile * self.std
 
     @property
@@ -104,3 +93,20 @@ class Switch:
     def coverage(self) -> Array:
         """Rolling share of measured values inside the published 95 % interval, (H, n); nan until one is known."""
         return np.where(self._report[0] > 0.0, self._report[2], np.nan)
+
+
+def _mean_square(error: Array) -> tuple[Array, Array | float]:
+    """Of those (R, ...) that are known, and how many they are."""
+    square = error * error
+    total: Array = square.sum(axis=0)
+    if np.isfinite(total).all():
+        return total / len(error), float(len(error))
+    known = np.isfinite(square)
+    count: Array = known.sum(axis=0, dtype=np.float64)
+    mean: Array = np.where(known, square, 0.0).sum(axis=0) / np.maximum(count, 1)
+    return mean, count
+
+
+def _share(elapsed_s: Array | float, memory_s: Array) -> Array:
+    """Weight of what has been seen for ``elapsed_s`` in an average over ``memory_s``."""
+    return np.minimum(elapsed_s / np.maximum(memory_s, 1e-9), 1.0)

@@ -50,10 +50,16 @@ class Timing(msgspec.Struct, frozen=True, kw_only=True):
 class Channel:
     """One channel; values are relative to ``level``."""
 
-    def __init__(self, timing: Timing, gap_weights: Array) -> None:
-        """``gap_weights`` (steps, H + 1): of a predicted curve, for the value 1, 2, ... samples on."""
+    def __init__(self, timing: Timing, gap_weights: Array, curve: Array) -> None:
+        """``gap_weights`` (steps, H + 1): of a predicted curve, for the value 1, 2, ... samples on.
+
+        ``curve`` (H + 1,): a view of the latest value and predictions, whatever they are when a sample is taken.
+        """
         self._timing = timing
-        self._gap_weights = gap_weights
+        self._armed = ARMED_S / timing.interval_s
+        self._step_memory = STEP_ERROR_MEMORY_S / timing.interval_s
+        self._mean_memory = MEAN_MEMORY_S / timing.interval_s
+        self._gap_weights, self._curve = gap_weights, curve
         self._anchor = np.zeros(gap_weights.shape[1])
         self.level = 0.0
         self.since = 0
@@ -88,11 +94,11 @@ class Channel:
         """What stands for the variance of the sensor's noise."""
         return max(self.step_square, self.quantum**2 if self.quantum < inf else 0.0)
 
-    def take(self, value: float, late_s: float, one_step: float, slope: float, curve: Array) -> tuple[float, bool]:
+    def take(self, value: float, late_s: float, one_step: float, slope: float) -> tuple[float, bool]:
         """What goes into the lags, and whether it was measured.
 
         ``late_s``: how long after its grid time the sample was read; ``one_step``, ``slope``: the value expected and
-        how it changes; ``curve`` (H + 1,): the latest value and predictions. After the first sample ``since`` is 1.
+        how it changes. After the first sample ``since`` is 1.
         """
         change = abs(value - self._reading)
         self._repeats = self._repeats + 1 if change == 0.0 else 0
@@ -121,7 +127,7 @@ class Channel:
         elif self._held:
             self._held.append((nan, one_step))
         if not absent:
-            self._anchor[:] = curve
+            self._anchor[:] = self._curve
         self._absent = absent + 1
         if absent >= self._timing.longest_gap and not self._held:
             self.since = 0
@@ -171,7 +177,7 @@ class Channel:
         error = x - expected
         count = self._step_count
         settled = self.since > self._timing.settling  # before, the prediction knows little of the motion
-        if settled and count > ARMED_S / self._timing.interval_s:
+        if settled and count > self._armed:
             limit = GATE * sqrt(self.step_square)
             if self.quantum < inf:
                 limit = max(limit, QUANTA * self.quantum)
@@ -183,19 +189,19 @@ class Channel:
         self._absent = 0
         if settled and not absent:
             self._step_count = count + 1
-            share = 1.0 / min(count // 2 + 1, STEP_ERROR_MEMORY_S / self._timing.interval_s)
+            share = 1.0 / min(count // 2 + 1, self._step_memory)
             self.step_square += share * (error * error - self.step_square)
         self._follow(x)
         return True
 
     def _follow(self, x: float) -> None:
         """Slow mean and variance; a manoeuvre is motion far outside of them."""
-        interval_s = self._timing.interval_s
-        memory = MEAN_MEMORY_S / interval_s
+        memory = self._mean_memory
         deviation = x - self.mean
         square = deviation * deviation
         count = self._mean_count
         if count > 0.5 * memory and square > MANOEUVRE**2 * self._square > 0.0:
+            interval_s = self._timing.interval_s
             self._manoeuvre += 1
             if self._manoeuvre < MANOEUVRE_LASTS_S / interval_s:
                 self.calm = 0
@@ -205,7 +211,6 @@ class Channel:
             count = MANOEUVRE_MEAN_S / interval_s
         elif self._manoeuvre:
             self._manoeuvre -= 1
-        share = 1.0 / min(count + 1.0, memory)
-        self.mean += share * deviation
-        self._square += share * (square - self._square)
-        self._mean_count = min(count + 1.0, memory)
+        self._mean_count = count = min(count + 1.0, memory)
+        self.mean += deviation / count
+        self._square += (square - self._square) / count

@@ -109,18 +109,19 @@ def curve_weights(horizons_s: Array, at_s: Array, derivative: int = 0) -> Array:
 
 
 class SampleWindow:
-    """The last samples of n columns and their running sums: contiguous rows, moved to the front when full."""
+    """The last samples of some columns and their running sums: contiguous rows, moved to the front when full."""
 
     def __init__(self, knots: Indices, columns: int, keep: int) -> None:
-        """``knots`` of :func:`lag_knots`; ``keep``: samples to keep at least, no fewer than the last knot."""
-        self._keep = keep
+        """``knots`` of :func:`lag_knots`; ``keep``: samples to keep at least, more than the last knot."""
+        self._keep, self._columns, self._width = keep, columns, 3 * columns
         capacity = 2 * keep + 1024
-        self.x = np.zeros((capacity, columns))
+        # Row k: sample k, the sum of those before it, the sum of the sums before that. So the last two of a row are
+        # those of the row before plus the first two of it.
+        self._rows = np.zeros((capacity + 1, self._width))
+        self._flat = self._rows.ravel()
+        self.x = self._rows[:capacity, :columns]
         self.known = np.zeros((capacity, columns), dtype=bool)
-        # sum[k] of the samples before row k, sum2[k] of sum before k.
-        self._sum = np.zeros((capacity + 1, columns))
-        self._sum2 = np.zeros((capacity + 1, columns))
-        self._back = -knots
+        self._knots = knots
         # The mean of the running sum between two knots is what all samples up to there add, those in between in part: a
         # ramp. The difference of two ramps is the mean about a knot. All of it on [sum at the end, sum2 at the knots].
         count = len(knots)
@@ -132,13 +133,14 @@ class SampleWindow:
         length = np.diff(knots, prepend=knots[:1])
         total = (length[:-1] + length[1:]) / 2.0  # of 1 - s / length on either side; before the first there is nothing
         total[0] = (length[1] + 1.0) / 2.0
-        self._weights = weights / total[:, None]
-        self._sums = np.empty((count + 1, columns))
+        self.weights: Array = weights / total[:, None]
+        """(knots - 1, knots + 1): means about the knots but the last, latest first, on the sums of :meth:`sums_at`."""
         self.end = keep
         self.moved = 0
         """How far rows have been moved to the front in all: row + moved never changes."""
 
     def append(self, values: list[float], known: list[bool]) -> None:
+        """A sample of all columns; ``known``: of the first ones, whether it was measured."""
         if self.end == len(self.x):
             start = self.end - self._keep
             self.x[: self._keep] = self.x[start:]
@@ -146,11 +148,11 @@ class SampleWindow:
             self.moved += start
             self.end = self._keep
             self._sum_from(0)
-        end = self.end
-        self.x[end] = values
-        self.known[end] = known
-        np.add(self._sum2[end], self._sum[end], out=self._sum2[end + 1])
-        np.add(self._sum[end], self.x[end], out=self._sum[end + 1])
+        end, columns = self.end, self._columns
+        row = self._rows[end]
+        row[:columns] = values
+        self.known[end, : len(known)] = known
+        np.add(row[columns:], row[:-columns], out=self._rows[end + 1, columns:])
         self.end = end + 1
 
     def replace(self, column: int, values: Array) -> None:
@@ -167,20 +169,29 @@ class SampleWindow:
         self.known[: self.end, column] = False
         self._sum_from(0)
 
+    def samples_at(self, column: int, count: int) -> Indices:
+        """Places of the latest samples of a column, latest first."""
+        return column - self._width * np.arange(1, count + 1)
+
+    def sums_at(self, column: int) -> Indices:
+        """Places of what :attr:`weights` apply to."""
+        back = 2 * self._columns + column - self._width * self._knots
+        return np.concatenate([[self._columns + column], back])
+
+    def gather(self, places: Indices, ends: int | Indices) -> Array:
+        """What is at ``places``, as seen from before the row ``ends``: :attr:`end`, or others that broadcast."""
+        return self._flat.take(places + self._width * ends)
+
     def means(self) -> Array:
         """Means about the knots but the last, latest first, (knots - 1, n)."""
-        self._sums[0] = self._sum[self.end]
-        self._sum2.take(self._back + self.end, axis=0, out=self._sums[1:], mode="clip")
-        means: Array = self._weights @ self._sums
+        places = np.stack([self.sums_at(column) for column in range(self._columns)], axis=1)
+        means: Array = self.weights @ self.gather(places, self.end)
         return means
 
-    def latest(self, count: int) -> Array:
-        """The latest samples, oldest first, (count, n); a view."""
-        return self.x[self.end - count : self.end]
-
     def _sum_from(self, row: int) -> None:
+        columns, end = self._columns, self.end
+        total, twice = self._rows[:, columns : 2 * columns], self._rows[:, 2 * columns :]
         if row == 0:
-            self._sum[0] = self._sum2[0] = 0.0
-        end = self.end
-        self._sum[row + 1 : end + 1] = self._sum[row] + np.cumsum(self.x[row:end], axis=0)
-        self._sum2[row + 1 : end + 1] = self._sum2[row] + np.cumsum(self._sum[row:end], axis=0)
+            total[0] = twice[0] = 0.0
+        total[row + 1 : end + 1] = total[row] + np.cumsum(self.x[row:end], axis=0)
+        twice[row + 1 : end + 1] = twice[row] + np.cumsum(total[row:end], axis=0)

@@ -313,6 +313,24 @@ def test_disasters(name):
     assert predictor.level_steps == (1 if disaster is level_step else predictor.level_steps)
 
 
+@pytest.mark.parametrize("seed", [1, 3])
+def test_what_spans_a_long_gap_is_not_learned_from(seed):
+    """Against the same record without the gap of 4 s, from 4 s after it on."""
+    rng = np.random.default_rng(seed)
+    ship = next(scene for scene in SCENES if scene.name == "under way")
+    x = motion(ship, 20.0, 150.0, rng)
+    x += ship.noise_arcsec * ARCSEC * rng.standard_normal(x.shape)
+    t = np.arange(len(x)) / 20
+    there = (t < 100.0) | (t > 104.0)
+    whole, gapped = predict(t, x)[0], np.full((len(x), len(HORIZONS), x.shape[1]), nan)
+    gapped[there] = predict(t[there], x[there])[0]
+    made = np.flatnonzero((t > 108.0) & (t < 148.0))
+    for horizon, steps in ((0, 1), (2, 3), (3, 10), (4, 20)):
+        for axis in range(x.shape[1]):
+            without, with_gap = (rms(x[made + steps, axis] - out[made, horizon, axis]) for out in (whole, gapped))
+            assert with_gap < 1.3 * without, (HORIZONS[horizon], axis)
+
+
 def test_a_heading_through_north_and_a_turn():
     """Yaw of 0.01 rad about north for 150 s, then a turn by 90 degrees at up to 1.5 degrees/s, then steady again."""
     rng = np.random.default_rng(12)
