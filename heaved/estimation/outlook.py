@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +23,13 @@ BACK_S: Final = 3.0
 """How far back the rows reach: the most that a sensor may be late, twice over."""
 ORDER: Final = 6
 """Derivatives used: at 0.1 s and 0.6 Hz the next one is 1e-7."""
+
+
+class Motion(msgspec.Struct, frozen=True, gc=False):
+    """Heave at one moment."""
+
+    heave_m: float
+    velocity_mps: float
 
 
 class Outlook:

@@ -61,6 +61,7 @@ class SeaFilter:
         x: (n,) filtered state.
         P: (n, n) its covariance; None: the steady one.
         rejected: samples that the gate has kept out.
+        steady_covariance: (n, n) of the state while samples come as usual.
         surprise: variance of averaged innovations over that of the model, in the last seconds; 1 when it is right.
     """
 
@@ -71,8 +72,8 @@ class SeaFilter:
         self.surprise = 1.0
         self._drift = 0.0
         self._R = measurement_variance(system.model.noise_psd, steady.dt_s)
-        self._steady_P = steady.P - np.outer(steady.K, steady.K) * steady.S
-        self._steady_variances = np.diag(self._steady_P).copy()
+        self.steady_covariance = steady.P - np.outer(steady.K, steady.K) * steady.S
+        self._steady_variances = np.diag(self.steady_covariance).copy()
         self._seen = steady.S
         self._outside = 0
         self.offset: Offset | None = None
@@ -102,7 +103,7 @@ class SeaFilter:
     @property
     def covariance(self) -> Array:
         """(n, n) of x."""
-        return self._steady_P if self.P is None else self.P
+        return self.steady_covariance if self.P is None else self.P
 
     @property
     def is_steady(self) -> bool:

@@ -10,6 +10,7 @@ Rauch, Tung & Striebel 1965 in the form of Bryson & Frazier: with the steady gai
 
 from __future__ import annotations
 
+from collections import deque
 from math import isfinite, nan, sqrt
 from typing import Final
 
@@ -74,9 +75,11 @@ def _weights(system: SeaSystem, steady: Steady, count: int) -> Array:
 class Divergence:
     """RMS difference of real-time and delayed heave, over the modelled standard deviation; 1 when that was right."""
 
-    def __init__(self) -> None:
+    def __init__(self, capacity: int = 1) -> None:
+        """``capacity``: how much that was said is kept until the delayed heave of its time is known."""
         self._square, self._seconds, self._t_s = 1.0, 0.0, nan
         self._square_m2 = 0.0
+        self._said: deque[tuple[float, float, float]] = deque(maxlen=capacity)
 
     @property
     def ratio(self) -> float:
@@ -87,6 +90,26 @@ class Divergence:
     def rms_m(self) -> float:
         """The same difference in metres."""
         return sqrt(self._square_m2)
+
+    def say(self, t_s: float, realtime_m: float, modelled_std_m: float) -> None:
+        """What is said in real time for ``t_s``, later than the last one."""
+        self._said.append((t_s, realtime_m, modelled_std_m))
+
+    def check(self, delayed: DelayedHeave) -> None:
+        """:meth:`compare` with what was said for that moment, linear between neighbours; nan outside."""
+        said, t_s = self._said, delayed.t_s
+        while len(said) > 1 and said[1][0] <= t_s:
+            said.popleft()
+        if not said or not (said[0][0] == t_s or (said[0][0] < t_s and len(said) > 1)):
+            self.compare(delayed, nan, nan)
+            return
+        before_s, realtime_m, modelled_std_m = said[0]
+        if before_s < t_s:
+            after_s, after_m, after_std_m = said[1]
+            share = (t_s - before_s) / (after_s - before_s)
+            realtime_m = (1.0 - share) * realtime_m + share * after_m
+            modelled_std_m = (1.0 - share) * modelled_std_m + share * after_std_m
+        self.compare(delayed, realtime_m, modelled_std_m)
 
     def compare(self, delayed: DelayedHeave, realtime_m: float, modelled_std_m: float) -> None:
         """``realtime_m``: what was said in real time for the very moment of ``delayed``."""
