@@ -28,7 +28,6 @@ from heaved.estimation.points import Attitude, Point
 from heaved.estimation.quality import COAST_S, Facts, judge
 from heaved.estimation.quiet_watch import QuietWatch
 from heaved.estimation.reference import Params as LaserParams
-from heaved.estimation.ring import Ring
 from heaved.estimation.rock import STANDARD_HORIZONS_S
 from heaved.estimation.rock import Params as RockParams
 from heaved.estimation.rock_chain import RockChain
@@ -37,6 +36,7 @@ from heaved.estimation.sea_model import SeaModel
 from heaved.estimation.sea_window import SeaFit, SeaWindow
 from heaved.estimation.spikes import PLAUSIBLE_MPS2
 from heaved.estimation.stages import Stages
+from heaved.estimation.trail import Trail
 from heaved.samples import (
     GRAVITY_MPS2,
     CorrectionState,
@@ -157,7 +157,7 @@ class Pipeline:
         self._missing = 0.0
         self._accepted_t_s = self._fitted_t_s = nan
         self._attitude, self._attitude_t_s = (nan, nan, nan), nan
-        self._attitudes = Ring(int(MAX_RATE_HZ), 3)
+        self._attitudes = Trail(int(MAX_RATE_HZ))
         self._tilt_removed, self._tilt_since_s = False, nan
         self._imu_fault = Fault.NONE
         self._trained: Counter[str] = Counter()
@@ -211,9 +211,9 @@ class Pipeline:
         laser has shown, and gravity removed with a later attitude leaves g (rate x lag)^2 / 2, slow and rectified."""
         lag_s = -self._chain.lead.learned_s
         if lag_s > LAG_S:
-            then = self._attitudes.interpolate(t_s - lag_s)
-            if isfinite(then[1]):
-                return float(then[1]), float(then[2])
+            then = self._attitudes.at(t_s - lag_s)
+            if then is not None:
+                return then[1], then[2]
         return self._attitude[0], self._attitude[1]
 
     def _tilt_known(self, t_s: float) -> bool:

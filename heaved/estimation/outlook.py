@@ -84,7 +84,7 @@ class Outlook:
         return min(max((tau_s - self._first_s) / STEP_S, 0.0), len(self._rows) - 1.0)
 
 
-def at_index(values: Array, place: float) -> float:
+def at_index(values: Array | list[float], place: float) -> float:
     """``values`` (n,) at a place between its elements, linear."""
     i = min(int(place), len(values) - 2)
     share = place - i

@@ -50,7 +50,7 @@ class SeaHeave:
         self.sea_std_m = _std(system.heave, system.stationary)
         self.omega_radps = _std(system.velocity, system.stationary) / self.sea_std_m
         self._outlook = Outlook(system, max((*horizons_s, lead_s, 0.0)) + MARGIN_S)
-        self._steady_stds = self._outlook.stds(f.steady_covariance)
+        self._steady_stds: list[float] = self._outlook.stds(f.steady_covariance).tolist()
         self.steady_std_m = _std(system.heave, f.steady_covariance)
         self._shifts_s = (*horizons_s, 0.0, lead_s)
         self._count = len(horizons_s)
@@ -65,7 +65,7 @@ class SeaHeave:
         self._series: list[list[float]] = []
         self._unshifted: list[float] = []
         self._modelled: list[float] = []
-        self._grid_stds: Array | None = None
+        self._grid_stds: list[float] = []
 
     def set_lead(self, learned_s: float) -> None:
         """How early the sensor has been found to be, which is taken out of :meth:`at` and :meth:`forecast`."""
@@ -140,7 +140,7 @@ class SeaHeave:
     def _modelled_std_m(self, t_s: float, shift_s: float) -> float:
         learned_s = self._learned_s if isfinite(self._learned_s) else 0.0
         tau_s = shift_s + t_s - self.filter.t_s - learned_s
-        return at_index(self._stds, self._outlook.index(tau_s)) * self.scale
+        return at_index(self._stds(), self._outlook.index(tau_s)) * self.scale
 
     @property
     def state_std_m(self) -> float:
@@ -152,13 +152,12 @@ class SeaHeave:
         """Whether the covariance of the heave is near what it will be."""
         return self.filter.is_steady or self.state_std_m < CONVERGED * self.steady_std_m
 
-    @property
-    def _stds(self) -> Array:
+    def _stds(self) -> list[float]:
         """On the grid of the outlook."""
         if self.filter.is_steady:
             return self._steady_stds
-        if self._grid_stds is None:
-            self._grid_stds = self._outlook.stds(self.filter.covariance)
+        if not self._grid_stds:
+            self._grid_stds = self._outlook.stds(self.filter.covariance).tolist()
         return self._grid_stds
 
     def row(self, t_s: float) -> Array:
