@@ -74,6 +74,7 @@ class HeaveChain:
         self._delayed_of: DelayedHeave | None = None
         self._delayed: DelayedHeave | None = None
         self.resets: Counter[tuple[str, str]] = Counter()
+        self._resets_seen = 0
 
     def _new_observer(self) -> HarmonicObserver | SeaObserver:
         p = self._params
@@ -90,9 +91,9 @@ class HeaveChain:
         if not isfinite(up):
             return nan
         self.good_t_s = t_s
-        before = self.observer.resets.total()
         self.observer.step(t_s, up)
-        if self.observer.resets.total() != before:
+        if (resets := self.observer.resets.total()) != self._resets_seen:
+            self._resets_seen = resets
             self.resets = Counter({("heave", reason): count for reason, count in self.observer.resets.items()})
             self.laser.forget()
         if self._has_laser:
@@ -156,6 +157,7 @@ class HeaveChain:
     def start_over(self) -> None:
         """An observer that knows nothing, after a restoration that failed."""
         self.observer = self._new_observer()
+        self._resets_seen = 0
 
     @property
     def lead(self) -> lead.LeadTracker:
