@@ -58,9 +58,8 @@ class Outlook:
         """(len(taus), ORDER, n): heave at each tau and its derivatives over factorials, as rows on the state."""
         out = np.empty((len(taus_s), ORDER, self._rows.shape[1]))
         for i, tau in enumerate(taus_s):
-            j = min(max(round((tau - self._first_s) / STEP_S), 0), len(self._rows) - 1)
-            rest = tau - self._first_s - j * STEP_S
-            chain = [self._rows[j]]
+            row, rest = self._nearest(tau)
+            chain = [row]
             for _ in range(ORDER + 5):
                 chain.append(chain[-1] @ self._A)
             # Taylor from the grid to tau, for each derivative.
@@ -74,6 +73,33 @@ class Outlook:
                 out[i, order] = total / factorial
         return out
 
+    def row(self, tau_s: float) -> Array:
+        """(n,) heave at ``tau_s``, as a row on the state."""
+        row, rest_s = self._nearest(tau_s)
+        total, term = row, row
+        for k in range(1, ORDER):
+            term = term @ self._A * (rest_s / k)
+            total = total + term
+        return total
+
+    def series(self, x: Array) -> Array:
+        """(n, ORDER): the state ``x`` (n,) and its derivatives over factorials, for :meth:`along`."""
+        columns = np.empty((len(x), ORDER))
+        columns[:, 0] = x
+        for k in range(1, ORDER):
+            columns[:, k] = self._A @ columns[:, k - 1] / k
+        return columns
+
+    def along(self, series: Array, tau_s: float) -> Motion:
+        """Heave ``tau_s`` after the state of which this is the :meth:`series`."""
+        row, rest_s = self._nearest(tau_s)
+        return along((row @ series).tolist(), rest_s)
+
+    def _nearest(self, tau_s: float) -> tuple[Array, float]:
+        """The row of the grid that is nearest, and the time from there."""
+        j = min(max(round((tau_s - self._first_s) / STEP_S), 0), len(self._rows) - 1)
+        return self._rows[j], tau_s - self._first_s - j * STEP_S
+
     def stds(self, P: Array) -> Array:
         """Standard deviation of the heave error at every tau of the grid, for a state of covariance ``P`` (n, n)."""
         variances = np.einsum("ji,ji->j", self._rows @ P, self._rows) + self._added
@@ -82,6 +108,13 @@ class Outlook:
     def index(self, tau_s: float) -> float:
         """Place of ``tau_s`` in :meth:`stds`, within its ends."""
         return min(max((tau_s - self._first_s) / STEP_S, 0.0), len(self._rows) - 1.0)
+
+
+def along(series: Sequence[float], d: float) -> Motion:
+    """Heave and velocity ``d`` seconds on, from heave and its derivatives over factorials."""
+    c0, c1, c2, c3, c4, c5 = series
+    heave = ((((c5 * d + c4) * d + c3) * d + c2) * d + c1) * d + c0
+    return Motion(heave, (((5.0 * c5 * d + 4.0 * c4) * d + 3.0 * c3) * d + 2.0 * c2) * d + c1)
 
 
 def at_index(values: Array | list[float], place: float) -> float:

@@ -8,6 +8,7 @@ standard deviation. A sample then costs the series at its own age. For any other
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import hypot, isfinite, nan, sqrt
 from operator import add
 from typing import Final
@@ -15,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.outlook import Motion, Outlook, at_index
+from heaved.estimation.outlook import Motion, Outlook, along, at_index
 from heaved.estimation.sea_filter import SeaFilter
 from heaved.estimation.splice import NO_SPLICE, fade
 
@@ -64,6 +65,7 @@ class SeaHeave:
         """The filter's state has changed, and with it all that was made ready."""
         self._series: list[list[float]] = []
         self._unshifted: list[float] = []
+        self._state_series: Array | None = None
         self._modelled: list[float] = []
         self._grid_stds: list[float] = []
 
@@ -83,10 +85,11 @@ class SeaHeave:
             return Motion(nan, nan)
         place = self._places.get(shift_s)
         if place is not None:
-            motion = _along((self._series or self._made_ready())[place], late)
+            motion = along((self._series or self._made_ready())[place], late)
         else:
-            rows = self._outlook.derivatives([shift_s - self._learned_s])[0]
-            motion = _along((rows @ self.filter.x).tolist(), late)
+            if self._state_series is None:
+                self._state_series = self._outlook.series(self.filter.x)
+            motion = self._outlook.along(self._state_series, shift_s - self._learned_s + late)
         if t_s < self.splice.until_s:
             heave_m, velocity_mps = self.splice.at(t_s + shift_s)
             motion = Motion(motion.heave_m + heave_m, motion.velocity_mps + velocity_mps)
@@ -96,18 +99,19 @@ class SeaHeave:
         """What the laser is compared with: nothing learned taken out, nothing left of another model."""
         if not self._unshifted:
             self._unshifted = (self._plain_rows @ self.filter.x).tolist()
-        return _along(self._unshifted, t_s - self.filter.t_s)
+        return along(self._unshifted, t_s - self.filter.t_s)
 
     def forecast(self, t_s: float) -> tuple[list[float], list[float]]:
         """:meth:`at` and :meth:`std_m` for all the horizons: heave and its standard deviations."""
         d = t_s - self.filter.t_s
         if not d <= STALE_BEAT_S:
             return [nan] * self._count, [nan] * self._count
-        series = self._series or self._made_ready()
-        heaves = [
-            ((((c5 * d + c4) * d + c3) * d + c2) * d + c1) * d + c0 for c0, c1, c2, c3, c4, c5 in series[: self._count]
-        ]
-        stds = (self._modelled or self._modelled_at(t_s))[: self._count]
+        if not self._series:
+            self._made_ready()
+        if not self._modelled:
+            self._modelled_at(t_s)
+        heaves = [((((c5 * d + c4) * d + c3) * d + c2) * d + c1) * d + c0 for c0, c1, c2, c3, c4, c5 in self._ahead]
+        stds = self._ahead_stds
         if t_s < self.splice.until_s:
             left = self.splice.heaves(t_s, self._fades)
             return [*map(add, heaves, left)], [*map(hypot, stds, left)]
@@ -115,6 +119,7 @@ class SeaHeave:
 
     def _made_ready(self) -> list[list[float]]:
         self._series = (self._rows @ self.filter.x).tolist()
+        self._ahead = self._series[: self._count]
         return self._series
 
     # --- how far it can be trusted -----------------------------------------------------------------------------------
@@ -127,20 +132,23 @@ class SeaHeave:
         if place is not None:
             std_m = (self._modelled or self._modelled_at(t_s))[place]
         else:
-            std_m = self._modelled_std_m(t_s, shift_s)
+            std_m = self._modelled_stds_m(t_s, (shift_s,))[0]
         if t_s < self.splice.until_s:
             std_m = hypot(std_m, self.splice.at(t_s + shift_s)[0])
         return std_m
 
     def _modelled_at(self, t_s: float) -> list[float]:
         """For what is always asked for; it changes less within a beat than it is known."""
-        self._modelled = [self._modelled_std_m(t_s, shift) for shift in self._shifts_s]
+        self._modelled = self._modelled_stds_m(t_s, self._shifts_s)
+        self._ahead_stds = self._modelled[: self._count]
         return self._modelled
 
-    def _modelled_std_m(self, t_s: float, shift_s: float) -> float:
+    def _modelled_stds_m(self, t_s: float, shifts_s: Sequence[float]) -> list[float]:
+        """After a sample at ``t_s``."""
+        stds, index, scale = self._stds(), self._outlook.index, self.scale
         learned_s = self._learned_s if isfinite(self._learned_s) else 0.0
-        tau_s = shift_s + t_s - self.filter.t_s - learned_s
-        return at_index(self._stds(), self._outlook.index(tau_s)) * self.scale
+        beat_s = self.filter.t_s
+        return [at_index(stds, index(shift + t_s - beat_s - learned_s)) * scale for shift in shifts_s]
 
     @property
     def state_std_m(self) -> float:
@@ -162,15 +170,8 @@ class SeaHeave:
 
     def row(self, t_s: float) -> Array:
         """(n,) heave at ``t_s`` from the filter's state."""
-        return np.asarray(self._outlook.derivatives((t_s - self.filter.t_s,))[0, 0])
+        return self._outlook.row(t_s - self.filter.t_s)
 
 
 def _std(row: Array, P: Array) -> float:
     return sqrt(max(float(row.dot(P).dot(row)), 0.0))
-
-
-def _along(series: list[float], d: float) -> Motion:
-    """Heave and velocity ``d`` seconds on, from heave and its derivatives over factorials."""
-    c0, c1, c2, c3, c4, c5 = series
-    heave = ((((c5 * d + c4) * d + c3) * d + c2) * d + c1) * d + c0
-    return Motion(heave, (((5.0 * c5 * d + 4.0 * c4) * d + 3.0 * c3) * d + 2.0 * c2) * d + c1)
