@@ -47,9 +47,11 @@ class FixedLagSmoother:
 
     def fill(self, end_s: float, predicted_m: Array, innovation: Array) -> None:
         """Start with what the filter of this model would have said at samples up to ``end_s``."""
-        count = len(predicted_m)
-        for i in range(max(0, count - len(self._weights)), count):
-            self.push(end_s - (count - 1 - i) * self._dt_s, float(predicted_m[i]), float(innovation[i]))
+        size, count = len(self._weights), min(len(predicted_m), len(self._weights))
+        times = end_s - self._dt_s * np.arange(count - 1, -1, -1)
+        self._predicted.extend(zip(times.tolist(), predicted_m[-count:].tolist(), strict=True))
+        self._innovations[:count] = self._innovations[size : size + count] = innovation[-count:]
+        self._next = count % size
 
     def push(self, t_s: float, predicted_m: float, innovation: float) -> None:
         """One sample more, one interval after the last; innovation 0 where there was none to take in."""
