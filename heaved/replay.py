@@ -9,8 +9,9 @@ from __future__ import annotations
 import os
 import sys
 import time
+from array import array
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import islice
 from math import inf, isnan, nan, pi
@@ -126,16 +127,20 @@ class Columns:
 
     def row(self, frame: MotionFrame) -> str:
         """One line, as of :meth:`rows`."""
-        return self.rows([frame])[0]
+        return self.rows([frame])[0][1]
 
-    def rows(self, frames: Sequence[MotionFrame]) -> list[str]:
-        """A line for each of ``frames`` but for the delayed heave of its time, whose place is held by DELAYED: what is
-        not known is blank, never zero."""
-        numbers = np.array([self._numbers(frame) for frame in frames], np.float64)[:, self._place] * self._unit
+    def rows(self, frames: Iterable[MotionFrame]) -> list[tuple[float, str, DelayedHeave | None]]:
+        """For each of ``frames`` its time, its line but for the delayed heave of that time, whose place is held by
+        DELAYED, and the delayed heave that is newest by then. What is not known is blank, never zero."""
+        flat, rest = array("d"), []
+        for frame in frames:
+            flat.extend(self._numbers(frame))
+            rest.append((frame.t_s, frame.quality.heave.value, frame.delayed))
+        numbers = np.frombuffer(flat).reshape(-1, len(self._place))[:, self._place] * self._unit
         now, ahead = lines(numbers[:, : self._now]), lines(numbers[:, self._now :])
         return [
-            f"{frame.t_s:.6f},{first},{frame.quality.heave.value},{DELAYED},{rest}\n"
-            for frame, first, rest in zip(frames, now, ahead, strict=True)
+            (t_s, f"{t_s:.6f},{first},{state},{DELAYED},{later}\n", delayed)
+            for (t_s, state, delayed), first, later in zip(rest, now, ahead, strict=True)
         ]
 
     def _numbers(self, frame: MotionFrame) -> list[float]:
@@ -244,9 +249,9 @@ def replay(
         run = _Run(_pipeline(config, recording.has_laser), trainer)
         rows = DelayedColumn(file.write)
         frames = run.frames(recording, until_s, progress)
-        while block := list(islice(frames, BLOCK_ROWS)):
-            for frame, row in zip(block, columns.rows(block), strict=True):
-                rows.put(frame.t_s, row, frame.delayed)
+        while block := columns.rows(islice(frames, BLOCK_ROWS)):
+            for t_s, row, delayed in block:
+                rows.put(t_s, row, delayed)
         rows.flush()
     return run.summary(time.monotonic() - begun_s)
 

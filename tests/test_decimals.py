@@ -28,6 +28,10 @@ def test_each_cell_is_the_number_to_six_decimals(rows: list[list[float]]) -> Non
     assert lines(np.array(rows)) == [",".join([exact(value) for value in row]) for row in rows]
 
 
+def test_no_rows_are_no_lines() -> None:
+    assert lines(np.empty((0, 3))) == []
+
+
 def test_what_is_left_to_python_comes_in_its_own_row() -> None:
     rows = [[1.0, 2.0], [999.9999994, -999.9999996], [nan, 1000.0], [inf, -0.0], [-1e-9, 0.0000005], [nan, nan]]
     assert lines(np.array(rows)) == [
