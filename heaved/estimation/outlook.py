@@ -102,7 +102,19 @@ class Outlook:
 
     def stds(self, P: Array) -> Array:
         """Standard deviation of the heave error at every tau of the grid, for a state of covariance ``P`` (n, n)."""
-        variances = np.einsum("ji,ji->j", self._rows @ P, self._rows) + self._added
+        return self._stds(P, slice(None))
+
+    def stds_at(self, P: Array, taus_s: Sequence[float]) -> list[float]:
+        """The same at some moments only, linear between those of the grid."""
+        places = [self.index(tau) for tau in taus_s]
+        before = [min(int(place), len(self._rows) - 2) for place in places]
+        stds = self._stds(P, np.array([(i, i + 1) for i in before]).ravel()).tolist()
+        pairs = zip(stds[::2], stds[1::2], places, before, strict=True)
+        return [(1.0 - (place - i)) * low + (place - i) * high for low, high, place, i in pairs]
+
+    def _stds(self, P: Array, which: slice | NDArray[np.int64]) -> Array:
+        rows = self._rows[which]
+        variances = np.einsum("ji,ji->j", rows @ P, rows) + self._added[which]
         return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
 
     def index(self, tau_s: float) -> float:

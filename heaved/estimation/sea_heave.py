@@ -67,7 +67,6 @@ class SeaHeave:
         self._unshifted: list[float] = []
         self._state_series: Array | None = None
         self._modelled: list[float] = []
-        self._grid_stds: list[float] = []
 
     def set_lead(self, learned_s: float) -> None:
         """How early the sensor has been found to be, which is taken out of :meth:`at` and :meth:`forecast`."""
@@ -145,10 +144,13 @@ class SeaHeave:
 
     def _modelled_stds_m(self, t_s: float, shifts_s: Sequence[float]) -> list[float]:
         """After a sample at ``t_s``."""
-        stds, index, scale = self._stds(), self._outlook.index, self.scale
         learned_s = self._learned_s if isfinite(self._learned_s) else 0.0
-        beat_s = self.filter.t_s
-        return [at_index(stds, index(shift + t_s - beat_s - learned_s)) * scale for shift in shifts_s]
+        beat_s, scale = self.filter.t_s, self.scale
+        taus = [shift + t_s - beat_s - learned_s for shift in shifts_s]
+        if self.filter.is_steady:
+            index, stds = self._outlook.index, self._steady_stds
+            return [at_index(stds, index(tau)) * scale for tau in taus]
+        return [std * scale for std in self._outlook.stds_at(self.filter.covariance, taus)]
 
     @property
     def state_std_m(self) -> float:
@@ -159,14 +161,6 @@ class SeaHeave:
     def is_converged(self) -> bool:
         """Whether the covariance of the heave is near what it will be."""
         return self.filter.is_steady or self.state_std_m < CONVERGED * self.steady_std_m
-
-    def _stds(self) -> list[float]:
-        """On the grid of the outlook."""
-        if self.filter.is_steady:
-            return self._steady_stds
-        if not self._grid_stds:
-            self._grid_stds = self._outlook.stds(self.filter.covariance).tolist()
-        return self._grid_stds
 
     def row(self, t_s: float) -> Array:
         """(n,) heave at ``t_s`` from the filter's state."""

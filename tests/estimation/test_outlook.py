@@ -72,6 +72,8 @@ def test_what_is_unknown_ahead_is_the_brute_force_covariance(system: SeaSystem, 
         F, Q = (np.eye(len(P)), np.zeros_like(P)) if tau == 0.0 else whole(system, tau)
         expected = np.sqrt(system.heave @ (F @ P @ F.T + Q) @ system.heave)
         assert at_index(stds, outlook.index(tau)) == pytest.approx(expected, rel=3e-3)
+    taus = (-BACK_S, -0.02, 0.0, 0.777, AHEAD_S)
+    assert outlook.stds_at(P, taus) == pytest.approx([at_index(stds, outlook.index(tau)) for tau in taus])
     sigma = np.sqrt(system.heave @ system.stationary @ system.heave)
     assert at_index(stds, outlook.index(AHEAD_S)) < sigma
 
