@@ -112,9 +112,7 @@ class Pipeline:
         self.stages = stages or Stages()
         self._params = heave
         self._has_laser = has_laser
-        self._chain = HeaveChain(
-            heave, laser, correction, has_laser=has_laser, lead_s=lead_s, max_rate_hz=MAX_RATE_HZ
-        )
+        self._chain = HeaveChain(heave, laser, correction, has_laser=has_laser, lead_s=lead_s, max_rate_hz=MAX_RATE_HZ)
         self._intake = Intake(self._chain, MAX_RATE_HZ)
         self._rock = RockChain(rock)
         self._framer = Framer(
