@@ -9,16 +9,21 @@ from __future__ import annotations
 import os
 import sys
 import time
+from array import array
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from math import inf, isfinite, isnan, nan, pi
+from itertools import islice
+from math import inf, isnan, nan, pi
+from operator import attrgetter
 from pathlib import Path
-from typing import Final, TextIO
+from typing import Final, TextIO, TypeVar
 
 import msgspec
+import numpy as np
 
 from heaved.config import Config
+from heaved.decimals import cell, lines
 from heaved.devices.recording import Recording
 from heaved.estimation.rock import STANDARD_HORIZONS_S
 from heaved.estimation.sea_window import look
@@ -33,6 +38,8 @@ DELAYED: Final = "~"
 """Stands for a cell that is not known yet."""
 MAX_STEP_S: Final = 0.5
 """Delayed heaves further apart than this have a hole between them."""
+BLOCK_ROWS: Final = 256
+"""Rows that are made into text together; they wait for their delayed heave anyway."""
 _PROGRESS_ROWS: Final = 500
 """Rows between two calls of ``progress``."""
 
@@ -79,8 +86,15 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
         )
 
 
+_OF_FRAME: Final = attrgetter(
+    "heave_m", "heave_std_m", "heave_velocity_mps", "observer_m", "correction_m", "lead_s"
+)  # fmt: skip
+_OF_FORECAST: Final = attrgetter("heave_m", "std_m")
+_OF_ROCK: Final = attrgetter("roll_rad", "roll_std_rad", "pitch_rad", "pitch_std_rad", "yaw_rad", "yaw_std_rad")
+
+
 class Columns:
-    """The columns of the result for one configuration, and the text of a frame in them."""
+    """The columns of the result for one configuration, and the text of frames in them."""
 
     def __init__(self, config: Config) -> None:
         self._forecasts = config.heave.forecast_horizons_s
@@ -92,51 +106,65 @@ class Columns:
             for h in self._rocks
             for what in ("deg", "std_deg")
         ]
-        fixed = "t_s heave_m heave_std_m heave_velocity_mps observer_m correction_m lead_s quality delayed_heave_m"
+        heave = ["heave_m", "heave_std_m", "heave_velocity_mps", "observer_m", "correction_m", "lead_s"]
         self._hull, self._attitude = config.hull.enabled, config.attitude.enabled
         hull = [*(f"hull_{axis}_deg" for axis in "xyz"), *(f"hull_static_{axis}_deg" for axis in "xyz"),
                 *(f"hull_{axis}_std_arcsec" for axis in "xyz")]  # fmt: skip
         attitude = [f"attitude_{what}_{unit}" for quantity, unit in _ATTITUDE for what in (quantity, f"{quantity}_std")]
         staged = (hull if self._hull else []) + (attitude if self._attitude else [])
-        self.names = (*fixed.split(), *forecasts, *rocks, *staged)
-        cells = ["%.6f"] * len(self.names)
-        cells[fixed.split().index("quality")] = cells[fixed.split().index("delayed_heave_m")] = "%s"
-        self._format = ",".join(cells) + "\n"
+        self.names = ("t_s", *heave, "quality", "delayed_heave_m", *forecasts, *rocks, *staged)
+        # Predictions are read horizon by horizon and written axis by axis.
+        self._now = len(heave)
+        first = len(heave) + len(forecasts)
+        places = first + np.arange(len(rocks)).reshape(len(self._rocks), 3, 2).transpose(1, 0, 2).ravel()
+        self._place = np.arange(first + len(rocks) + len(staged))
+        self._place[first : first + len(rocks)] = places
+        self._unit = np.ones(len(self._place))
+        self._unit[first : first + len(rocks)] = _DEGREES
 
     def header(self) -> str:
         return ",".join(self.names) + "\n"
 
     def row(self, frame: MotionFrame) -> str:
-        """One line but for the delayed heave of its time, whose place is held by DELAYED: what is not known is blank,
-        never zero."""
-        numbers = [
-            frame.t_s,
-            frame.heave_m,
-            frame.heave_std_m,
-            frame.heave_velocity_mps,
-            frame.observer_m,
-            frame.correction_m,
-            frame.lead_s,
+        """One line, as of :meth:`rows`."""
+        return self.rows([frame])[0][1]
+
+    def rows(self, frames: Iterable[MotionFrame]) -> list[tuple[float, str, DelayedHeave | None]]:
+        """For each of ``frames`` its time, its line but for the delayed heave of that time, whose place is held by
+        DELAYED, and the delayed heave that is newest by then. What is not known is blank, never zero."""
+        flat, rest = array("d"), []
+        for frame in frames:
+            flat.extend(self._numbers(frame))
+            rest.append((frame.t_s, frame.quality.heave.value, frame.delayed))
+        numbers = np.frombuffer(flat).reshape(-1, len(self._place))[:, self._place] * self._unit
+        now, ahead = lines(numbers[:, : self._now]), lines(numbers[:, self._now :])
+        return [
+            (t_s, f"{t_s:.6f},{first},{state},{DELAYED},{later}\n", delayed)
+            for (t_s, state, delayed), first, later in zip(rest, now, ahead, strict=True)
         ]
-        forecasts = {forecast.horizon_s: forecast for forecast in frame.forecast}
-        predicted = []
-        for h in self._forecasts:
-            forecast = forecasts.get(h, _NO_FORECAST)
-            predicted += [forecast.heave_m, forecast.std_m]
-        rocks = {rock.horizon_s: rock for rock in frame.rock}
-        known = [rocks.get(h, _NO_ROCK) for h in self._rocks]
-        for rock in known:
-            predicted += [rock.roll_rad * _DEGREES, rock.roll_std_rad * _DEGREES]
-        for rock in known:
-            predicted += [rock.pitch_rad * _DEGREES, rock.pitch_std_rad * _DEGREES]
-        for rock in known:
-            predicted += [rock.yaw_rad * _DEGREES, rock.yaw_std_rad * _DEGREES]
-        predicted += (_hull_numbers(frame) if self._hull else []) + (_attitude_numbers(frame) if self._attitude else [])
-        text = self._format % (*numbers, frame.quality.heave.value, DELAYED, *predicted)
-        if "inf" in text:
-            cells = [*map(_cell, numbers), frame.quality.heave.value, DELAYED, *map(_cell, predicted)]
-            return ",".join(cells) + "\n"
-        return text.replace("nan", "")
+
+    def _numbers(self, frame: MotionFrame) -> list[float]:
+        numbers = [*_OF_FRAME(frame)]
+        for forecast in _by_horizon(frame.forecast, self._forecasts, _NO_FORECAST):
+            numbers += _OF_FORECAST(forecast)
+        for rock in _by_horizon(frame.rock, self._rocks, _NO_ROCK):
+            numbers += _OF_ROCK(rock)
+        if self._hull:
+            numbers += _hull_numbers(frame)
+        if self._attitude:
+            numbers += _attitude_numbers(frame)
+        return numbers
+
+
+Predicted = TypeVar("Predicted", HeaveForecast, RockPrediction)
+
+
+def _by_horizon(found: tuple[Predicted, ...], horizons_s: tuple[float, ...], unknown: Predicted) -> Sequence[Predicted]:
+    """One for each of the horizons; mostly they are just these."""
+    if tuple([one.horizon_s for one in found]) == horizons_s:
+        return found
+    by_horizon = {one.horizon_s: one for one in found}
+    return [by_horizon.get(h, unknown) for h in horizons_s]
 
 
 def _hull_numbers(frame: MotionFrame) -> list[float]:
@@ -179,7 +207,7 @@ class DelayedColumn:
         before, self._last = self._last, delayed
         while self._rows and self._rows[0][0] <= delayed.t_s:
             at_s, waiting = self._rows.popleft()
-            self._write(waiting.replace(DELAYED, _cell(_between(before, delayed, at_s)), 1))
+            self._write(waiting.replace(DELAYED, cell(_between(before, delayed, at_s)), 1))
 
     def flush(self) -> None:
         """What has no delayed heave any more."""
@@ -201,10 +229,6 @@ _NO_FORECAST: Final = HeaveForecast(horizon_s=nan)
 _NO_ROCK: Final = RockPrediction(horizon_s=nan)
 
 
-def _cell(value: float) -> str:
-    return f"{value:.6f}" if isfinite(value) else ""
-
-
 def replay(
     source: Path, out: Path | None, config: Config, *, until_s: float = inf, progress: Progress | None = None
 ) -> Summary:
@@ -224,8 +248,10 @@ def replay(
         file.write(columns.header())
         run = _Run(_pipeline(config, recording.has_laser), trainer)
         rows = DelayedColumn(file.write)
-        for frame in run.frames(recording, until_s, progress):
-            rows.put(frame.t_s, columns.row(frame), frame.delayed)
+        frames = run.frames(recording, until_s, progress)
+        while block := columns.rows(islice(frames, BLOCK_ROWS)):
+            for t_s, row, delayed in block:
+                rows.put(t_s, row, delayed)
         rows.flush()
     return run.summary(time.monotonic() - begun_s)
 

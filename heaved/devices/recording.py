@@ -139,23 +139,25 @@ class Recording:
         width = len(self.columns)
         read = COLUMNS if set(STAGE_COLUMNS).isdisjoint(self.columns) else COLUMNS + STAGE_COLUMNS
         has_midships = not set(STAGE_COLUMNS[:3]).isdisjoint(self.columns)
-        # A blank cell is appended to each row, and columns that the file does not have are picked from there.
+        # A cell is appended to each row, and columns that the file does not have are picked from there.
         pick = itemgetter(*(self.columns.index(name) if name in self.columns else -1 for name in read))
+        there = sum(name in self.columns for name in read)
         last_s = -float("inf")
         for row in rows:
             if len(row) != width:
                 if not row:
                     continue  # An empty line, as editors leave at the end.
                 raise self._error(f"{len(row)} cells, but the header has {width}", line=_line(rows))
-            row.append("")
+            row.append("nan")
             cells = pick(row)
+            blanks = cells.count("")
             try:
-                values = [float(cell) if cell else nan for cell in cells]
+                values = [float(cell) if cell else nan for cell in cells] if blanks else list(map(float, cells))
             except ValueError:
-                raise self._bad_cell(cells, _line(rows)) from None
+                raise self._bad_cell(row, _line(rows)) from None
             text = "".join(cells)
-            if sum(map(isfinite, values)) + cells.count("") != len(cells) or "_" in text or not text.isascii():
-                raise self._bad_cell(cells, _line(rows))
+            if sum(map(isfinite, values)) + blanks != there or "_" in text or not text.isascii():
+                raise self._bad_cell(row, _line(rows))
             t_s, ax, ay, az, roll, pitch, yaw, gx, gy, gz, laser, *staged = values
             if not t_s > last_s:
                 raise self._bad_time(cells[0], last_s, _line(rows))
@@ -207,9 +209,10 @@ class Recording:
                 raise self._error(f"column {name} is missing; a recording needs {' and '.join(REQUIRED)}", line=1)
         return names
 
-    def _bad_cell(self, cells: tuple[str, ...], line: int) -> RecordingError:
+    def _bad_cell(self, row: list[str], line: int) -> RecordingError:
         """The fault of the first cell that is neither blank nor a finite number in plain digits."""
-        for name, cell in zip(COLUMNS + STAGE_COLUMNS, cells, strict=False):
+        for name in COLUMNS + STAGE_COLUMNS:
+            cell = row[self.columns.index(name)] if name in self.columns else ""
             if cell and not _is_number(cell):
                 return self._error(
                     f"{_shown(cell)} is not a number; leave a missing value blank", line=line, column=name

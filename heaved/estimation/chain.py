@@ -74,6 +74,7 @@ class HeaveChain:
         self._delayed_of: DelayedHeave | None = None
         self._delayed: DelayedHeave | None = None
         self.resets: Counter[tuple[str, str]] = Counter()
+        self._resets_seen = 0
 
     def _new_observer(self) -> HarmonicObserver | SeaObserver:
         p = self._params
@@ -90,9 +91,9 @@ class HeaveChain:
         if not isfinite(up):
             return nan
         self.good_t_s = t_s
-        before = self.observer.resets.total()
         self.observer.step(t_s, up)
-        if self.observer.resets.total() != before:
+        if (resets := self.observer.resets.total()) != self._resets_seen:
+            self._resets_seen = resets
             self.resets = Counter({("heave", reason): count for reason, count in self.observer.resets.items()})
             self.laser.forget()
         if self._has_laser:
@@ -121,29 +122,23 @@ class HeaveChain:
         std_m = taught.gain * observer.error_std_m(moment_s, scale if self._lead_s == 0.0 else max(scale, 1.0))
         if not isfinite(std_m):
             return None
-        horizons = self._params.forecast_horizons_s
-        ahead_s = tuple([shift_s + h for h in horizons]) if shift_s != 0.0 else horizons
-        motion, *ahead = observer.outlook((moment_s, *ahead_s), taught.learned_s)
-        observer_m, correction_m = taught.gain * motion.heave_m, self.correction.value_m
+        gain = taught.gain
+        motion = observer.at(moment_s, taught.learned_s)
+        heaves, stds = observer.forecast(shift_s, taught.learned_s, max(scale, 1.0))
+        observer_m, correction_m = gain * motion.heave_m, self.correction.value_m
         return Heave(
             heave_m=observer_m + correction_m,
             std_m=std_m,
-            velocity_mps=taught.gain * motion.velocity_mps,
-            acceleration_mps2=taught.gain * observer.acceleration_mps2 if shift_s == 0.0 else nan,
+            velocity_mps=gain * motion.velocity_mps,
+            acceleration_mps2=gain * observer.acceleration_mps2 if shift_s == 0.0 else nan,
             observer_m=observer_m,
             correction_m=correction_m,
             lead_s=observer.design_lead_s + taught.learned_s,
-            forecast=tuple(
-                [
-                    HeaveForecast(
-                        horizon_s=h,
-                        heave_m=taught.gain * there.heave_m,
-                        std_m=taught.gain * observer.error_std_m(s, max(scale, 1.0)),
-                    )
-                    for h, s, there in zip(horizons, ahead_s, ahead, strict=True)
-                ]
-            ),
-        )
+            forecast=tuple([
+                HeaveForecast(horizon_s=h, heave_m=gain * heave_m, std_m=gain * std_m)
+                for h, heave_m, std_m in zip(self._params.forecast_horizons_s, heaves, stds, strict=True)
+            ]),
+        )  # fmt: skip
 
     def delayed(self) -> DelayedHeave | None:
         """The newest delayed heave, with what the laser has taught: the sensor's lag and its scale."""
@@ -162,6 +157,7 @@ class HeaveChain:
     def start_over(self) -> None:
         """An observer that knows nothing, after a restoration that failed."""
         self.observer = self._new_observer()
+        self._resets_seen = 0
 
     @property
     def lead(self) -> lead.LeadTracker:

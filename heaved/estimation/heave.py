@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from heaved.estimation import lead, sea, sigma
 from heaved.estimation.inertial import InertialDisplacement
+from heaved.estimation.outlook import Motion
 from heaved.estimation.ring import Ring
-from heaved.estimation.sea import Motion
 from heaved.estimation.sea_window import SeaFit, SeaWindow
 from heaved.estimation.spectrum import dominant_frequencies, heave_spectrum
 from heaved.samples import DelayedHeave, SeaState
@@ -345,6 +345,14 @@ class HarmonicObserver:
     def outlook(self, shifts_s: tuple[float, ...], learned_lead_s: float = 0.0) -> list[Motion]:
         """:meth:`at` for several moments at once."""
         return [self.at(shift, learned_lead_s) for shift in shifts_s]
+
+    def forecast(
+        self, shift_s: float, learned_lead_s: float = 0.0, scale: float = 1.0
+    ) -> tuple[list[float], list[float]]:
+        """Heave and :meth:`error_std_m` for each horizon, after a moment ``shift_s`` after the last sample."""
+        shifts = [shift_s + h for h in self._params.forecast_horizons_s]
+        stds = [self.error_std_m(shift, scale) for shift in shifts]
+        return [motion.heave_m for motion in self.outlook(tuple(shifts), learned_lead_s)], stds
 
     def unshifted(self) -> Motion:
         """The one-step observer: eq. (14) with m = 0, as the comparison with the laser wants it."""

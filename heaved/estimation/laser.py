@@ -11,8 +11,9 @@ import numpy as np
 from heaved.estimation import lead, reference
 from heaved.estimation.correction import ResidualCorrection
 from heaved.estimation.heave import HarmonicObserver
+from heaved.estimation.outlook import Motion
 from heaved.estimation.ring import Ring
-from heaved.estimation.sea import Motion, SeaObserver
+from heaved.estimation.sea import SeaObserver
 from heaved.samples import Fault, LaserSample
 
 LATE_S: Final = 4.0

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +23,13 @@ BACK_S: Final = 3.0
 """How far back the rows reach: the most that a sensor may be late, twice over."""
 ORDER: Final = 6
 """Derivatives used: at 0.1 s and 0.6 Hz the next one is 1e-7."""
+
+
+class Motion(msgspec.Struct, frozen=True, gc=False):
+    """Heave at one moment."""
+
+    heave_m: float
+    velocity_mps: float
 
 
 class Outlook:
@@ -50,9 +58,8 @@ class Outlook:
         """(len(taus), ORDER, n): heave at each tau and its derivatives over factorials, as rows on the state."""
         out = np.empty((len(taus_s), ORDER, self._rows.shape[1]))
         for i, tau in enumerate(taus_s):
-            j = min(max(round((tau - self._first_s) / STEP_S), 0), len(self._rows) - 1)
-            rest = tau - self._first_s - j * STEP_S
-            chain = [self._rows[j]]
+            row, rest = self._nearest(tau)
+            chain = [row]
             for _ in range(ORDER + 5):
                 chain.append(chain[-1] @ self._A)
             # Taylor from the grid to tau, for each derivative.
@@ -66,9 +73,48 @@ class Outlook:
                 out[i, order] = total / factorial
         return out
 
+    def row(self, tau_s: float) -> Array:
+        """(n,) heave at ``tau_s``, as a row on the state."""
+        row, rest_s = self._nearest(tau_s)
+        total, term = row, row
+        for k in range(1, ORDER):
+            term = term @ self._A * (rest_s / k)
+            total = total + term
+        return total
+
+    def series(self, x: Array) -> Array:
+        """(n, ORDER): the state ``x`` (n,) and its derivatives over factorials, for :meth:`along`."""
+        columns = np.empty((len(x), ORDER))
+        columns[:, 0] = x
+        for k in range(1, ORDER):
+            columns[:, k] = self._A @ columns[:, k - 1] / k
+        return columns
+
+    def along(self, series: Array, tau_s: float) -> Motion:
+        """Heave ``tau_s`` after the state of which this is the :meth:`series`."""
+        row, rest_s = self._nearest(tau_s)
+        return along((row @ series).tolist(), rest_s)
+
+    def _nearest(self, tau_s: float) -> tuple[Array, float]:
+        """The row of the grid that is nearest, and the time from there."""
+        j = min(max(round((tau_s - self._first_s) / STEP_S), 0), len(self._rows) - 1)
+        return self._rows[j], tau_s - self._first_s - j * STEP_S
+
     def stds(self, P: Array) -> Array:
         """Standard deviation of the heave error at every tau of the grid, for a state of covariance ``P`` (n, n)."""
-        variances = np.einsum("ji,ji->j", self._rows @ P, self._rows) + self._added
+        return self._stds(P, slice(None))
+
+    def stds_at(self, P: Array, taus_s: Sequence[float]) -> list[float]:
+        """The same at some moments only, linear between those of the grid."""
+        places = [self.index(tau) for tau in taus_s]
+        before = [min(int(place), len(self._rows) - 2) for place in places]
+        stds = self._stds(P, np.array([(i, i + 1) for i in before]).ravel()).tolist()
+        pairs = zip(stds[::2], stds[1::2], places, before, strict=True)
+        return [(1.0 - (place - i)) * low + (place - i) * high for low, high, place, i in pairs]
+
+    def _stds(self, P: Array, which: slice | NDArray[np.int64]) -> Array:
+        rows = self._rows[which]
+        variances = np.einsum("ji,ji->j", rows @ P, rows) + self._added[which]
         return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
 
     def index(self, tau_s: float) -> float:
@@ -76,7 +122,14 @@ class Outlook:
         return min(max((tau_s - self._first_s) / STEP_S, 0.0), len(self._rows) - 1.0)
 
 
-def at_index(values: Array, place: float) -> float:
+def along(series: Sequence[float], d: float) -> Motion:
+    """Heave and velocity ``d`` seconds on, from heave and its derivatives over factorials."""
+    c0, c1, c2, c3, c4, c5 = series
+    heave = ((((c5 * d + c4) * d + c3) * d + c2) * d + c1) * d + c0
+    return Motion(heave, (((5.0 * c5 * d + 4.0 * c4) * d + 3.0 * c3) * d + 2.0 * c2) * d + c1)
+
+
+def at_index(values: Array | list[float], place: float) -> float:
     """``values`` (n,) at a place between its elements, linear."""
     i = min(int(place), len(values) - 2)
     share = place - i

@@ -25,7 +25,7 @@ MANY_MISSING: Final = 0.25
 """Share of lost samples from which the line, not the sea, is what to look at."""
 
 
-class Facts(msgspec.Struct, frozen=True, kw_only=True):
+class Facts(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     """What is known about one moment."""
 
     imu_fault: Fault

@@ -14,7 +14,7 @@ of the sensor, and every sample gets its own output, moved from the last beat.
 from __future__ import annotations
 
 from collections import Counter
-from math import exp, hypot, inf, isfinite, nan, pi, sqrt
+from math import isfinite, nan, pi
 from typing import Annotated, Final
 
 import msgspec
@@ -22,51 +22,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.beat import BEAT_MIN_S, BEAT_S, Beat
-from heaved.estimation.outlook import Outlook, at_index
-from heaved.estimation.ring import Ring
+from heaved.estimation.outlook import Motion
 from heaved.estimation.sea_filter import Offset, SeaFilter
+from heaved.estimation.sea_heave import SeaHeave
 from heaved.estimation.sea_model import SeaModel, SeaSystem, Steady, heave_std, measurement_variance
+from heaved.estimation.sea_record import SeaRecord
+from heaved.estimation.sea_trust import NEEDED_S, SeaTrust
 from heaved.estimation.sea_window import Candidate, SeaFit, SeaWindow
-from heaved.estimation.smoother import Divergence, FixedLagSmoother
+from heaved.estimation.smoother import FixedLagSmoother
+from heaved.estimation.splice import Splice
 from heaved.samples import DelayedHeave, SeaState
 
 Array = NDArray[np.float64]
 
-STALE_BEAT_S: Final = 1.0
-"""Samples that come without a beat for this long are not in the heave any more."""
-EARLY_EVERY_S: Final = 10.0
-"""Between fits, until EARLY_S of record: each sees much more than the one before."""
-EARLY_S: Final = 120.0
-CHANGED: Final = 3.0
-"""Whiteness of the innovations above which the sea is changing: the next fit comes sooner."""
-CHANGED_NOW: Final = 9.0
-"""The same in the last seconds, which are fewer."""
-SPLICE_S: Final = 1.5
-"""Time constant with which the difference between old and new model is faded out."""
-STILL_LIKELIHOOD: Final = 15.0
-"""Waves must make the record that much likelier than noise alone (nine parameters give half of it by chance)."""
-STILL_SHARE: Final = 0.5
-"""Nor is it a sea when the error of the heave is that share of the heave itself."""
 OVERCONFIDENCE: Final = 1.12
 """Published over modelled standard deviation: the fitted spectrum is an estimate too (see tools/accuracy.py heave)."""
-SCALE_LIMIT: Final = 10.0
-NEEDED_S: Final = 60.0
-DIVERGED: Final = 2.5
-"""RMS difference from the delayed heave, over the modelled standard deviation, from which the output is in doubt; the
-published standard deviation has grown with it by then."""
 AIDING_LATE_S: Final = 1.0
 """An aiding laser that comes later than this is not worth the process noise that it would miss."""
 AIDING_WALK_M2PS: Final = (0.01**2) / 60.0
 """How the constant of a laser wanders: a centimetre in a minute (tide, a target that gives way)."""
-NO_OFFSET: Final = (0.0, 0.0, 0.0)
-SMALL_M: Final = 0.01
-"""Differences below this are well whatever the sea."""
-LONGEST_PEAK_S: Final = 28.0
-"""Longer waves than this are not told from the drift of the sensor."""
-CUT_BEATS: Final = 4
-"""Beats left out of the record where it is cut: a hole for whoever fits it."""
-CONVERGED: Final = 1.5
-"""The covariance has converged when the error of the heave is within this factor of that of the steady filter."""
+UNKNOWN: Final = Motion(nan, nan)
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -90,13 +65,6 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """After a longer gap the past is forgotten; the model stays until there is a new one."""
 
 
-class Motion(msgspec.Struct, frozen=True, gc=False):
-    """Heave at one moment."""
-
-    heave_m: float
-    velocity_mps: float
-
-
 class SeaObserver:
     """Feed it vertical acceleration in order of time; ask it for heave at any moment near the last one.
 
@@ -114,12 +82,9 @@ class SeaObserver:
         """``horizons_s``: of the forecasts. ``lead_s``: what :meth:`at` is mostly asked for, after the last sample."""
         self._params = params
         self._horizons_s, self._lead_s = horizons_s, lead_s
-        longest = max(params.windows_s)
-        self._record = Ring(int(longest / BEAT_MIN_S), 2)
-        self._said = Ring(int((params.delay_s + 5.0) / BEAT_MIN_S), 3)
+        self._record = SeaRecord(max(params.windows_s), params.first_fit_s, params.refresh_s)
         self.resets: Counter[str] = Counter()
-        self._number = 0
-        self._filter: SeaFilter | None = None
+        self._heave: SeaHeave | None = None
         self._unaided: SeaFilter | None = None
         """The same without the laser, when that is aiding: the smoother's weights are those without it."""
         self._candidates: tuple[Candidate, ...] = ()
@@ -130,23 +95,18 @@ class SeaObserver:
         """Forget the past; a model that is there stays in use, with a state that knows nothing but its spectrum."""
         self.t_s = nan
         self.acceleration_mps2 = nan
+        self._bias_mps2 = nan
         self._beat = Beat(self._beat.period_s)
-        self._cut = 0
         self._record.clear()
-        self._said.clear()
-        self._looked_s = self._asked_s = self._started_s = nan
+        self._looked_s = nan
         self.refreshes = 0
         self.sea: SeaState | None = None
         self.delayed: DelayedHeave | None = None
-        self.divergence = Divergence()
+        self._trust = SeaTrust(int((self._params.delay_s + 5.0) / BEAT_MIN_S))
         self._smoother: FixedLagSmoother | None = None
-        self._whiteness, self._waves, self._is_still = 1.0, inf, False
-        self._offset, self._spliced_s = NO_OFFSET, -inf
         self._aided_s, self._unaided = nan, None
-        self._number += 1
-        self._pending_number = -1
-        if self._filter is not None:
-            kept = self._filter
+        if self._heave is not None:
+            kept = self._heave.filter
             self._install(kept.system, kept.steady, nan, np.zeros(len(kept.x)), kept.system.stationary.copy())
 
     # --- input -------------------------------------------------------------------------------------------------------
@@ -157,87 +117,90 @@ class SeaObserver:
             return
         if t_s - self.t_s > self._params.max_gap_s:
             self._reset("gap")
-        if not isfinite(self._started_s):
-            self._started_s = self._asked_s = t_s
+        if self.t_s != self.t_s:
+            self._record.start(t_s)
         self.t_s = t_s
-        bias = float(self._filter.x[-1]) if self._filter is not None else nan
-        self.acceleration_mps2 = a_up_mps2 - bias
+        self.acceleration_mps2 = a_up_mps2 - self._bias_mps2
         beat = self._beat.take(t_s, a_up_mps2)
         if beat is not None:
             self._take(*beat)
 
     def _take(self, t_s: float, a_mps2: float) -> None:
         """One beat: stored for the fits, and through the filter."""
-        newest = self._record.last(1)
-        if len(newest) and t_s <= newest[0, 0]:
+        if not self._record.follows(t_s):
             return
-        if self._filter is None:
-            self._store(t_s, a_mps2)
+        if self._heave is None:
+            self._record.push(t_s, a_mps2)
             return
-        if not isfinite(self._filter.t_s):
-            self._filter.t_s = t_s - self._filter.steady.dt_s
-        missed = t_s - self._filter.t_s - self._filter.steady.dt_s
-        rejected = self._filter.rejected
-        predicted_m, innovation = self._filter.step(t_s, a_mps2)
-        if self._filter.rejected == rejected:
-            self._store(t_s, a_mps2)
+        f = self._heave.filter
+        if not isfinite(f.t_s):
+            f.t_s = t_s - f.steady.dt_s
+        missed = t_s - f.t_s - f.steady.dt_s
+        rejected = f.rejected
+        predicted_m, innovation = f.step(t_s, a_mps2)
+        if f.rejected == rejected:
+            # What the gate has kept out is missing for the fits too: half a second of it would spoil minutes.
+            self._record.push(t_s, a_mps2)
         if self._unaided is not None:
             predicted_m, innovation = self._unaided.step(t_s, a_mps2)
-        if not self._filter.is_sound():
-            self._filter = None
+        if not f.is_sound():
+            self._heave = None
             self._reset("not finite")
             return
-        self._moved()
         if self._smoother is not None:
-            self._smooth(t_s, missed, predicted_m, innovation)
+            self._smooth(self._heave, self._smoother, t_s, missed, predicted_m, innovation)
+        self._moved(self._heave)
+
+    def _smooth(
+        self,
+        heave: SeaHeave,
+        smoother: FixedLagSmoother,
+        t_s: float,
+        missed_s: float,
+        predicted_m: float,
+        innovation: float,
+    ) -> None:
+        dt = heave.filter.steady.dt_s
+        for i in range(min(round(missed_s / dt), 1000), 0, -1):
+            smoother.push(t_s - i * dt, nan, 0.0)
+        # The weights are those of the steady filter: what an unsure one predicted has no place among them.
+        smoother.push(t_s, predicted_m if heave.is_converged else nan, innovation)
+        said_m = float(heave.filter.system.heave.dot(heave.filter.x)) + heave.splice.at(t_s)[0]
+        self._trust.divergence.say(t_s, said_m, heave.state_std_m)
+        delayed = smoother.value()
+        if delayed is not None and (self.delayed is None or delayed.t_s > self.delayed.t_s):
+            self.delayed = delayed
+            self._trust.divergence.check(delayed)
 
     def aid(self, t_s: float, laser_m: float, std_m: float) -> None:
         """Take a laser as a measurement of the heave at ``t_s``, its sign applied; its constant is estimated too."""
-        if self._filter is None or not isfinite(self._filter.t_s) or not self.is_settled:
+        if self._heave is None or not isfinite(self._heave.filter.t_s) or not self.is_settled:
             return
-        tau_s = t_s - self._filter.t_s
-        if abs(tau_s) > AIDING_LATE_S:
+        f = self._heave.filter
+        if abs(t_s - f.t_s) > AIDING_LATE_S:
             return
         elapsed = min(t_s - self._aided_s, 60.0) if isfinite(self._aided_s) else 0.0
         self._aided_s = t_s
-        row = self._outlook.derivatives((tau_s,))[0, 0]
         if self._unaided is None:
-            f = self._filter
             self._unaided = SeaFilter(f.system, f.steady, f.t_s, f.x, None if f.P is None else f.P.copy())
-        self._filter.aid(row, laser_m, std_m**2, AIDING_WALK_M2PS * max(elapsed, 0.0))
-        self._moved()
+        f.aid(self._heave.row(t_s), laser_m, std_m**2, AIDING_WALK_M2PS * max(elapsed, 0.0))
+        self._moved(self._heave)
+
+    def _moved(self, heave: SeaHeave) -> None:
+        """The state has changed: what follows from it."""
+        self._bias_mps2 = float(heave.filter.x[-1])
+        heave.moved()
+        self._trust.beat(heave.filter.surprise, heave.is_converged, self.sea)
+        heave.scale = OVERCONFIDENCE * self._trust.factor
 
     @property
     def is_settled(self) -> bool:
         """Whether the covariance says what is known, so that a laser may be weighed against it."""
         return self.settled_s >= NEEDED_S
 
-    def _store(self, t_s: float, a_mps2: float) -> None:
-        """For the fits. What the gate has kept out is missing there too: half a second of it would spoil minutes."""
-        if self._cut > 0:
-            self._cut -= 1
-        else:
-            self._record.push((t_s, a_mps2))
-
     def cut(self) -> None:
         """What comes is measured otherwise than what was: no spectrum is taken across."""
-        self._cut = CUT_BEATS
-
-    def _smooth(self, t_s: float, missed_s: float, predicted_m: float, innovation: float) -> None:
-        assert self._filter is not None
-        assert self._smoother is not None
-        dt = self._filter.steady.dt_s
-        for i in range(min(round(missed_s / dt), 1000), 0, -1):
-            self._smoother.push(t_s - i * dt, nan, 0.0)
-        # The weights are those of the steady filter: what an unsure one predicted has no place among them.
-        self._smoother.push(t_s, predicted_m if self.is_converged else nan, innovation)
-        said_m = float(self._filter.system.heave.dot(self._filter.x)) + self._offset_at(t_s)[0]
-        self._said.push((t_s, said_m, at_index(self._stds, self._outlook.index(0.0))))
-        delayed = self._smoother.value()
-        if delayed is not None and (self.delayed is None or delayed.t_s > self.delayed.t_s):
-            self.delayed = delayed
-            then = self._said.interpolate(delayed.t_s)
-            self.divergence.compare(delayed, float(then[1]), float(then[2]))
+        self._record.cut()
 
     def _reset(self, reason: str) -> None:
         self.resets[reason] += 1
@@ -247,20 +210,12 @@ class SeaObserver:
 
     def due(self) -> SeaWindow | None:
         """The past, when it is time for another look at it; each is given out once."""
+        if not self._record.is_due(self.t_s, is_changing=self._trust.is_changing):
+            return None
         p = self._params
-        seconds = self.settled_s
-        if not seconds >= p.first_fit_s:
-            return None
-        early = seconds < EARLY_S or self.surprise > CHANGED
-        every = min(EARLY_EVERY_S, p.refresh_s) if early else p.refresh_s
-        if self._asked_s > self._started_s and self.t_s - self._asked_s < every:
-            return None
-        self._asked_s = self.t_s
-        self._number += 1
-        self._pending_number = self._number
-        rows = self._record.since(self.t_s - max(p.windows_s))
+        number, rows = self._record.ask(self.t_s)
         return SeaWindow(
-            number=self._number,
+            number=number,
             t_s=np.ascontiguousarray(rows[:, 0]).tobytes(),
             a_mps2=np.ascontiguousarray(rows[:, 1]).tobytes(),
             stages=p.stages,
@@ -276,126 +231,94 @@ class SeaObserver:
         """Change over to what was fitted: "accepted", "rejected" (a late answer) or "failed"."""
         if fit.message or fit.model is None:
             return "failed"
-        if fit.number != self._pending_number:
+        if not self._record.answered(fit.number):
             return "rejected"
-        self._pending_number = -1
         system = SeaSystem(fit.model)
         n = len(system.H)
         steady = _steady(system, fit.dt_s, np.frombuffer(fit.steady_P).reshape(n, n))
-        before = self.at(0.0) if self._filter is not None else None
-        before_std_m = at_index(self._stds, self._outlook.index(0.0)) if self._filter is not None else nan
+        old, before = self._heave, self.at(0.0)
+        aided = None if old is None else old.filter.offset
         P = np.frombuffer(fit.P).reshape(n, n).copy() if fit.P else None
-        aided = self._filter.offset if self._filter is not None else None
-        self._install(system, steady, fit.t_s, np.frombuffer(fit.x).copy(), P)
+        heave = self._install(system, steady, fit.t_s, np.frombuffer(fit.x).copy(), P)
         if aided is not None:
             # What the laser taught is in the old model's state; its constant stays, and brings the new state back.
-            self._filter_in_use().offset = Offset(aided.value_m, aided.variance_m2, n)
-            self._filter_in_use().P = self._filter_in_use().covariance.copy()
+            heave.filter.offset = Offset(aided.value_m, aided.variance_m2, n)
+            heave.filter.P = heave.filter.covariance.copy()
             unaided_P = None if P is None else P.copy()
             self._unaided = SeaFilter(system, steady, fit.t_s, np.frombuffer(fit.x).copy(), unaided_P)
         self._candidates, self._looked_s = fit.candidates, fit.t_s
-        self._whiteness, self._waves = fit.whiteness, fit.waves
-        self._is_still = self._sees_no_waves()
+        self._trust.fitted(fit.whiteness, fit.waves, heave.steady_std_m, heave.sea_std_m)
         self.refreshes += 1
         self._smoother = FixedLagSmoother(system, steady, self._params.delay_s)
         self._smoother.fill(fit.t_s, np.frombuffer(fit.predicted_m), np.frombuffer(fit.innovation))
-        self._catch_up(fit.t_s)
-        self._offset, self._spliced_s = NO_OFFSET, -inf
-        if aided is not None and before is not None:
+        self._catch_up(heave, self._smoother, fit.t_s)
+        if old is not None and aided is not None:
             # The laser's knowledge of the heave itself comes over; the rest of the state it teaches again.
-            row = self._outlook.derivatives((self.t_s - self._filter_in_use().t_s,))[0, 0]
-            self._filter_in_use().aid(row, before.heave_m + aided.value_m, before_std_m**2, 0.0)
-            self._moved()
-        if before is not None and isfinite(before.heave_m):
+            heave.filter.aid(heave.row(self.t_s), before.heave_m + aided.value_m, old.state_std_m**2, 0.0)
+            heave.moved()
+        if isfinite(before.heave_m):
             after = self.at(0.0)
-            self._offset = (before.heave_m - after.heave_m, before.velocity_mps - after.velocity_mps, self.t_s)
-            self._spliced_s = self.t_s + 12.0 * SPLICE_S
+            heave.splice = Splice(before.heave_m - after.heave_m, before.velocity_mps - after.velocity_mps, self.t_s)
         if fit.sea is not None:
             self.sea = msgspec.structs.replace(
                 fit.sea,
                 t_s=fit.t_s,
                 window_s=min(fit.window_s, fit.record_s),
                 model=f"{len(fit.model.damping)} chains of {fit.model.stages} resonators",
-                is_still=self._is_still,
+                is_still=self._trust.is_still,
             )
+        self._moved(heave)
         return "accepted"
 
-    def _catch_up(self, from_s: float) -> None:
+    def _catch_up(self, heave: SeaHeave, smoother: FixedLagSmoother, from_s: float) -> None:
         """Through the beats that came while the fit was under way."""
-        assert self._filter is not None
-        assert self._smoother is not None
         for t_s, a_mps2 in self._record.since(from_s).tolist():
-            if t_s > self._filter.t_s:
-                said = self._filter.step(t_s, a_mps2)
-                self._smoother.push(t_s, *(said if self._unaided is None else self._unaided.step(t_s, a_mps2)))
-        self._moved()
+            if t_s > heave.filter.t_s:
+                said = heave.filter.step(t_s, a_mps2)
+                smoother.push(t_s, *(said if self._unaided is None else self._unaided.step(t_s, a_mps2)))
+        heave.moved()
 
-    def _filter_in_use(self) -> SeaFilter:
-        assert self._filter is not None
-        return self._filter
-
-    def _install(self, system: SeaSystem, steady: Steady, t_s: float, x: Array, P: Array | None) -> None:
-        rejected = 0 if self._filter is None else self._filter.rejected
-        self._filter = SeaFilter(system, steady, t_s, x, P)
-        self._filter.rejected = rejected
-        self._heave_std_m = sqrt(float(system.heave @ system.stationary @ system.heave))
-        self._outlook = Outlook(system, max((*self._horizons_s, self._lead_s, 0.0)) + 3.0)
-        self._omega = sqrt(float(system.velocity @ system.stationary @ system.velocity)) / self._heave_std_m
-        self._plain = self._outlook.derivatives((0.0,))[0]
-        self._learned_s = nan
-        self._usual: dict[float, int] = {}
-        self._stds = self._steady_stds = self._outlook.stds(SeaFilter(system, steady, t_s, x, None).covariance)
-        self._moved()
-
-    def _moved(self) -> None:
-        """The state has changed: what is derived from it."""
-        self._values: list[list[float]] | None = None
-        self._modelled: dict[float, float] = {}
-        assert self._filter is not None
-        self._stds = self._steady_stds if self._filter.is_steady else self._outlook.stds(self._filter.covariance)
+    def _install(self, system: SeaSystem, steady: Steady, t_s: float, x: Array, P: Array | None) -> SeaHeave:
+        rejected = self.rejected
+        self._heave = SeaHeave(SeaFilter(system, steady, t_s, x, P), self._horizons_s, self._lead_s)
+        self._heave.filter.rejected = rejected
+        self._moved(self._heave)
+        return self._heave
 
     # --- output ------------------------------------------------------------------------------------------------------
 
     def at(self, shift_s: float, learned_lead_s: float = 0.0) -> Motion:
         """Heave ``shift_s`` after the last sample, X* = F^m X; ``learned_lead_s``: how early the sensor is.
 
-        nan before the first fit.
+        nan before the first fit. Cheap for zero, and for the lead and the horizons of the constructor.
         """
-        return self.outlook((shift_s,), learned_lead_s)[0]
+        if self._heave is None:
+            return UNKNOWN
+        self._heave.set_lead(learned_lead_s)
+        return self._heave.at(self.t_s, shift_s)
 
     def outlook(self, shifts_s: tuple[float, ...], learned_lead_s: float = 0.0) -> list[Motion]:
-        """:meth:`at` for several moments at once; cheap for zero, the lead and the horizons of the constructor."""
-        if self._filter is None or not isfinite(self._filter.t_s):
-            return [Motion(nan, nan) for _ in shifts_s]
-        if learned_lead_s != self._learned_s:
-            usual = (0.0, self._lead_s, *self._horizons_s)
-            self._usual = {shift: i for i, shift in enumerate(usual)}
-            self._rows = self._outlook.derivatives([shift - learned_lead_s for shift in usual])
-            self._learned_s, self._values = learned_lead_s, None
-        if self._values is None:
-            self._values = (self._rows @ self._filter.x).tolist()
-        values, usual_places, late = self._values, self._usual, self.t_s - self._filter.t_s
-        if late > STALE_BEAT_S:
-            return [Motion(nan, nan) for _ in shifts_s]
-        motions = []
-        for shift in shifts_s:
-            place = usual_places.get(shift)
-            if place is not None:
-                motion = _along(values[place], late)
-            else:
-                rows = self._outlook.derivatives([shift - learned_lead_s])[0]
-                motion = _along((rows @ self._filter.x).tolist(), late)
-            if self.t_s < self._spliced_s:
-                offset, drift = self._offset_at(self.t_s + shift)
-                motion = Motion(motion.heave_m + offset, motion.velocity_mps + drift)
-            motions.append(motion)
-        return motions
+        """:meth:`at` for several moments at once."""
+        return [self.at(shift, learned_lead_s) for shift in shifts_s]
+
+    def forecast(
+        self, shift_s: float, learned_lead_s: float = 0.0, scale: float = 1.0
+    ) -> tuple[list[float], list[float]]:
+        """Heave and :meth:`error_std_m` for each horizon of the constructor after a moment ``shift_s`` after the last
+        sample."""
+        if self._heave is None:
+            return [nan] * len(self._horizons_s), [nan] * len(self._horizons_s)
+        self._heave.set_lead(learned_lead_s)
+        if shift_s == 0.0:
+            heaves, stds = self._heave.forecast(self.t_s)
+        else:
+            heaves = [self._heave.at(self.t_s, shift_s + h).heave_m for h in self._horizons_s]
+            stds = [self._heave.std_m(self.t_s, shift_s + h) for h in self._horizons_s]
+        return heaves, stds if scale == 1.0 else [std * scale for std in stds]
 
     def unshifted(self) -> Motion:
         """What the laser is compared with: nothing learned taken out."""
-        if self._filter is None or not isfinite(self._filter.t_s):
-            return Motion(nan, nan)
-        return _along((self._plain @ self._filter.x).tolist(), self.t_s - self._filter.t_s)
+        return UNKNOWN if self._heave is None else self._heave.unshifted(self.t_s)
 
     def error_std_m(self, shift_s: float, scale: float = 1.0) -> float:
         """Standard deviation of the error of :meth:`at`; nan before the first fit.
@@ -403,71 +326,28 @@ class SeaObserver:
         From the covariance of the filter, times what recent innovations and the delayed heave have shown, times
         ``scale``: what the laser has shown.
         """
-        if self._filter is None or not isfinite(self._filter.t_s):
-            return nan
-        if self.t_s - self._filter.t_s > STALE_BEAT_S:
-            return nan
-        modelled = self._modelled.get(shift_s)
-        if modelled is None:
-            learned = self._learned_s if isfinite(self._learned_s) else 0.0
-            tau_s = shift_s + self.t_s - self._filter.t_s - learned
-            modelled = at_index(self._stds, self._outlook.index(tau_s)) * self._own_scale()
-            if shift_s in self._usual:
-                self._modelled[shift_s] = modelled  # Until the next beat: it changes less within one than it is known.
-        if self.t_s < self._spliced_s:
-            modelled = hypot(modelled, self._offset_at(self.t_s + shift_s)[0])
-        return modelled * scale
-
-    def _own_scale(self) -> float:
-        shown = max(1.0, sqrt(0.5 * self.surprise), self.divergence.ratio)
-        return OVERCONFIDENCE * min(shown, SCALE_LIMIT)
-
-    def _offset_at(self, t_s: float) -> tuple[float, float]:
-        """What is left at ``t_s`` of the difference between the old model and the new: heave and velocity."""
-        heave, velocity, since_s = self._offset
-        if not t_s < self._spliced_s:
-            return 0.0, 0.0
-        elapsed = max(t_s - since_s, 0.0)
-        fade, slope = exp(-elapsed / SPLICE_S), velocity + heave / SPLICE_S
-        return (heave + slope * elapsed) * fade, (slope - (heave + slope * elapsed) / SPLICE_S) * fade
+        return nan if self._heave is None else self._heave.std_m(self.t_s, shift_s) * scale
 
     # --- what it knows of the sea ------------------------------------------------------------------------------------
 
     def heave_std_m(self) -> float:
         """Standard deviation of the heave of the fitted sea; nan before the first fit."""
-        return self._heave_std_m if self._filter is not None else nan
+        return nan if self._heave is None else self._heave.sea_std_m
 
     @property
     def omega_radps(self) -> float:
         """Mean frequency of the heave: standard deviation of its velocity over that of itself."""
-        return self._omega if self._filter is not None else 2.0 * pi / 8.0
+        return 2.0 * pi / 8.0 if self._heave is None else self._heave.omega_radps
 
     @property
     def frequencies_hz(self) -> tuple[float, ...]:
         """Centre frequencies of the chains."""
-        return self._filter.system.model.frequency_hz if self._filter is not None else ()
+        return () if self.model is None else self.model.frequency_hz
 
     @property
     def settled_s(self) -> float:
         """Seconds of record since the start or the last reset; nan before the first sample."""
-        return self.t_s - self._started_s
-
-    @property
-    def is_converged(self) -> bool:
-        """Whether the covariance of the heave is near what it will be."""
-        if self._filter is None or self._filter.is_steady:
-            return self._filter is not None
-        place = self._outlook.index(0.0)
-        return at_index(self._stds, place) < CONVERGED * at_index(self._steady_stds, place)
-
-    def _sees_no_waves(self) -> bool:
-        error_m = at_index(self._steady_stds, self._outlook.index(0.0))
-        return self._waves < STILL_LIKELIHOOD or error_m > STILL_SHARE * self._heave_std_m
-
-    @property
-    def surprise(self) -> float:
-        """Variance of the averaged innovations over the model's, at the last fit or in the last seconds."""
-        return max(self._whiteness, self._filter.surprise if self._filter is not None else 1.0)
+        return self.t_s - self._record.started_s
 
     needed_s: Final = NEEDED_S
     """Seconds of record from which it counts as settled."""
@@ -475,33 +355,24 @@ class SeaObserver:
     @property
     def doubts(self) -> tuple[str, ...]:
         """What is held against the output, for people."""
-        found = []
-        if self._filter is not None and not self.is_converged and self.settled_s > NEEDED_S:
-            found.append("recovering from a gap")
-        if self._whiteness > CHANGED or self.surprise > CHANGED_NOW:
-            found.append("the sea or the sensor is changing")
-        if self.divergence.ratio > DIVERGED and self.divergence.rms_m > SMALL_M:
-            found.append(f"{self.divergence.ratio:.1f} times its standard deviation off the delayed heave")
-        if self.sea is not None and not self.sea.is_still and self.sea.peak_period_s > LONGEST_PEAK_S:
-            found.append(f"swell of {self.sea.peak_period_s:.0f} s: longer than the sensor can follow")
-        return tuple(found)
+        return self._trust.doubts(self.settled_s)
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What people should know, and no reason to trust the output less."""
-        return ("still: no motion above the noise of the sensor",) if self._is_still else ()
+        return self._trust.notes
 
     @property
     def rejected(self) -> int:
         """Samples that the gate has kept out, since the start or the last reset."""
-        return self._filter.rejected if self._filter is not None else 0
+        return 0 if self._heave is None else self._heave.filter.rejected
 
     # --- memory ------------------------------------------------------------------------------------------------------
 
     @property
     def model(self) -> SeaModel | None:
         """The model in use, for a restart to begin with."""
-        return self._filter.system.model if self._filter is not None else None
+        return None if self._heave is None else self._heave.filter.system.model
 
     def restore(self, model: SeaModel, dt_s: float = BEAT_S) -> None:
         """Begin with the model of an earlier run; call before the first sample.
@@ -518,13 +389,6 @@ class SeaObserver:
         if steady is None:
             raise ValueError("the filter of the saved sea does not converge")
         self._install(system, steady, nan, np.zeros(len(system.H)), system.stationary.copy())
-
-
-def _along(series: list[float], d: float) -> Motion:
-    """Heave and velocity ``d`` seconds on, from heave and its derivatives over factorials."""
-    c0, c1, c2, c3, c4, c5 = series
-    heave = ((((c5 * d + c4) * d + c3) * d + c2) * d + c1) * d + c0
-    return Motion(heave, (((5.0 * c5 * d + 4.0 * c4) * d + 3.0 * c3) * d + 2.0 * c2) * d + c1)
 
 
 def _steady(system: SeaSystem, dt_s: float, P: Array) -> Steady:

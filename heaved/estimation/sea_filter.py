@@ -38,6 +38,8 @@ SURPRISE_S: Final = 5.0
 """Memory of how far they were off."""
 EXACT_DELTA_S: Final = 1e-7
 """A shorter rest of the interval than this changes nothing."""
+NUDGE_TERMS: Final = 5
+"""Of the Taylor series of a longer one: at 25 ms and 0.6 Hz the next one is 1e-7."""
 
 
 class Offset:
@@ -61,6 +63,7 @@ class SeaFilter:
         x: (n,) filtered state.
         P: (n, n) its covariance; None: the steady one.
         rejected: samples that the gate has kept out.
+        steady_covariance: (n, n) of the state while samples come as usual.
         surprise: variance of averaged innovations over that of the model, in the last seconds; 1 when it is right.
     """
 
@@ -71,8 +74,12 @@ class SeaFilter:
         self.surprise = 1.0
         self._drift = 0.0
         self._R = measurement_variance(system.model.noise_psd, steady.dt_s)
-        self._steady_P = steady.P - np.outer(steady.K, steady.K) * steady.S
-        self._steady_variances = np.diag(self._steady_P).copy()
+        self.steady_covariance = steady.P - np.outer(steady.K, steady.K) * steady.S
+        self._steady_variances = np.diag(self.steady_covariance).copy()
+        rows = [steady.F]
+        for i in range(1, NUDGE_TERMS):
+            rows.append(system.A.dot(rows[-1]) / i)
+        self._taylor = np.concatenate(rows)  # One product gives all terms.
         self._seen = steady.S
         self._outside = 0
         self.offset: Offset | None = None
@@ -102,7 +109,7 @@ class SeaFilter:
     @property
     def covariance(self) -> Array:
         """(n, n) of x."""
-        return self._steady_P if self.P is None else self.P
+        return self.steady_covariance if self.P is None else self.P
 
     @property
     def is_steady(self) -> bool:
@@ -116,9 +123,7 @@ class SeaFilter:
         is_usual = abs(delta) <= 0.5 * steady.dt_s
         x = self.x
         if is_usual:
-            if abs(delta) > EXACT_DELTA_S:
-                x = self._nudged(x, delta)
-            x = steady.F.dot(x)
+            x = self._moved(x, delta) if abs(delta) > EXACT_DELTA_S else steady.F.dot(x)
             P = self.P if self.P is None else _symmetric(steady.F.dot(self.P).dot(steady.F.T) + steady.Q)
         else:
             F, Q = self.system.transition(dt)
@@ -158,13 +163,10 @@ class SeaFilter:
         """Whether state and covariance are still finite numbers and variances positive."""
         return isfinite(float(self.x.dot(self.x))) and (self.P is None or bool(np.all(np.diag(self.P) > 0.0)))
 
-    def _nudged(self, x: Array, delta_s: float) -> Array:
-        """expm(A delta) x, for a delta far below the periods of the model."""
-        term = total = x
-        for i in range(1, 5):
-            term = self.system.A.dot(term) * (delta_s / i)
-            total = total + term
-        return total
+    def _moved(self, x: Array, delta_s: float) -> Array:
+        """expm(A (dt + delta)) x, for a delta far below the periods of the model: F x and its Taylor series."""
+        terms = self._taylor.dot(x).reshape(NUDGE_TERMS, len(x))
+        return np.asarray(np.dot([delta_s**i for i in range(NUDGE_TERMS)], terms))
 
     def _is_outlier(self, y: float, S: float) -> bool:
         variance = max(S, self._seen)

@@ -10,18 +10,20 @@ Rauch, Tung & Striebel 1965 in the form of Bryson & Frazier: with the steady gai
 
 from __future__ import annotations
 
+from collections import deque
 from math import isfinite, nan, sqrt
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.ring import Ring
 from heaved.estimation.sea_model import SeaSystem, Steady
+from heaved.estimation.trail import Trail
 from heaved.samples import DelayedHeave
 
 Array = NDArray[np.float64]
 
+WEIGHTS_BLOCK: Final = 64
 CHECK_TIME_S: Final = 60.0
 """Memory of the comparison with what was published."""
 CHECK_MIN_S: Final = 20.0
@@ -37,46 +39,61 @@ class FixedLagSmoother:
         self._weights = _weights(system, steady, count)
         variance = float(system.heave @ steady.P @ system.heave) - steady.S * float(self._weights @ self._weights)
         self.std_m = sqrt(max(variance, 0.0))
-        self._ring = Ring(count + 1, 3)
+        self._predicted: deque[tuple[float, float]] = deque(maxlen=count + 1)
+        """Time, and heave before the sample was taken in."""
+        self._innovations = np.zeros(2 * (count + 1))
+        """Each is written twice, so that the last count + 1 always lie in one piece."""
+        self._next = 0
 
     def fill(self, end_s: float, predicted_m: Array, innovation: Array) -> None:
         """Start with what the filter of this model would have said at samples up to ``end_s``."""
-        count = len(predicted_m)
-        for i in range(max(0, count - len(self._weights)), count):
-            self._ring.push((end_s - (count - 1 - i) * self._dt_s, predicted_m[i], innovation[i]))
+        size, count = len(self._weights), min(len(predicted_m), len(self._weights))
+        times = end_s - self._dt_s * np.arange(count - 1, -1, -1)
+        self._predicted.extend(zip(times.tolist(), predicted_m[-count:].tolist(), strict=True))
+        self._innovations[:count] = self._innovations[size : size + count] = innovation[-count:]
+        self._next = count % size
 
     def push(self, t_s: float, predicted_m: float, innovation: float) -> None:
         """One sample more, one interval after the last; innovation 0 where there was none to take in."""
-        self._ring.push((t_s, predicted_m, innovation))
+        at, size = self._next, len(self._weights)
+        self._innovations[at] = self._innovations[at + size] = innovation
+        self._next = at + 1 if at + 1 < size else 0
+        self._predicted.append((t_s, predicted_m))
 
     def value(self) -> DelayedHeave | None:
         """The newest delayed heave; None while the past is too short."""
-        rows = self._ring.last(len(self._weights))
-        if len(rows) < len(self._weights):
+        if len(self._predicted) < len(self._weights):
             return None
-        heave = float(rows[0, 1] + self._weights.dot(rows[:, 2]))
-        if not isfinite(heave):
-            return None
-        return DelayedHeave(t_s=float(rows[0, 0]), heave_m=heave, std_m=self.std_m)
+        t_s, predicted_m = self._predicted[0]
+        after = self._innovations[self._next : self._next + len(self._weights)]
+        heave_m = predicted_m + float(self._weights.dot(after))
+        return DelayedHeave(t_s=t_s, heave_m=heave_m, std_m=self.std_m) if isfinite(heave_m) else None
 
 
 def _weights(system: SeaSystem, steady: Steady, count: int) -> Array:
     """g_j of the module's formula, j = 0 .. count."""
-    L = steady.F @ (np.eye(len(system.H)) - np.outer(steady.K, system.H))
-    g = np.empty(count + 1)
-    row = system.heave @ steady.P
-    for j in range(count + 1):
-        g[j] = row @ system.H / steady.S
-        row = row @ L.T
-    return g
+    # WEIGHTS_BLOCK of them from one row: H' of as many samples on, in columns.
+    step = (steady.F @ (np.eye(len(system.H)) - np.outer(steady.K, system.H))).T
+    ahead = np.empty((len(system.H), WEIGHTS_BLOCK))
+    ahead[:, 0] = system.H / steady.S
+    for j in range(1, WEIGHTS_BLOCK):
+        ahead[:, j] = step @ ahead[:, j - 1]
+    block = np.linalg.matrix_power(step, WEIGHTS_BLOCK)
+    row, found = system.heave @ steady.P, []
+    for _ in range(0, count + 1, WEIGHTS_BLOCK):
+        found.append(row @ ahead)
+        row = row @ block
+    return np.concatenate(found)[: count + 1]
 
 
 class Divergence:
     """RMS difference of real-time and delayed heave, over the modelled standard deviation; 1 when that was right."""
 
-    def __init__(self) -> None:
+    def __init__(self, capacity: int = 1) -> None:
+        """``capacity``: how much that was said is kept until the delayed heave of its time is known."""
         self._square, self._seconds, self._t_s = 1.0, 0.0, nan
         self._square_m2 = 0.0
+        self._said = Trail(capacity)
 
     @property
     def ratio(self) -> float:
@@ -87,6 +104,15 @@ class Divergence:
     def rms_m(self) -> float:
         """The same difference in metres."""
         return sqrt(self._square_m2)
+
+    def say(self, t_s: float, realtime_m: float, modelled_std_m: float) -> None:
+        """What is said in real time for ``t_s``, later than the last one."""
+        self._said.push((t_s, realtime_m, modelled_std_m))
+
+    def check(self, delayed: DelayedHeave) -> None:
+        """:meth:`compare` with what was said for that moment, as far as it is known."""
+        _, realtime_m, modelled_std_m = self._said.at(delayed.t_s) or (delayed.t_s, nan, nan)
+        self.compare(delayed, realtime_m, modelled_std_m)
 
     def compare(self, delayed: DelayedHeave, realtime_m: float, modelled_std_m: float) -> None:
         """``realtime_m``: what was said in real time for the very moment of ``delayed``."""

@@ -40,13 +40,15 @@ class SpikeGate:
         if not isfinite(step) or elapsed > STALE_S:
             self._t_s, self._value = t_s, value
             return value
-        limit = max(WIDTH * sqrt(self._mean_square), FLOOR_MPS2)
+        width = WIDTH * sqrt(self._mean_square)
+        limit = width if width > FLOOR_MPS2 else FLOOR_MPS2
         if self._steps >= 100 and abs(step) > limit and elapsed < LASTING_S:
             self.rejected += 1
             return nan
         self._steps += 1
         weight = max(MEMORY, 1.0 / self._steps)
-        self._mean_square += weight * (min(step * step, 4.0 * limit * limit) - self._mean_square)
+        square, most = step * step, 4.0 * limit * limit
+        self._mean_square += weight * ((square if square < most else most) - self._mean_square)
         self._t_s, self._value = t_s, value
         return value
 
@@ -90,6 +92,10 @@ class StuckGate:
             return False
         if value != self._value:
             self._changed(t_s, value)
+            self._t_s = t_s
+            # A reading that has just come is not one that repeats, but it may be a stop that is known.
+            self.is_stuck = bool(self._stops) and t_s - self._stops.get(value, -inf) < STOP_MEMORY_S
+            return self.is_stuck
         self._t_s = t_s
         held_s = t_s - self._since_s
         is_moving = sqrt(self._mean_square) > MOVES * self._resolution
@@ -107,12 +113,14 @@ class StuckGate:
         """A new reading: what the last one and its run say."""
         elapsed = t_s - self._since_s
         if isfinite(elapsed):
-            self._run_s *= exp(-elapsed / RUN_MEMORY_S)
-            run_s = self._t_s - self._since_s
-            passes = (value - self._value) * (self._value - self._before) > 0.0
-            if passes and run_s < LONGEST_RUN_S and elapsed < 2.0 * run_s + SOON_S:
-                self._run_s = max(self._run_s, run_s)
-            self._resolution = min(self._resolution, abs(value - self._value))
+            if self._run_s > 0.0:
+                self._run_s *= exp(-elapsed / RUN_MEMORY_S)
+            run_s, step = self._t_s - self._since_s, value - self._value
+            if run_s > self._run_s and run_s < LONGEST_RUN_S and elapsed < 2.0 * run_s + SOON_S:
+                passes = step * (self._value - self._before) > 0.0
+                self._run_s = run_s if passes else self._run_s
+            if abs(step) < self._resolution:
+                self._resolution = abs(step)
             weight = min(1.0, elapsed / SPREAD_TIME_S)
             self._mean += weight * (value - self._mean)
             self._mean_square += weight * ((value - self._mean) ** 2 - self._mean_square)

@@ -38,6 +38,21 @@ def test_rows_are_those_of_the_exponential(system: SeaSystem, outlook: Outlook) 
             row = row @ system.A
 
 
+def test_any_moment_from_the_state_is_that_of_the_exponential(system: SeaSystem, outlook: Outlook) -> None:
+    """Heave and velocity from the series of one state, and heave as a row."""
+    rng = np.random.default_rng(2)
+    spread = np.sqrt(np.diag(system.stationary))
+    x = spread * rng.standard_normal(len(spread))
+    series = outlook.series(x)
+    for tau in (*rng.uniform(-0.5, AHEAD_S, 12).tolist(), 0.0, 0.025, AHEAD_S):
+        F = expm(system.A * tau)
+        found = outlook.along(series, tau)
+        heave, velocity = system.heave @ F, system.velocity @ F
+        assert found.heave_m == pytest.approx(heave @ x, abs=1e-5 * np.linalg.norm(heave * spread))
+        assert found.velocity_mps == pytest.approx(velocity @ x, abs=1e-5 * np.linalg.norm(velocity * spread))
+        assert outlook.row(tau) @ x == pytest.approx(found.heave_m, abs=1e-9 * np.linalg.norm(heave * spread))
+
+
 def test_heave_between_beats_is_carried_on(system: SeaSystem, outlook: Outlook) -> None:
     """The series of derivatives over factorials reaches 60 ms on."""
     rows = outlook.derivatives([0.5])[0]
@@ -57,6 +72,8 @@ def test_what_is_unknown_ahead_is_the_brute_force_covariance(system: SeaSystem, 
         F, Q = (np.eye(len(P)), np.zeros_like(P)) if tau == 0.0 else whole(system, tau)
         expected = np.sqrt(system.heave @ (F @ P @ F.T + Q) @ system.heave)
         assert at_index(stds, outlook.index(tau)) == pytest.approx(expected, rel=3e-3)
+    taus = (-BACK_S, -0.02, 0.0, 0.777, AHEAD_S)
+    assert outlook.stds_at(P, taus) == pytest.approx([at_index(stds, outlook.index(tau)) for tau in taus])
     sigma = np.sqrt(system.heave @ system.stationary @ system.heave)
     assert at_index(stds, outlook.index(AHEAD_S)) < sigma
 

@@ -16,6 +16,7 @@ from evidence.scenarios import HORIZONS_S, Case, Setting, build, sea_limits, tri
 from seas import model as some_model
 
 from heaved.estimation.sea import OVERCONFIDENCE, Params, SeaObserver
+from heaved.estimation.sea_model import SeaSystem
 from heaved.estimation.sea_window import SeaFit, SeaWindow, look
 from heaved.samples import GRAVITY_MPS2
 from heaved.simulate.seaway import seaway
@@ -348,8 +349,7 @@ def test_the_published_std_is_the_modelled_one_and_a_margin() -> None:
     observer, *_ = warm()
     assert observer.model is not None
     modelled = observer.error_std_m(0.0) / OVERCONFIDENCE
-    system = observer._filter.system if observer._filter is not None else None
-    assert system is not None
+    system = SeaSystem(observer.model)
     steady = system.steady(0.05)
     assert steady is not None
     P = steady.P - np.outer(steady.K, steady.K) * steady.S

@@ -1,0 +1,171 @@
+"""Heave near the last sample, as the filter in use has it, and how far that can be trusted.
+
+A sample's own heave, what it is for a compensator some tenths of a second later, and the forecasts are all the filter's
+state of the last beat moved in time (:mod:`outlook`). What does not change within a beat is made ready once: for each
+moment that is always asked for, the series that reaches from the beat to any sample before the next one, and the
+standard deviation. A sample then costs the series at its own age. For any other moment all of it is worked out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import hypot, isfinite, nan, sqrt
+from operator import add
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heaved.estimation.outlook import Motion, Outlook, along, at_index
+from heaved.estimation.sea_filter import SeaFilter
+from heaved.estimation.splice import NO_SPLICE, fade
+
+Array = NDArray[np.float64]
+
+STALE_BEAT_S: Final = 1.0
+"""Samples that come without a beat for this long are not in the heave any more."""
+MARGIN_S: Final = 3.0
+"""Beyond the longest horizon: how early a sensor may be, and the age of the last beat."""
+CONVERGED: Final = 1.5
+"""The covariance has converged when the error of the heave is within this factor of that of the steady filter."""
+
+
+class SeaHeave:
+    """Heave from one model's filter. Say :meth:`moved` whenever the state of that has changed.
+
+    Attributes:
+        filter: whose state it is.
+        scale: published over modelled standard deviation.
+        splice: what is left of the model before.
+        steady_std_m: standard deviation of the error of its heave once the filter is steady.
+        sea_std_m: standard deviation of the heave of the fitted sea.
+        omega_radps: mean frequency of the heave, standard deviation of its velocity over that of itself.
+    """
+
+    def __init__(self, f: SeaFilter, horizons_s: tuple[float, ...], lead_s: float) -> None:
+        """``horizons_s``, ``lead_s``: the moments after a sample that are always asked for."""
+        system = f.system
+        self.filter = f
+        self.scale = 1.0
+        self.splice = NO_SPLICE
+        self.sea_std_m = _std(system.heave, system.stationary)
+        self.omega_radps = _std(system.velocity, system.stationary) / self.sea_std_m
+        self._outlook = Outlook(system, max((*horizons_s, lead_s, 0.0)) + MARGIN_S)
+        self._steady_stds: list[float] = self._outlook.stds(f.steady_covariance).tolist()
+        self.steady_std_m = _std(system.heave, f.steady_covariance)
+        self._shifts_s = (*horizons_s, 0.0, lead_s)
+        self._count = len(horizons_s)
+        self._places = {shift: i for i, shift in enumerate(self._shifts_s)}
+        self._fades = [(h, fade(h)) for h in horizons_s]
+        self._plain_rows = self._outlook.derivatives((0.0,))[0]
+        self._learned_s = nan
+        self.moved()
+
+    def moved(self) -> None:
+        """The filter's state has changed, and with it all that was made ready."""
+        self._series: list[list[float]] = []
+        self._unshifted: list[float] = []
+        self._state_series: Array | None = None
+        self._modelled: list[float] = []
+
+    def set_lead(self, learned_s: float) -> None:
+        """How early the sensor has been found to be, which is taken out of :meth:`at` and :meth:`forecast`."""
+        if learned_s != self._learned_s:
+            self._learned_s = learned_s
+            self._rows = self._outlook.derivatives([shift - learned_s for shift in self._shifts_s])
+            self._series, self._modelled = [], []
+
+    # --- heave -------------------------------------------------------------------------------------------------------
+
+    def at(self, t_s: float, shift_s: float) -> Motion:
+        """Heave ``shift_s`` after a sample at ``t_s``; nan when there was no beat for too long."""
+        late = t_s - self.filter.t_s
+        if not late <= STALE_BEAT_S:
+            return Motion(nan, nan)
+        place = self._places.get(shift_s)
+        if place is not None:
+            motion = along((self._series or self._made_ready())[place], late)
+        else:
+            if self._state_series is None:
+                self._state_series = self._outlook.series(self.filter.x)
+            motion = self._outlook.along(self._state_series, shift_s - self._learned_s + late)
+        if t_s < self.splice.until_s:
+            heave_m, velocity_mps = self.splice.at(t_s + shift_s)
+            motion = Motion(motion.heave_m + heave_m, motion.velocity_mps + velocity_mps)
+        return motion
+
+    def unshifted(self, t_s: float) -> Motion:
+        """What the laser is compared with: nothing learned taken out, nothing left of another model."""
+        if not self._unshifted:
+            self._unshifted = (self._plain_rows @ self.filter.x).tolist()
+        return along(self._unshifted, t_s - self.filter.t_s)
+
+    def forecast(self, t_s: float) -> tuple[list[float], list[float]]:
+        """:meth:`at` and :meth:`std_m` for all the horizons: heave and its standard deviations."""
+        d = t_s - self.filter.t_s
+        if not d <= STALE_BEAT_S:
+            return [nan] * self._count, [nan] * self._count
+        if not self._series:
+            self._made_ready()
+        if not self._modelled:
+            self._modelled_at(t_s)
+        heaves = [((((c5 * d + c4) * d + c3) * d + c2) * d + c1) * d + c0 for c0, c1, c2, c3, c4, c5 in self._ahead]
+        stds = self._ahead_stds
+        if t_s < self.splice.until_s:
+            left = self.splice.heaves(t_s, self._fades)
+            return [*map(add, heaves, left)], [*map(hypot, stds, left)]
+        return heaves, stds
+
+    def _made_ready(self) -> list[list[float]]:
+        self._series = (self._rows @ self.filter.x).tolist()
+        self._ahead = self._series[: self._count]
+        return self._series
+
+    # --- how far it can be trusted -----------------------------------------------------------------------------------
+
+    def std_m(self, t_s: float, shift_s: float) -> float:
+        """Standard deviation of the error of :meth:`at`: from the covariance of the filter, times :attr:`scale`."""
+        if not t_s - self.filter.t_s <= STALE_BEAT_S:
+            return nan
+        place = self._places.get(shift_s)
+        if place is not None:
+            std_m = (self._modelled or self._modelled_at(t_s))[place]
+        else:
+            std_m = self._modelled_stds_m(t_s, (shift_s,))[0]
+        if t_s < self.splice.until_s:
+            std_m = hypot(std_m, self.splice.at(t_s + shift_s)[0])
+        return std_m
+
+    def _modelled_at(self, t_s: float) -> list[float]:
+        """For what is always asked for; it changes less within a beat than it is known."""
+        self._modelled = self._modelled_stds_m(t_s, self._shifts_s)
+        self._ahead_stds = self._modelled[: self._count]
+        return self._modelled
+
+    def _modelled_stds_m(self, t_s: float, shifts_s: Sequence[float]) -> list[float]:
+        """After a sample at ``t_s``."""
+        learned_s = self._learned_s if isfinite(self._learned_s) else 0.0
+        beat_s, scale = self.filter.t_s, self.scale
+        taus = [shift + t_s - beat_s - learned_s for shift in shifts_s]
+        if self.filter.is_steady:
+            index, stds = self._outlook.index, self._steady_stds
+            return [at_index(stds, index(tau)) * scale for tau in taus]
+        return [std * scale for std in self._outlook.stds_at(self.filter.covariance, taus)]
+
+    @property
+    def state_std_m(self) -> float:
+        """Standard deviation of the heave of the state itself, at the last beat, by the covariance alone."""
+        return self.steady_std_m if self.filter.is_steady else _std(self.filter.system.heave, self.filter.covariance)
+
+    @property
+    def is_converged(self) -> bool:
+        """Whether the covariance of the heave is near what it will be."""
+        return self.filter.is_steady or self.state_std_m < CONVERGED * self.steady_std_m
+
+    def row(self, t_s: float) -> Array:
+        """(n,) heave at ``t_s`` from the filter's state."""
+        return self._outlook.row(t_s - self.filter.t_s)
+
+
+def _std(row: Array, P: Array) -> float:
+    return sqrt(max(float(row.dot(P).dot(row)), 0.0))

@@ -1,0 +1,114 @@
+"""Heave near the last sample, against the exponential of the whole matrix and F P F' + Q."""
+
+from __future__ import annotations
+
+from math import isnan
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from seas import model, simulated, whole
+
+from heaved.estimation.sea_filter import SeaFilter
+from heaved.estimation.sea_heave import CONVERGED, STALE_BEAT_S, SeaHeave
+from heaved.estimation.sea_model import SeaSystem
+from heaved.estimation.splice import Splice
+
+DT_S = 0.05
+HORIZONS_S = (0.1, 0.5, 2.0)
+LEAD_S = 0.15
+BEAT_S = 500.0
+
+
+@pytest.fixture(scope="module")
+def system() -> SeaSystem:
+    return SeaSystem(model(6, 2))
+
+
+@pytest.fixture
+def heave(system: SeaSystem) -> SeaHeave:
+    """In the middle of a simulated sea, with the steady filter's covariance."""
+    steady = system.steady(DT_S)
+    assert steady is not None
+    states, _ = simulated(system, DT_S, 400, seed=4)
+    return SeaHeave(SeaFilter(system, steady, BEAT_S, states[-1].copy(), None), HORIZONS_S, LEAD_S)
+
+
+def moved(heave: SeaHeave, tau_s: float) -> tuple[float, float]:
+    """Heave and velocity of the state ``tau_s`` on."""
+    system = heave.filter.system
+    x = expm(system.A * tau_s) @ heave.filter.x
+    return float(system.heave @ x), float(system.velocity @ x)
+
+
+@pytest.mark.parametrize("learned_s", [0.0, -0.03, 0.012])
+@pytest.mark.parametrize("late_s", [0.0, 0.024, 0.05])
+def test_heave_is_the_state_moved_on(heave: SeaHeave, late_s: float, learned_s: float) -> None:
+    """Whatever moment is asked for: those that are made ready for, and others."""
+    heave.set_lead(learned_s)
+    for shift_s in (0.0, LEAD_S, *HORIZONS_S, 0.123, 0.777):
+        found = heave.at(BEAT_S + late_s, shift_s)
+        expected = moved(heave, late_s + shift_s - learned_s)
+        assert (found.heave_m, found.velocity_mps) == pytest.approx(expected, abs=2e-5 * heave.sea_std_m)
+    found = heave.unshifted(BEAT_S + late_s)
+    assert (found.heave_m, found.velocity_mps) == pytest.approx(moved(heave, late_s), abs=2e-5 * heave.sea_std_m)
+
+
+def test_standard_deviations_are_those_of_the_covariance_moved_on(heave: SeaHeave, system: SeaSystem) -> None:
+    """Times the scale; and they are held until the next beat, which changes them less than they are known."""
+    heave.scale = 1.5
+    heave.set_lead(0.0)
+    P = heave.filter.covariance
+    for shift_s in (0.0, *HORIZONS_S, 0.777):
+        F, Q = (np.eye(len(P)), np.zeros_like(P)) if shift_s == 0.0 else whole(system, shift_s)
+        expected = 1.5 * np.sqrt(system.heave @ (F @ P @ F.T + Q) @ system.heave)
+        assert heave.std_m(BEAT_S, shift_s) == pytest.approx(expected, rel=5e-3)
+    held = [heave.std_m(BEAT_S, h) for h in HORIZONS_S]
+    assert [heave.std_m(BEAT_S + 0.04, h) for h in HORIZONS_S] == held
+
+
+def test_forecasts_are_heave_and_deviation_of_each_horizon(heave: SeaHeave) -> None:
+    for splice in (None, Splice(0.2, -0.1, BEAT_S - 1.0), Splice(0.2, -0.1, BEAT_S - 17.0)):
+        heave.splice = splice or heave.splice
+        heave.set_lead(0.01)
+        t_s = BEAT_S + 0.03
+        heaves, stds = heave.forecast(t_s)
+        assert heaves == pytest.approx([heave.at(t_s, h).heave_m for h in HORIZONS_S], rel=1e-12)
+        assert stds == pytest.approx([heave.std_m(t_s, h) for h in HORIZONS_S], rel=1e-12)
+
+
+def test_what_is_left_of_the_old_model_is_in_heave_velocity_and_deviation(heave: SeaHeave) -> None:
+    heave.set_lead(0.0)
+    plain, std_m = heave.at(BEAT_S, 0.5), heave.std_m(BEAT_S, 0.5)
+    heave.splice = Splice(0.2, -0.1, BEAT_S - 1.0)
+    left_m, left_mps = heave.splice.at(BEAT_S + 0.5)
+    found = heave.at(BEAT_S, 0.5)
+    assert (found.heave_m, found.velocity_mps) == pytest.approx((plain.heave_m + left_m, plain.velocity_mps + left_mps))
+    assert heave.std_m(BEAT_S, 0.5) == pytest.approx(np.sqrt(std_m**2 + left_m**2))
+
+
+def test_a_state_that_has_moved_gives_other_numbers(heave: SeaHeave) -> None:
+    heave.set_lead(0.0)
+    before, std_m = heave.forecast(BEAT_S)[0], heave.std_m(BEAT_S, 0.5)
+    heave.filter.x = 2.0 * heave.filter.x
+    heave.filter.P = 4.0 * heave.filter.covariance
+    heave.moved()
+    assert heave.forecast(BEAT_S)[0] == pytest.approx([2.0 * value for value in before])
+    assert heave.std_m(BEAT_S, 0.0) > 1.9 * heave.steady_std_m
+    assert heave.std_m(BEAT_S, 0.5) > std_m
+
+
+def test_it_is_converged_when_the_heave_is_nearly_as_sure_as_it_will_be(heave: SeaHeave) -> None:
+    assert heave.is_converged
+    for factor, expected in ((0.98 * CONVERGED, True), (1.02 * CONVERGED, False)):
+        heave.filter.P = factor**2 * heave.filter.steady_covariance
+        heave.moved()
+        assert heave.state_std_m == pytest.approx(factor * heave.steady_std_m)
+        assert heave.is_converged == expected
+
+
+def test_without_a_beat_for_too_long_nothing_is_known(heave: SeaHeave) -> None:
+    t_s = BEAT_S + STALE_BEAT_S + 0.01
+    assert isnan(heave.at(t_s, 0.0).heave_m)
+    assert isnan(heave.std_m(t_s, 0.5))
+    assert all(map(isnan, (*heave.forecast(t_s)[0], *heave.forecast(t_s)[1])))

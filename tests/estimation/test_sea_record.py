@@ -1,0 +1,72 @@
+"""When the sea is fitted again, to what, and whose answer is taken."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from heaved.estimation.sea_record import CUT_BEATS, SeaRecord
+
+BEAT_S = 0.05
+
+
+def asked(changing_from_s: float, until_s: float = 200.0) -> list[float]:
+    """Times at which a fit is due, in seconds since the first sample; first after 40 s, then every 20 s."""
+    record = SeaRecord(120.0, 40.0, 20.0)
+    record.start(1000.0)
+    found = []
+    for k in range(1, round(until_s / BEAT_S) + 1):
+        t_s = 1000.0 + k * BEAT_S
+        record.push(t_s, 0.0)
+        if record.is_due(t_s, is_changing=t_s - 1000.0 >= changing_from_s):
+            record.ask(t_s)
+            found.append(t_s - 1000.0)
+    return found
+
+
+def test_early_fits_come_sooner_and_later_ones_as_configured() -> None:
+    early = [40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0, 110.0]
+    assert asked(1e9) == pytest.approx([*early, 130.0, 150.0, 170.0, 190.0], abs=1.5 * BEAT_S)
+
+
+def test_a_sea_that_changes_is_looked_at_sooner() -> None:
+    assert asked(155.0, 195.0)[-5:] == pytest.approx([150.0, 160.0, 170.0, 180.0, 190.0], abs=5.5 * BEAT_S)
+
+
+def test_before_the_first_sample_nothing_is_due() -> None:
+    assert not SeaRecord(120.0, 40.0, 20.0).is_due(1e6, is_changing=True)
+
+
+def test_a_fit_sees_the_longest_window() -> None:
+    record = SeaRecord(120.0, 40.0, 20.0)
+    record.start(0.0)
+    times = BEAT_S * np.arange(1, 4000)
+    for t_s in times.tolist():
+        record.push(t_s, 2.0 * t_s)
+    _, rows = record.ask(times[-1])
+    expected = times[times >= times[-1] - 120.0]
+    np.testing.assert_array_equal(rows, np.column_stack((expected, 2.0 * expected)))
+
+
+def test_only_the_answer_that_is_awaited_is_taken_and_that_once() -> None:
+    record = SeaRecord(120.0, 40.0, 20.0)
+    first, _ = record.ask(40.0)
+    second, _ = record.ask(50.0)
+    assert not record.answered(first)
+    assert record.answered(second)
+    assert not record.answered(second)
+    third, _ = record.ask(60.0)
+    record.clear()
+    assert not record.answered(third)
+
+
+def test_a_cut_leaves_a_hole() -> None:
+    record = SeaRecord(120.0, 40.0, 20.0)
+    for k in range(10):
+        record.push(float(k), 0.0)
+    record.cut()
+    for k in range(10, 20):
+        assert record.follows(float(k))
+        record.push(float(k), 0.0)
+    assert record.since(0.0)[:, 0].tolist() == [*map(float, range(10)), *map(float, range(10 + CUT_BEATS, 20))]
+    assert not record.follows(19.0)
