@@ -30,9 +30,10 @@ class Beat:
         self._previous_s = t_s
         done = None
         if isfinite(interval):
+            was_known = isfinite(self.period_s)
             self._learn(interval)
-            if interval > 2.5 * self.period_s:
-                self._count = 0  # What was begun before a gap does not belong to what comes after it.
+            if interval > 2.5 * self.period_s or isfinite(self.period_s) != was_known:
+                self._count = 0  # What was begun before a gap, or before the interval was known, is no beat.
         if self._count == 0:
             self._first_s, self._t, self._a = t_s, 0.0, 0.0
         self._count += 1
