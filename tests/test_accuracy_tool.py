@@ -12,7 +12,7 @@ import accuracy
 import msgspec
 import numpy as np
 import pytest
-from evidence import asked, baselines, estimators, gates, heave, scenarios
+from evidence import asked, baselines, closed_loop, estimators, gates, heave, scenarios
 from evidence.scenarios import Setting, triplet
 from scipy.signal import butter, freqs
 
@@ -290,6 +290,27 @@ def line(scenario: str, estimator: str, tilt: str, **fields: object) -> dict[str
     return {"kind": "heave", "scenario": scenario, "estimator": estimator, "setting": setting, **fields}
 
 
+def closed_loop_row(way: str, share: float) -> closed_loop.Row:
+    return closed_loop.Row(
+        sea="T3",
+        way=way,
+        method=closed_loop.OURS.format("sea"),
+        setting=closed_loop.Setting(observer="sea", laser="off"),
+        heave_rms_m=0.036,
+        hook_rms_m=0.036 * share,
+        share=share,
+        hook_peak_m=0.1,
+        forecast_share=share,
+        held=0.0,
+    )
+
+
+def json_of(row: closed_loop.Row) -> dict[str, object]:
+    """As the tool writes it into results.jsonl."""
+    found: dict[str, object] = {"kind": "closed_loop", **msgspec.to_builtins(row)}
+    return found
+
+
 def test_asked_figures_are_found_in_the_lines() -> None:
     figures = {(figure.what, figure.of): figure for figure in asked.ASKED}
     assert len(figures) == len(asked.ASKED)
@@ -301,6 +322,8 @@ def test_asked_figures_are_found_in_the_lines() -> None:
         line("static", "sea observer", "noisy", rms_m=0.004, reasons={"still: no waves": 0.97}),
         line("SX", "sea observer", "exact", segments={"then": 0.05}, forecast={}),
         line("S6S", "sea observer", "none", ratio_to_limit=1.0, published=0.9),
+        json_of(closed_loop_row("live", 0.031)),
+        json_of(closed_loop_row("replay", 0.5)),
     ]
     found = {name: asked.measured(lines, figure, "sea") for name, figure in figures.items()}
     over, settled, change = (
@@ -320,13 +343,14 @@ def test_asked_figures_are_found_in_the_lines() -> None:
     assert found[change, "then"] == pytest.approx(5.0)
     assert not asked.kept(figures[change, "then"], found[change, "then"])
     assert np.isnan(found[change, "growing"])
+    assert found["closed loop, live: hook motion over heave", "T3"] == pytest.approx(3.1)
     rows = asked.table(lines, "sea").splitlines()
     assert (
         f"| {over} | S4 / S6S / Hebrides / SL | ≤ 1.25 / ≤ 1.4 | 1.1 / never / – / – "
         "| **not reached**: S6S; not measured: Hebrides, SL | 9 / – / – / – |"
     ) in rows
     assert "| real IMU at rest, still ship: error | static / S0 | ≤ 5 mm | 4 / – | not measured: S0 | – / – |" in rows
-    assert rows[-1] == f"{len(figures)} figures: 4 ok, 2 not reached, {len(figures) - 6} not measured."
+    assert rows[-1] == f"{len(figures)} figures: 5 ok, 2 not reached, {len(figures) - 7} not measured."
 
 
 # --- regression gates ------------------------------------------------------------------------------------------------

@@ -365,7 +365,9 @@ def _closed_loop(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sensor", default="A", choices=sorted(SENSORS), help="its errors (default A)")
     parser.add_argument("--laser", default="off", metavar="PATTERN", help="on, off (default), 50%%")
     parser.add_argument("--seed", type=_count, default=1, help="of sea and sensors")
-    parser.add_argument("--warm-up", type=_positive, default=90.0, metavar="S", help="not scored (default 90)")
+    parser.add_argument(
+        "--warm-up", type=_positive, default=closed_loop.SCORED_FROM_S, metavar="S", help="not scored (default 300)"
+    )
     parser.add_argument("--shifted", action="store_true", help="a daemon with [compensation] lead_s as well; live only")
     for add in (_observer, _duration, _common):
         add(parser)

@@ -14,6 +14,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
+from evidence import closed_loop
 from evidence.estimators import TITLES, WITH_LASER
 
 Line = Mapping[str, Any]
@@ -107,7 +108,16 @@ def _heave() -> Iterator[Asked]:
         yield _asked("A: in ±1.96 std while valid", _On(scenario), "valid_coverage", least=0.90, **_PERCENT)
 
 
-ASKED: Final[tuple[Asked, ...]] = tuple(_heave())
+def _closed_loop() -> Iterator[Asked]:
+    setting = {"sensor": "A", "laser": "off", "observer": "sea", "warm_up_s": closed_loop.SCORED_FROM_S}
+    for sea in closed_loop.DEFAULT_SEAS:
+        where = {"kind": "closed_loop", "sea": sea, "way": closed_loop.LIVE, "method": closed_loop.OURS.format("sea")}
+        where |= {f"setting.{name}": value for name, value in setting.items()}
+        what, percent = "closed loop, live: hook motion over heave", {"unit": "% of heave", "times": 100.0}
+        yield Asked(what=what, of=sea, where=where, figure="share", most=0.04, by_observer=False, **percent)
+
+
+ASKED: Final[tuple[Asked, ...]] = (*_heave(), *_closed_loop())
 
 
 def measured(lines: Iterable[Line], asked: Asked, observer: str) -> float:

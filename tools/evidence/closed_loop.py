@@ -49,6 +49,10 @@ PERFECT_HORIZONS_S: Final = (0.05, 0.1, 0.15, 0.5, 1.0, 2.0)
 NONE: Final = "none"
 PERFECT: Final = "perfect forecast"
 PAPER_OBSERVER: Final = "harmonic"
+OURS: Final = "ours: forecasts of observer {}"
+LIVE: Final = "live"
+SCORED_FROM_S: Final = 300.0
+"""As in all other tables."""
 PATIENCE_S: Final = 10.0
 
 
@@ -60,7 +64,7 @@ class Setting(msgspec.Struct, frozen=True, kw_only=True):
     sensor: str = "A"
     laser: str = "50%"
     seed: int = 1
-    warm_up_s: float = 90.0
+    warm_up_s: float = SCORED_FROM_S
     duration_s: float = 180.0
     """Scored, after the warm-up."""
     latency_s: float = 0.005
@@ -170,7 +174,7 @@ def controllers(setting: Setting) -> list[Controller]:
     made = [
         Controller("present heave, no lead", Source.PRESENT, ours, setting),
         Controller("paper: harmonic observer, extrapolated", Source.FORECAST, paper, setting),
-        Controller(f"ours: forecasts of observer {setting.observer}", Source.FORECAST, ours, setting),
+        Controller(OURS.format(setting.observer), Source.FORECAST, ours, setting),
     ]
     if setting.shifted:
         winch = setting.winch
@@ -286,7 +290,7 @@ async def _live(name: str, setting: Setting, folder: Path) -> Trial:
         await asyncio.wait(tasks)
         for task in done:
             task.result()
-    return _trial(name, "live", setting, seaway(name, setting.seed), made, epochs_s, np.array(ages_s))
+    return _trial(name, LIVE, setting, seaway(name, setting.seed), made, epochs_s, np.array(ages_s))
 
 
 async def _listen(port: int, lifts: Sequence[Lift], ages_s: list[float], scored_from_s: float) -> None:
