@@ -554,7 +554,7 @@ def test_the_sea_is_remembered(seen: Pipeline, longer: Recording) -> None:
     [
         (sea_observer.Params(stages=4), {}, "chains of 7 does not fit"),
         (sea_observer.Params(components=1), {}, "does not fit the configured 1 of 7"),
-        (sea_observer.Params(), {"level_m2phz": (nan, nan)}, "does not converge"),
+        (sea_observer.Params(), {"level_m2phz": (nan, nan, nan)}, "does not converge"),
     ],
     ids=["stages", "components", "nan"],
 )

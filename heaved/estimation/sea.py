@@ -47,9 +47,9 @@ UNKNOWN: Final = Motion(nan, nan)
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[heave.sea]``: the sea observer."""
 
-    stages: Annotated[int, msgspec.Meta(ge=3, le=12)] = 7
+    stages: Annotated[int, msgspec.Meta(ge=4, le=12)] = 7
     """Resonators in a chain (M): the steeper the spectrum towards long waves, the more."""
-    components: Annotated[int, msgspec.Meta(ge=1, le=4)] = 2
+    components: Annotated[int, msgspec.Meta(ge=1, le=4)] = 3
     """Chains (K)."""
     windows_s: tuple[Annotated[float, msgspec.Meta(ge=60, le=1800)], ...] = (120.0, 300.0, 600.0)
     """Lengths of the past that are fitted side by side."""

@@ -1,6 +1,6 @@
 """Fitting the sea model to the recent past: Whittle's likelihood of the spectrum of the vertical acceleration.
 
-    minimise  sum_f  (log S(f) + P(f) / S(f)) f_1 / f,      S = w^4 sum_k S_k + N + 2 B / w^2,
+    minimise  sum_f  (log S(f) + P(f) / S(f)) (f_1 / f)^0.7,      S = w^4 sum_k S_k + N + 2 B / w^2,
 
 over log f0, log zeta and log L of each component and log N, P being the periodogram. The ordinates of a periodogram are
 nearly independent exponential variables, so Fisher scoring applies: each step is the weighted least-squares fit of
@@ -9,10 +9,10 @@ All starts run side by side; the best one is taken.
 
 What the error of the heave lives on is the low-frequency skirt of the spectrum, four decades below its peak. It has a
 dozen ordinates, and the tail above the peak has hundreds: were they weighed alike, a skirt that is far off would be
-paid for by a slightly better tail. So each octave weighs the same. A window function spills the peak into the skirt:
-the segments are therefore as long as they can be, and ordinates within the main lobe of zero frequency are left out. N
-soaks up what the components cannot follow above the waves; the noise that the filter is given is taken from above the
-wave band instead.
+paid for by a slightly better tail; were every octave weighed alike, the tail would be left to chance, and with it the
+forecasts of a second. The weight is between the two. A window function spills the peak into the skirt: the segments are
+therefore as long as they can be, and ordinates within the main lobe of zero frequency are left out. N soaks up what the
+components cannot follow above the waves; the noise that the filter is given is taken from above the wave band instead.
 """
 
 from __future__ import annotations
@@ -42,8 +42,10 @@ NOISE_OVER_HZ: Final = 0.8
 """The sensor's noise is looked for above."""
 NOISE_BANDS: Final = 4
 """In that many bands of equal ratio; the quietest counts, because an engine fills one of them, not all."""
-OCTAVES_AT_HZ: Final = 0.15
+WEIGHED_FROM_HZ: Final = 0.15
 """f_1: ordinates at this frequency have the weight 1."""
+WEIGHT_POWER: Final = 0.7
+"""0: each ordinate weighs the same; 1: each octave does."""
 STEPS: Final = 25
 GAIN_ENOUGH: Final = 1e-2
 """Fall of the likelihood in one step below which a start has converged: the data cannot tell such models apart."""
@@ -76,7 +78,7 @@ class Spectrum(msgspec.Struct, frozen=True, eq=False):
     @property
     def weight(self) -> Array:
         """(n,) of each ordinate in the likelihood."""
-        return OCTAVES_AT_HZ / self.f_hz
+        return np.asarray((WEIGHED_FROM_HZ / self.f_hz) ** WEIGHT_POWER)
 
 
 def spectrum(a_mps2: Array, rate_hz: float) -> Spectrum:
@@ -97,7 +99,7 @@ class Fitted(msgspec.Struct, frozen=True):
 
     model: SeaModel
     cost: float
-    """What was minimised: minus the log-likelihood, each octave weighing the same."""
+    """What was minimised: minus the weighted log-likelihood."""
     waves: float
     """How much likelier the spectrum is with waves than with noise alone: difference of the plain log-likelihoods."""
 
@@ -200,14 +202,14 @@ def _log_spectrum(theta: Array, f: Array, stages: int, bias_walk_psd: float) -> 
     c = 4.0 * np.exp(2.0 * theta[:, K : 2 * K, None])
     D = (1.0 - x2) ** 2 + c * x2
     w2 = (2.0 * pi * f) ** 2
-    log_chain = theta[:, 2 * K : 3 * K, None] + stages * (np.log(c) - np.log(D)) + 2 * (stages - 2) * np.log(x2)
+    log_chain = theta[:, 2 * K : 3 * K, None] + stages * (np.log(c) - np.log(D)) + 2 * (stages - 3) * np.log(x2)
     S_chain = np.exp(log_chain) * w2**2
     N = np.exp(theta[:, 3 * K :])
     S = S_chain.sum(axis=1) + N + 2.0 * bias_walk_psd / w2
     J = np.empty((*theta.shape, len(f)))
     share = S_chain / S[:, None, :]
     q = 2.0 * stages * c * x2 / D
-    J[:, :K] = share * (q - 4.0 * (stages - 2) - 4.0 * stages * x2 * (1.0 - x2) / D)
+    J[:, :K] = share * (q - 4.0 * (stages - 3) - 4.0 * stages * x2 * (1.0 - x2) / D)
     J[:, K : 2 * K] = share * (2.0 * stages - q)
     J[:, 2 * K : 3 * K] = share
     J[:, 3 * K] = N / S

@@ -1,21 +1,22 @@
 """The sea as a linear stochastic model: cascaded resonators, their spectrum, and the filter that belongs to them.
 
 K components; each is a chain of M equal resonators. White noise drives the first, the position of the first the second,
-and the acceleration of each the next; heave is the position of the last (index 0 here, the noise enters at M - 1):
+of the second the third, and from there on the acceleration of each the next; heave is the position of the last (index 0
+here, the noise enters at M - 1):
 
-    x_s'' = -w^2 x_s - 2 zeta w x_s' + 2 zeta w u_s,    u_s w = x_{s+1}'' (s < M - 2),  w^2 x_{s+1} (s = M - 2),
+    x_s'' = -w^2 x_s - 2 zeta w x_s' + 2 zeta w u_s,    w u_s = x_{s+1}'' (s < M - 3),  w^2 x_{s+1} (M - 3, M - 2),
 
-two low-passes and M - 2 high-passes, each with gain 1 at its resonance. The displacement spectrum of one component,
+three low-passes and M - 3 high-passes, each with gain 1 at its resonance. The displacement spectrum of one component,
 x = f / f0,
 
-    S(f) = L (2 zeta)^(2M) x^(4(M-2)) / ((1 - x^2)^2 + (2 zeta x)^2)^M,      L = S(f0),
+    S(f) = L (2 zeta)^(2M) x^(4(M-3)) / ((1 - x^2)^2 + (2 zeta x)^2)^M,      L = S(f0),
 
 falls to zero at f = 0: heave has no mean, and nothing drifts, because the model says so. Its two sides are apart: the
 skirt towards long waves, in which the error of the heave lives, is as steep as M says, while above the peak it falls
-with f^-8 whatever M, about as the heave of a ship in a wind sea does. (Were every resonator driven by the velocity of
-the one before, a steep skirt would bring an equally steep tail, and a second and a third component would be spent on
-the tail.) The vertical acceleration is an exact linear function of the state, without the driving noise in it; a slow
-bias is a state of its own.
+with f^-12 whatever M, between the f^-9 of a small vessel and the end of all heave in waves much shorter than the hull.
+(Were every resonator driven by the velocity of the one before, a steep skirt would bring an equally steep tail, and a
+component would be spent on the tail.) The vertical acceleration is an exact linear function of the state, without the
+driving noise in it; a slow bias is a state of its own.
 
 Velocities are kept as x'/w, so that every element of the state is in metres and of the size of the heave.
 """
@@ -78,7 +79,7 @@ class SeaModel(msgspec.Struct, frozen=True, kw_only=True):
 def chain_shape(x: Array, zeta: float, stages: int) -> Array:
     """Spectrum of one chain over x = f / f0 (n,), 1 at its resonance."""
     c = 4.0 * zeta * zeta
-    return np.asarray(c**stages * x ** (4 * (stages - 2)) / ((1.0 - x * x) ** 2 + c * x * x) ** stages)
+    return np.asarray(c**stages * x ** (4 * (stages - 3)) / ((1.0 - x * x) ** 2 + c * x * x) ** stages)
 
 
 class SeaSystem:
@@ -102,9 +103,9 @@ class SeaSystem:
             for s in reversed(range(M)):
                 x, v = at + 2 * s, at + 2 * s + 1
                 self.A[x, v] = w
-                if s < M - 2:
+                if s < M - 3:
                     self.A[v] = 2.0 * zeta * self.A[v + 2]
-                elif s == M - 2:
+                elif s < M - 1:
                     self.A[v, x + 2] = 2.0 * zeta * w
                 self.A[v, x] -= w
                 self.A[v, v] -= 2.0 * zeta * w

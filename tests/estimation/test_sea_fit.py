@@ -56,7 +56,7 @@ def test_the_spectrum_of_a_jonswap_sea_is_found(name: str) -> None:
     assert height == pytest.approx(realised, rel=0.1)
 
 
-def test_the_cost_is_whittles_over_octaves_and_no_worse_than_that_of_the_truth() -> None:
+def test_the_cost_is_whittles_with_its_weights_and_no_worse_than_that_of_the_truth() -> None:
     m = model(6, 2)
     _, a = simulated(SeaSystem(m), 1 / RATE_HZ, 24_000, seed=5)
     sp = sea_fit.spectrum(a, RATE_HZ)
@@ -64,7 +64,7 @@ def test_the_cost_is_whittles_over_octaves_and_no_worse_than_that_of_the_truth()
 
     def whittle(of: SeaModel) -> float:
         S = of.acceleration_spectrum(sp.f_hz)
-        return float(np.sum((np.log(S) + sp.power / S) * 0.15 / sp.f_hz))
+        return float(np.sum((np.log(S) + sp.power / S) * (0.15 / sp.f_hz) ** 0.7))
 
     assert fitted.cost <= whittle(m) + 1.0  # the weak priors, and where a start counts as converged
     assert whittle(fitted.model) < whittle(m) + 15.0  # its N is taken from above the waves

@@ -22,7 +22,7 @@ def of_height(f0: float, zeta: float, hs_m: float) -> tuple[float, float, float]
 
 def peak_ratio(zeta: float, stages: int = 8) -> float:
     """Frequency of a chain's highest spectrum over its resonance: the root of d log S / d x^2 = 0."""
-    a, b, c = 4.0, -(stages - 4) * (4.0 * zeta**2 - 2.0), -2.0 * (stages - 2)
+    a, b, c = 6.0, -(stages - 6) * (4.0 * zeta**2 - 2.0), -2.0 * (stages - 3)
     return float(np.sqrt((-b + np.sqrt(b * b - 4.0 * a * c)) / (2.0 * a)))
 
 

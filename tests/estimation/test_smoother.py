@@ -18,7 +18,7 @@ Array = np.ndarray
 
 @pytest.fixture(scope="module")
 def system() -> SeaSystem:
-    return SeaSystem(model(3, 1, noise_psd=1e-4))
+    return SeaSystem(model(4, 1, noise_psd=1e-4))
 
 
 @pytest.fixture(scope="module")
