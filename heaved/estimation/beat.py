@@ -6,6 +6,8 @@ from math import isfinite, nan
 from typing import Final
 
 BEAT_S: Final = 0.05
+BREAK_S: Final = 0.075
+"""A gap within a beat that is longer than this, and than 2.5 intervals, ends it unfinished."""
 BEAT_MIN_S: Final = 0.04
 """Rings are sized for beats this short."""
 BEAT_INTERVALS: Final = 101
@@ -14,7 +16,7 @@ BEAT_FIRST_INTERVALS: Final = 7
 
 
 class Beat:
-    """Averages a handful of samples into one; their mean time with them."""
+    """Averages a handful of samples into one; their mean time with them. Lost ones make it a mean of fewer."""
 
     def __init__(self, period_s: float = nan) -> None:
         """``period_s``: the usual interval, where it is known from before."""
@@ -32,14 +34,14 @@ class Beat:
         if isfinite(interval):
             was_known = isfinite(self.period_s)
             self._learn(interval)
-            if interval > 2.5 * self.period_s or isfinite(self.period_s) != was_known:
+            if interval > max(2.5 * self.period_s, BREAK_S) or isfinite(self.period_s) != was_known:
                 self._count = 0  # What was begun before a gap, or before the interval was known, is no beat.
         if self._count == 0:
             self._first_s, self._t, self._a = t_s, 0.0, 0.0
         self._count += 1
         self._t += t_s - self._first_s
         self._a += a_mps2
-        if isfinite(self.period_s) and self._count >= self.size:
+        if isfinite(self.period_s) and t_s - self._first_s >= (self.size - 1.5) * self.period_s:
             done = self._first_s + self._t / self._count, self._a / self._count
             self._count = 0
         return done

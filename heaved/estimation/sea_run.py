@@ -31,6 +31,8 @@ UNSURE: Final = 1.5
 """Standard deviation of the predicted heave over that of the steady filter."""
 HOLE: Final = 3.5
 """Neighbours further apart than this many intervals have a hole between them; closer ones are interpolated."""
+BRIDGED_S: Final = 0.3
+"""So are those closer than this: a quarter of the shortest wave that is fitted."""
 ON_THE_GRID: Final = 1e-3
 """Deviation, in intervals, up to which a sample is taken as it is."""
 
@@ -55,14 +57,14 @@ def even(t_s: Array, a_mps2: Array) -> Record:
     gaps = np.diff(t_s)
     usual = float(np.median(gaps))
     dt = float(np.mean(gaps[gaps < 1.5 * usual]))
-    steps = np.rint(gaps / dt)
+    steps, longest = np.rint(gaps / dt), max(HOLE, BRIDGED_S / dt)
     is_even = bool(np.all(np.abs(gaps - dt * steps) < ON_THE_GRID * dt)) and bool(np.all(steps >= 1.0))
     if is_even and abs((t_s[-1] - t_s[0]) / np.sum(steps) - dt) * np.sum(steps) < 0.1 * dt:
         index = np.concatenate(([0.0], np.cumsum(steps))).astype(np.int64)
         grid = np.arange(index[-1] + 1)
         values, known = np.interp(grid, index, a_mps2), np.zeros(len(grid), dtype=np.bool_)
         known[index] = True
-        near = np.repeat(steps <= HOLE, steps.astype(np.int64))
+        near = np.repeat(steps <= longest, steps.astype(np.int64))
         known[1:] |= near
         if not known[index].all() or len(index) < len(grid):
             values = _filled(grid.astype(np.float64), values, known, index.astype(np.float64), a_mps2)
@@ -70,7 +72,7 @@ def even(t_s: Array, a_mps2: Array) -> Record:
     count = int((t_s[-1] - t_s[0]) / dt) + 1
     times = t_s[-1] - dt * np.arange(count - 1, -1, -1.0)
     after = np.clip(np.searchsorted(t_s, times - 1e-9), 1, len(t_s) - 1)
-    known = gaps[after - 1] <= HOLE * dt
+    known = gaps[after - 1] <= longest * dt
     return Record(float(t_s[-1]), dt, _filled(times, np.interp(times, t_s, a_mps2), known, t_s, a_mps2), known)
 
 

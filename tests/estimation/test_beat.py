@@ -28,6 +28,17 @@ def test_a_hiccup_of_the_machine_does_not_stop_them() -> None:
     assert len(done) > 0.97 * 3000 / 5
 
 
+def test_lost_samples_make_it_a_mean_of_fewer() -> None:
+    """A third of them at random: the beats go on at about their pace, each on the line at its own time."""
+    kept = np.random.default_rng(2).random(3000) > 1 / 3
+    times = (0.01 * np.arange(3000))[kept].tolist()
+    done = beats(times, [2.0 * t for t in times])
+    steps = np.diff([t for t, _ in done[2:]])
+    assert all(a == pytest.approx(2.0 * t) for t, a in done)
+    assert np.max(steps) < 0.2
+    assert np.mean(steps) < 0.07
+
+
 def test_what_was_begun_before_a_gap_is_dropped() -> None:
     times = [0.01 * k for k in range(103)] + [5.0 + 0.01 * k for k in range(20)]
     done = beats(times, [0.0] * 103 + [1.0] * 20)

@@ -209,6 +209,15 @@ def test_readings_that_come_unevenly_cost_little() -> None:
     assert rms(error) < 2.0 * sea_limits("S6", "A", 20.0).causal_m
 
 
+def test_a_third_of_the_readings_lost_costs_little_at_a_high_rate() -> None:
+    t, truth, a = samples("S6", 260.0, 100.0)
+    kept = np.random.default_rng(9).random(len(t)) > 1 / 3
+    observer = SeaObserver(SMALL, ())
+    heave = feed(observer, t[kept], a[kept])
+    assert rms((heave - truth[kept])[t[kept] > 130.0]) < 1.7 * sea_limits("S6", "A", 20.0).causal_m
+    assert observer.refreshes > 5
+
+
 # --- fits that are late, stale, wrong --------------------------------------------------------------------------------
 
 
