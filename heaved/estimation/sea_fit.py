@@ -58,7 +58,7 @@ LINE_DAMPING: Final = 0.07
 """Of the last start: a wave train is a few lines side by side."""
 DAMPING_GUESS: Final = 0.3
 
-LIMITS: Final = {"frequency_hz": (0.03, 0.6), "damping": (0.05, 1.0), "level": (1e-10, 1e5), "noise": (1e-12, 1e2)}
+LIMITS: Final = {"frequency_hz": (0.025, 0.6), "damping": (0.05, 1.0), "level": (1e-10, 1e5), "noise": (1e-12, 1e2)}
 """A chain that is damped less than that is a line, and costs digits; one that is damped more has a pole far above the
 waves, and its past cannot be computed back."""
 PRIOR: Final = {"frequency": 0.05, "damping": 0.2, "level": 1e-3, "noise": 1e-3}
