@@ -8,7 +8,8 @@ learned correction from ever making the output worse than the physics underneath
 * the last part of each window is held out, and a network replaces the one in use only if it beats it, and
   "no correction", there;
 * while the laser is there, the running correlation of the correction with the residual decides how much of it is
-  applied: its regression coefficient less one standard error, between 0 and 1;
+  applied: nothing unless its regression coefficient is two standard errors above zero, counted for a residual that
+  beats; then the coefficient, up to 1;
 * without the laser it goes on only while the sea resembles that of the training;
 * it is clipped and faded, never switched.
 """
@@ -34,8 +35,13 @@ WORTH: Final = 0.9
 """A network must take at least 10 % off the mean square of the held-out residuals: less can be chance."""
 GUARD_TIME_S: Final = 90.0
 """Memory of the running comparison of correction and residual, in seconds of laser."""
-INDEPENDENT_S: Final = 4.0
-"""Residuals this far apart count as independent: half a wave period."""
+INDEPENDENT_S: Final = 10.0
+"""Residuals this far apart count as independent: they are narrow-banded, and grow and fade over several waves."""
+SURE: Final = (2.0, 2.5)
+"""Coefficient over its standard error: below the first the agreement with the residual can be chance, and nothing is
+applied; from the second on all that the coefficient says. With a minute and a half of laser: three tenths and four
+tenths of the residual's mean square; networks with less, seen on sensors whose lag the laser had taught, do harm as
+often as good."""
 AGREEMENT_TIME_S: Final = 15.0
 """Memory of the comparison of residual and heave: two wave periods."""
 DISAGREEMENT: Final = 0.8
@@ -115,13 +121,14 @@ class _Evidence:
         self._total += memory * (residual_m**2 - self._total)
 
     def share(self) -> float:
-        """How much of y to apply, 0..1: the coefficient of e on y, less its standard error."""
-        if self._square <= 0.0 or self._seconds <= 0.0:
+        """How much of y to apply, 0..1: the coefficient of e on y, if that is surely above zero."""
+        coefficient = self._cross / self._square if self._square > 0.0 else 0.0
+        if coefficient <= 0.0 or self._seconds <= 0.0:
             return 0.0
-        coefficient = self._cross / self._square
         left = max(self._total - coefficient * self._cross, 0.0)
         error = sqrt(left / self._square / max(self._seconds / INDEPENDENT_S, 1.0))
-        return min(1.0, max(0.0, coefficient - error))
+        sure = (coefficient - SURE[0] * error) / (SURE[1] - SURE[0])
+        return min(coefficient, 1.0) * min(max(sure / error, 0.0), 1.0) if error > 0.0 else min(coefficient, 1.0)
 
 
 class ResidualCorrection:

@@ -20,6 +20,11 @@ STEP_S: Final = 3.0
 """Outliers that go on for this long are a new constant, not outliers."""
 ERROR_TIME_S: Final = 60.0
 """Memory of the error statistics: several wave periods."""
+SCALE_TIME_S: Final = 180.0
+"""Memory of what the laser says about the standard deviation: the error of a swell grows and fades over 40-80 s, and a
+minute of either kind is not the error that an outage will have."""
+FOLLOW_S: Final = 60.0
+"""Time constant with which the standard deviation takes it over."""
 SCALE_LIMITS: Final = (0.2, 10.0)
 """Bounds of what the laser may do to the modelled standard deviation."""
 
@@ -55,13 +60,17 @@ class Reference:
         self._params = params
         self.restarts = 0
         self._scale2 = 1.0
+        self._shown2 = self._modelled2 = self._shown_s = 0.0
         self.forget()
 
     def forget(self) -> None:
-        """Start the constant again (the observer was restarted, or the target has changed)."""
+        """Start the constant again (the observer was restarted, or the target has changed).
+
+        What is known of the standard deviation stays: half a minute after a restart knows less.
+        """
         self._constant_m = 0.0
         self._seconds = 0.0
-        self._mean_square = self._mean_modelled = 0.0
+        self._mean_square = 0.0
         self._t_s = nan
         self._outlier_since_s = nan
         self.value_m = nan
@@ -115,15 +124,17 @@ class Reference:
         self.value_m, self.value_t_s = self.signed(laser_m) - self._constant_m, t_s
         if not (isfinite(modelled_std_m) and modelled_std_m > 0.0):
             return Verdict.ACCEPTED
-        # Of the same time as the deviations: after a gap both are large for a while.
-        modelled2 = modelled_std_m**2
-        memory = memory if self._mean_modelled > 0.0 else 1.0
-        self._mean_modelled += memory * (modelled2 - self._mean_modelled)
+        # Both of the same time: after a gap both are large for a while.
+        self._shown_s += dt
+        memory = min(1.0, dt / min(0.5 * self._shown_s, SCALE_TIME_S))
+        self._shown2 += memory * (deviation**2 - self._shown2)
+        memory = memory if self._modelled2 > 0.0 else 1.0
+        self._modelled2 += memory * (modelled_std_m**2 - self._modelled2)
         if self._seconds >= 2.0 * CONSTANT_MIN_S:
-            shown = max(self._mean_square - self._params.noise_std_m**2, (0.25 * self._params.noise_std_m) ** 2)
+            shown2 = max(self._shown2 - self._params.noise_std_m**2, (0.25 * self._params.noise_std_m) ** 2)
             low, high = SCALE_LIMITS
-            scale2 = min(max(shown / self._mean_modelled, low**2), high**2)
-            self._scale2 += (1.0 - exp(-dt / ERROR_TIME_S)) * (scale2 - self._scale2)
+            scale2 = min(max(shown2 / self._modelled2, low**2), high**2)
+            self._scale2 += (1.0 - exp(-dt / FOLLOW_S)) * (scale2 - self._scale2)
         return Verdict.ACCEPTED
 
     def error_rms_m(self) -> float:

@@ -1,8 +1,9 @@
 """Sample stamps on an even grid of their own rate: what block means and whole-sample lags need.
 
 Polls come with jitter, get lost, and come at a rate nobody tells the predictor. The interval is the least-squares slope
-of the first stamps over their rounded indices (so a lost sample does no harm), then followed with the phase by a
-critically damped second-order loop. A sample is handed on as "so many steps after the last one, this late".
+of the first stamps over their indices on a grid of the usual interval (so a lost sample does no harm), then followed
+with the phase by a critically damped second-order loop. A sample is handed on as "so many steps after the last one,
+this late".
 """
 
 from __future__ import annotations
@@ -12,6 +13,9 @@ from math import inf, nan
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 FIRST: Final = 11
 """Stamps before the interval is known."""
@@ -27,6 +31,31 @@ GAP: Final = 4
 """Steps at once that are a gap, and say little about phase, interval or rate."""
 RATIO: Final = (0.6, 1.6)
 """Samples per grid step outside of which the rate is another, however much they scatter."""
+PAIRS: Final = 0.4
+"""Quantile of the length of two intervals together to begin with: below the median, for polls get lost and none are
+added."""
+SPAN: Final = 3
+"""Intervals whose steps are counted together."""
+
+
+def usual_interval(stamps_s: Array) -> float:
+    """Interval at which increasing stamps (n,), n > 3, are meant to come, whatever befell some of them.
+
+    On a busy machine a poll comes up to an interval late and the next one soon after: the single intervals then lie in
+    two heaps beside the true one, and their median in either. Lateness cancels in the sum of neighbours, and a lost
+    poll shows in every sum across it. So the steps in spans of three intervals are counted, rounded to whole ones, and
+    time is divided by steps, as often as it takes to agree with itself.
+    """
+    pairs = stamps_s[2:] - stamps_s[:-2]
+    interval_s = 0.5 * float(np.quantile(pairs, PAIRS))
+    spans = stamps_s[SPAN:] - stamps_s[:-SPAN]
+    total_s = float(spans.sum())
+    for _ in range(5):
+        steps = float(np.rint(spans / interval_s).sum())
+        if steps <= 0.0 or total_s / steps == interval_s:
+            break
+        interval_s = total_s / steps
+    return interval_s
 
 
 class SampleClock:
@@ -47,10 +76,7 @@ class SampleClock:
         if len(stamps_s) < FIRST:
             return False
         t = np.array(stamps_s)
-        gaps = np.diff(t)
-        typical = float(np.median(gaps))
-        index = np.concatenate([[0.0], np.cumsum(np.maximum(np.rint(gaps / typical), 1.0))])
-        slope, first = np.polyfit(index - index[-1], t - t[-1], 1)
+        slope, first = np.polyfit(np.rint((t - t[-1]) / usual_interval(t)), t - t[-1], 1)
         self.interval_s = float(slope)
         self.late_s = -float(first)
         self._grid_s = t[-1] + float(first)

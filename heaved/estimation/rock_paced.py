@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from heaved.estimation.rock_blocks import Blocks
+from heaved.estimation.rock_clock import usual_interval
 from heaved.estimation.rock_direct import BACKWARDS, DirectPredictor, Params
 from heaved.estimation.rock_experts import Switch
 
@@ -26,7 +27,14 @@ PACE_HZ: Final = 20.0
 SPARE: Final = 0.05
 """A rate of 99.9 Hz is one of 100 Hz."""
 FIRST: Final = 11
-"""Stamps before the interval is known."""
+"""Stamps before the interval is known, and those by which it is judged later, at least."""
+FIRST_S: Final = 0.75
+"""And so much time: the polls of a start are held up by 20-50 ms now and then. Nothing is lost, for nothing is
+published before 2 s are there."""
+JUDGED_S: Final = 2.0
+"""The recent past by which the interval is judged."""
+CHECKED_S: Final = 1.0
+"""It is judged so often: a new rate is noticed within 3 s."""
 CHANGED: Final = 0.2
 """Relative change of the usual interval that asks for other blocks."""
 
@@ -49,8 +57,10 @@ class PacedPredictor:
         """Of the last sample."""
         self._backwards = 0
         self._pending: list[tuple[float, list[float], Sequence[float] | None]] = []
-        self._recent: deque[float] = deque(maxlen=4 * FIRST)
-        self._until_check = 4 * FIRST
+        self._recent: deque[float] = deque()
+        """Stamps of the last JUDGED_S."""
+        self._check_s = inf
+        """When the interval is judged again."""
         self.values = self._unknown
         self.fed: DirectPredictor | None = None
         """What predicts; None until the rate is known."""
@@ -112,16 +122,14 @@ class PacedPredictor:
                 self._restart()
             return self.values
         self._backwards = 0
-        if self.t_s > -inf:
-            self._recent.append(t_s - self.t_s)
         self.t_s = t_s
         if self._taking is None:
             self._pending.append((t_s, values, rates))
-            if len(self._pending) >= FIRST:
+            if len(self._pending) >= FIRST and t_s - self._pending[0][0] >= FIRST_S:
                 self._begin()
             return self.values
-        self._until_check -= 1
-        if self._until_check <= 0 and self._rate_changed():
+        self._recent.append(t_s)
+        if t_s >= self._check_s and self._rate_changed():
             self._restart()
             return self.values
         if not isfinite(sum(values)):
@@ -143,9 +151,17 @@ class PacedPredictor:
         return seen if self._blocks is None else seen + self._blocks.correction
 
     def _rate_changed(self) -> bool:
-        self._until_check = len(self._recent)
-        usual_s = sorted(self._recent)[len(self._recent) // 2]
-        return abs(usual_s - self._interval_s) > CHANGED * self._interval_s
+        recent = self._recent
+        self._check_s = self.t_s + CHECKED_S
+        while len(recent) > FIRST and self.t_s - recent[0] > JUDGED_S:
+            recent.popleft()
+        if len(recent) < FIRST:
+            return False
+        allowed_s = CHANGED * self._interval_s
+        mean_s = (recent[-1] - recent[0]) / (len(recent) - 1)
+        if abs(mean_s - self._interval_s) <= allowed_s:
+            return False  # Held-up polls change intervals, not their mean; lost ones the mean, not the usual interval.
+        return abs(usual_interval(np.array(recent)) - self._interval_s) > allowed_s
 
     def _restart(self) -> None:
         self._restarts = self.restarts + 1
@@ -153,10 +169,8 @@ class PacedPredictor:
 
     def _begin(self) -> None:
         """The rate is known: build, and take what has waited."""
-        usual_s = float(np.median(self._recent))
-        stamps = np.array([t for t, _, _ in self._pending])
-        whole = np.maximum(np.rint(np.diff(stamps) / usual_s), 1.0)
-        self._interval_s = interval_s = float(stamps[-1] - stamps[0]) / float(whole.sum())
+        self._interval_s = interval_s = usual_interval(np.array([t for t, _, _ in self._pending]))
+        self._check_s = self.t_s + CHECKED_S
         samples = max(1, int(1.0 / (PACE_HZ * interval_s) + SPARE))
         if samples > 1:
             blocks = self._taking = self._blocks = Blocks(self._params, samples, interval_s, self._n, rates=self._rates)

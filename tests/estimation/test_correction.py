@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from heaved.estimation.correction import Params, ResidualCorrection
+from heaved.estimation.correction import Params, ResidualCorrection, _Evidence
 from heaved.estimation.network import Network, Output
 from heaved.samples import CorrectionState, TrainedNetwork, TrainingWindow
 from heaved.training.fit import fit
@@ -273,6 +273,31 @@ def test_a_network_that_has_gone_bad_is_faded_out_by_the_laser() -> None:
     rig.run(240.0, lambda t: -third(t))
     assert rig.rms(150.0) < 0.03 * WAVE_RMS
     assert rig.correction.state(True) is CorrectionState.HOLDING
+
+
+def beating(rng: np.random.Generator, t: np.ndarray) -> np.ndarray:
+    """Waves of 7 s that grow and fade over a minute: 20 lines, 1/60 Hz wide (standard deviation 0.4 of that)."""
+    f, phase = 1.0 / 7.0 + rng.normal(0.0, 0.4 / 60.0, 20), rng.uniform(0.0, 2.0 * np.pi, 20)
+    waves: np.ndarray = np.cos(2.0 * np.pi * np.outer(t, f) + phase).sum(axis=1) / np.sqrt(10.0)
+    return waves
+
+
+@pytest.mark.parametrize("laser_s", [30.0, 60.0, 90.0])
+def test_agreement_by_chance_is_hardly_ever_applied(laser_s: float) -> None:
+    """A correction that has nothing to do with the residual, both narrow-banded: two standard errors are exceeded in
+    2.3 % of cases. One that is half of the residual's mean square is applied for the most part."""
+    rng = np.random.default_rng(1)
+    t = np.arange(0.0, laser_s, 0.1)
+    harm, kept = [], []
+    for _ in range(200):
+        y, other = beating(rng, t), rng.standard_normal(len(t))
+        for residual, found in ((beating(rng, t) + other, harm), (y + other, kept)):
+            evidence = _Evidence()
+            for row in zip(t.tolist(), residual.tolist(), y.tolist(), strict=True):
+                evidence.add(*row)
+            found.append(evidence.share())
+    assert np.mean(np.array(harm) > 0.0) < 0.12
+    assert laser_s < 90.0 or np.mean(kept) > 0.65
 
 
 def test_the_correction_is_clipped() -> None:

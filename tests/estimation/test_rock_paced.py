@@ -12,6 +12,7 @@ from evidence.rock import ARCSEC, SCENES, motion
 from heaved.estimation import rock
 from heaved.estimation.rock_carry import Carry
 from heaved.estimation.rock_chain import DirectRockPredictor, RockChain, angle_rates
+from heaved.estimation.rock_clock import usual_interval
 from heaved.estimation.rock_direct import DirectPredictor, Params
 from heaved.estimation.rock_paced import PacedPredictor
 from heaved.samples import ImuSample
@@ -128,6 +129,69 @@ def test_another_rate_asks_for_other_blocks():
     predicted = predict(paced, t, np.sin(TURN * t / 8)[:, None])
     assert paced.restarts == 1
     assert np.max(np.abs(predicted[-500:, 2, 0] - np.sin(TURN * (t[-500:] + 0.15) / 8))) < 1e-4
+
+
+def busy(rate_hz, duration_s, seed, tick_s=0.004):
+    """Stamps on a machine that is busy: a poll waits for the next tick of the scheduler, or the one after that, and now
+    and then for a stall of 20-50 ms, in which the other deadlines are skipped."""
+    rng = np.random.default_rng(seed)
+    due = np.arange(round(duration_s * rate_hz)) / rate_hz
+    ticks = np.floor((due + rng.uniform(0.0, tick_s)) / tick_s) + 1.0 + (rng.random(len(due)) < 0.3)
+    t = tick_s * ticks + rng.exponential(3e-4, len(due))
+    taken = np.ones(len(due), dtype=bool)
+    stall_s = 0.05
+    while stall_s < duration_s:
+        end_s = stall_s + rng.uniform(0.02, 0.05)
+        inside = np.flatnonzero((due >= stall_s) & (due < end_s))
+        t[inside[:1]] = end_s
+        taken[inside[1:]] = False
+        stall_s = end_s + rng.exponential(0.2 if stall_s < 2.0 else 1.0)
+    t = np.maximum.accumulate(t[taken])
+    return t[np.diff(t, prepend=-1.0) > 0.0]
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 50.0, 20.0])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_polls_that_are_held_up_are_no_other_rate(rate_hz, seed):
+    """And the time axis stays: what is predicted for a moment is what the wave is then."""
+    t = busy(rate_hz, 40.0, seed)
+    assert np.diff(t).max() > 1.9 / rate_hz or rate_hz == 20.0
+    paced = PacedPredictor(1)
+    predicted = predict(paced, t, np.sin(TURN * t / 8)[:, None])[:, 2, 0]
+    assert paced.restarts == 0
+    known = t > 2.2
+    error = (predicted - np.sin(TURN * (t + 0.15) / 8))[known]
+    assert np.isfinite(error).all()
+    assert np.sqrt(np.mean(error**2)) < 0.01 * np.sqrt(0.5)  # of the wave; half a millisecond would be 0.0004
+
+
+@pytest.mark.parametrize(("before_hz", "after_hz"), [(20.0, 10.0), (10.0, 20.0), (100.0, 50.0), (50.0, 100.0)])
+def test_another_rate_is_noticed_among_held_up_polls(before_hz, after_hz):
+    t = np.concatenate([busy(before_hz, 20.0, 3), 20.1 + busy(after_hz, 20.0, 4)])
+    paced = PacedPredictor(1)
+    predicted, noticed_s = [], []
+    for moment in t.tolist():
+        predicted.append(paced.step(moment, [np.sin(TURN * moment / 8)])[2, 0])
+        if paced.restarts > len(noticed_s):
+            noticed_s.append(moment)
+    assert len(noticed_s) == 1
+    assert 20.0 < noticed_s[0] < 23.5
+    late = t > noticed_s[0] + 3.0
+    error = np.array(predicted)[late] - np.sin(TURN * (t[late] + 0.15) / 8)
+    assert np.isfinite(error).all()
+    assert np.sqrt(np.mean(error**2)) < 0.01 * np.sqrt(0.5)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_usual_interval_among_held_up_and_lost_polls(seed):
+    """Never off by half of what would be another rate, and hardly ever by more than the loop of the blocks follows."""
+    t = busy(100.0, 30.0, seed)
+    found = np.array([usual_interval(t[begin : begin + 76]) for begin in range(0, len(t) - 80, 40)])
+    assert np.median(np.abs(found - 0.01)) < 0.01 * 0.01
+    assert np.max(np.abs(found - 0.01)) < 0.1 * 0.01
+    t = (np.arange(3000) / 100.0)[np.random.default_rng(seed).random(3000) > 0.2]
+    for begin in range(0, len(t) - 80, 40):
+        assert usual_interval(t[begin : begin + 76]) == pytest.approx(0.01, rel=1e-9), begin
 
 
 @pytest.mark.parametrize("value", [nan, inf, 0.0, 1e6])
