@@ -11,6 +11,7 @@ Beside it, and never in it, the stages for the hull's deformation (second IMU) a
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from math import nan
 from typing import Final
 
@@ -172,7 +173,7 @@ class Pipeline:
         """A frame for a moment without a sample: extrapolated, nothing is advanced."""
         return self._frame(t_s, self._rock.at(t_s))
 
-    def _frame(self, t_s: float, rock: tuple[RockPrediction, ...]) -> MotionFrame:
+    def _frame(self, t_s: float, rock: Sequence[RockPrediction]) -> MotionFrame:
         quiet = self._quiet.at(t_s) if self._quiet is not None else None
         return self._framer.frame(t_s, rock, quiet, self._check.doubts if self._check is not None else ())
 
