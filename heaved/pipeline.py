@@ -161,8 +161,8 @@ class Pipeline:
         self.stages.take(sample)
         frame = self._frame(t, predicted)
         if self._check is not None:
-            forecast_m = frame.forecast[self._checked].heave_m if frame.forecast else nan
-            self._check.step(t, frame.observer_m, forecast_m)
+            is_taken = self._check.is_due(t) and bool(frame.forecast)
+            self._check.step(t, frame.observer_m, frame.forecast[self._checked].heave_m if is_taken else nan)
         if self._quiet is not None:
             angles = (sample.roll_rad, sample.pitch_rad) if good else (nan, nan)
             self._quiet.step(t, *angles, frame.heave_m, predicted, frame.forecast)

@@ -36,6 +36,7 @@ from heaved.training.process import BlockingTrainer
 
 Array = NDArray[np.float64]
 
+_TEXTS: Final = {state: state.value for state in HeaveState}
 _DEGREES: Final = 180.0 / pi
 _ATTITUDE: Final = (("z", "m"), ("z_rate", "mps"), ("pitch", "deg"), ("pitch_rate", "degps"))
 DELAYED: Final = "~"
@@ -137,7 +138,7 @@ class Columns:
             parts.append(np.array([_attitude_numbers(frame) for frame in frames]))
         ahead = lines(np.concatenate(parts, axis=1))
         return [
-            (frame.t_s, f"{frame.t_s:.6f},{first},{frame.quality.heave.value},{DELAYED},{later}\n", frame.delayed)
+            (frame.t_s, f"{frame.t_s:.6f},{first},{_TEXTS[frame.quality.heave]},{DELAYED},{later}\n", frame.delayed)
             for frame, first, later in zip(frames, now, ahead, strict=True)
         ]
 

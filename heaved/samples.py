@@ -98,6 +98,8 @@ class HeaveState(Enum):
     DEGRADED = "degraded"
     INVALID = "invalid"
 
+    __hash__ = object.__hash__  # Members are compared by identity; Enum's own hash is that of the name, in Python.
+
 
 class LaserState(Enum):
     """VALID: fresh and plausible; STALE: configured, but nothing fresh; OFF: none configured."""
