@@ -18,8 +18,8 @@ class Beat:
 
     def __init__(self, period_s: float = nan) -> None:
         """``period_s``: the usual interval, where it is known from before."""
-        self.period_s = period_s
-        self._count = 0
+        self._count = self._size = 0
+        self._set(period_s)
         self._t = self._a = self._first_s = self._last_s = 0.0
         self._previous_s = nan
         self._intervals: list[float] = []
@@ -28,31 +28,31 @@ class Beat:
         """The beat that this sample completes, or None."""
         interval = t_s - self._previous_s
         self._previous_s = t_s
-        done = None
         if isfinite(interval):
-            was_known = isfinite(self.period_s)
+            was_known = self._size > 0
             self._learn(interval)
-            if interval > 2.5 * self.period_s or isfinite(self.period_s) != was_known:
+            if interval > 2.5 * self.period_s or (self._size > 0) != was_known:
                 self._count = 0  # What was begun before a gap, or before the interval was known, is no beat.
         if self._count == 0:
             self._first_s, self._t, self._a = t_s, 0.0, 0.0
         self._count += 1
         self._t += t_s - self._first_s
         self._a += a_mps2
-        if isfinite(self.period_s) and self._count >= self.size:
-            done = self._first_s + self._t / self._count, self._a / self._count
-            self._count = 0
+        if not 0 < self._size <= self._count:
+            return None
+        done = self._first_s + self._t / self._count, self._a / self._count
+        self._count = 0
         return done
 
     def _learn(self, interval_s: float) -> None:
         """The usual interval: a median, because a machine that was held up gives a long one and several short ones."""
         self._intervals.append(interval_s)
-        wanted = BEAT_INTERVALS if isfinite(self.period_s) else BEAT_FIRST_INTERVALS
+        wanted = BEAT_INTERVALS if self._size else BEAT_FIRST_INTERVALS
         if len(self._intervals) >= wanted:
-            self.period_s = sorted(self._intervals)[wanted // 2]
+            self._set(sorted(self._intervals)[wanted // 2])
             self._intervals.clear()
 
-    @property
-    def size(self) -> int:
-        """Samples in a beat."""
-        return max(1, int(BEAT_S / self.period_s + 0.25))
+    def _set(self, period_s: float) -> None:
+        self.period_s = period_s
+        self._size = max(1, int(BEAT_S / period_s + 0.25)) if isfinite(period_s) else 0
+        """Samples in a beat; 0: not known yet."""

@@ -29,8 +29,9 @@ def angle_rates(sample: ImuSample) -> tuple[float, float, float]:
     roll, pitch = sample.roll_rad, sample.pitch_rad
     if not (isfinite(roll) and isfinite(pitch) and abs(pitch) < 1.5):
         return nan, nan, nan
-    across = sample.gy_radps * sin(roll) + sample.gz_radps * cos(roll)
-    along = sample.gy_radps * cos(roll) - sample.gz_radps * sin(roll)
+    s, c = sin(roll), cos(roll)
+    across = sample.gy_radps * s + sample.gz_radps * c
+    along = sample.gy_radps * c - sample.gz_radps * s
     return sample.gx_radps - across * tan(pitch), -along, -across / cos(pitch)
 
 
@@ -61,7 +62,8 @@ class DirectRockPredictor:
         """Take one sample (nan: not known) and predict from it, one record per horizon, shortest first."""
         predictor = self.predictor
         values = predictor.step(t_s, [roll_rad, pitch_rad, self._unwrapped(yaw_rad)], rates_radps)
-        return self._predictions(values, predictor.std, predictor.half_width)
+        yaw_from_rad = self._yaw_reference_rad
+        return RockPredictions(self.horizons_s, values, yaw_from_rad, predictor.std, predictor.half_width)
 
     def at(self, t_s: float) -> RockPredictions:
         """Predictions as seen from a moment without a sample, with the deviations of horizons that much longer."""
@@ -72,10 +74,7 @@ class DirectRockPredictor:
             np.stack([np.interp(later, horizons, column) for column in columns.T], axis=1)
             for columns in (predictor.std, predictor.half_width)
         )
-        return self._predictions(predictor.at(t_s), std, half_width)
-
-    def _predictions(self, values: Array, std: Array, half_width: Array) -> RockPredictions:
-        return RockPredictions(self.horizons_s, values, self._yaw_reference_rad, std, half_width)
+        return RockPredictions(self.horizons_s, predictor.at(t_s), self._yaw_reference_rad, std, half_width)
 
     def _unwrapped(self, yaw_rad: float) -> float:
         """Yaw relative to the first reading, without jumps."""
