@@ -13,7 +13,7 @@ from array import array
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from itertools import islice
+from itertools import chain, islice
 from math import inf, isnan, nan, pi
 from operator import attrgetter
 from pathlib import Path
@@ -130,7 +130,7 @@ class Columns:
         frames = list(frames)
         if not frames:
             return []
-        now = lines(np.array([_OF_FRAME(frame) for frame in frames]))
+        now = lines(np.frombuffer(array("d", chain.from_iterable(map(_OF_FRAME, frames)))).reshape(len(frames), -1))
         parts = [_forecast_numbers(frames, self._forecasts), _rock_numbers(frames, self._rocks)]
         if self._hull:
             parts.append(np.array([_hull_numbers(frame) for frame in frames]))
@@ -157,8 +157,9 @@ def _rock_numbers(frames: Sequence[MotionFrame], horizons_s: tuple[float, ...]) 
     """(n, 6 H): angle and its standard deviation in degrees, axis by axis and there horizon by horizon."""
     rocks = [RockPredictions.of(frame.rock, horizons_s) for frame in frames]
     numbers = np.empty((len(rocks), 3, len(horizons_s), 2))
-    angles, numbers[..., 1] = numbers[..., 0], np.array([rock.stds_rad for rock in rocks]).transpose(0, 2, 1)
-    angles[:] = np.array([rock.angles_rad for rock in rocks]).transpose(0, 2, 1)
+    angles, stds, shape = numbers[..., 0], numbers[..., 1], (len(rocks), len(horizons_s), 3)
+    angles[:] = np.concatenate([rock.angles_rad for rock in rocks]).reshape(shape).transpose(0, 2, 1)
+    stds[:] = np.concatenate([rock.stds_rad for rock in rocks]).reshape(shape).transpose(0, 2, 1)
     angles[:, 2] = turned(angles[:, 2] + np.array([[rock.yaw_from_rad] for rock in rocks]))
     return numbers.reshape(len(rocks), -1) * _DEGREES
 
