@@ -67,8 +67,8 @@ class HeaveForecasts(_Predictions[HeaveForecast]):
         self.horizons_s, self.heaves_m, self.stds_m = horizons_s, heaves_m, stds_m
 
     def __iter__(self) -> Iterator[HeaveForecast]:
-        for h, heave_m, std_m in zip(self.horizons_s, self.heaves_m, self.stds_m, strict=True):
-            yield HeaveForecast(horizon_s=h, heave_m=heave_m, std_m=std_m)
+        columns = zip(self.horizons_s, self.heaves_m, self.stds_m, strict=True)
+        return iter([HeaveForecast(horizon_s=h, heave_m=heave_m, std_m=std_m) for h, heave_m, std_m in columns])
 
     @classmethod
     def of(cls, found: Sequence[HeaveForecast], horizons_s: tuple[float, ...]) -> Self:
@@ -98,19 +98,26 @@ class RockPredictions(_Predictions[RockPrediction]):
 
     def __iter__(self) -> Iterator[RockPrediction]:
         columns = self.angles_rad.tolist(), self.stds_rad.tolist(), self.intervals_rad.tolist()
-        for h, (roll, pitch, yaw), std, interval in zip(self.horizons_s, *columns, strict=True):
-            yield RockPrediction(
+        records = [
+            RockPrediction(
                 horizon_s=h,
                 roll_rad=roll,
                 pitch_rad=pitch,
                 yaw_rad=turned(yaw + self.yaw_from_rad),
-                roll_std_rad=std[0],
-                pitch_std_rad=std[1],
-                yaw_std_rad=std[2],
-                roll_interval_rad=interval[0],
-                pitch_interval_rad=interval[1],
-                yaw_interval_rad=interval[2],
+                roll_std_rad=roll_std,
+                pitch_std_rad=pitch_std,
+                yaw_std_rad=yaw_std,
+                roll_interval_rad=roll_interval,
+                pitch_interval_rad=pitch_interval,
+                yaw_interval_rad=yaw_interval,
             )
+            for h, (roll, pitch, yaw), (roll_std, pitch_std, yaw_std), (
+                roll_interval,
+                pitch_interval,
+                yaw_interval,
+            ) in zip(self.horizons_s, *columns, strict=True)
+        ]
+        return iter(records)
 
     @classmethod
     def unknown(cls, horizons_s: tuple[float, ...]) -> Self:

@@ -106,7 +106,7 @@ class Outlook:
 
     def stds_at(self, P: Array, taus_s: Sequence[float]) -> list[float]:
         """The same at some moments only, linear between those of the grid."""
-        places = self.places(taus_s)
+        places = self._places(taus_s)
         stds = self._stds(P, np.array([(i, i + 1) for i, _ in places]).ravel()).tolist()
         return [
             (1.0 - share) * low + share * high
@@ -118,8 +118,12 @@ class Outlook:
         variances = np.einsum("ji,ji->j", rows @ P, rows) + self._added[which]
         return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
 
-    def places(self, taus_s: Sequence[float]) -> list[tuple[int, float]]:
-        """Where they are among :meth:`stds`, within its ends: the one before, and how far it is from there."""
+    def between(self, values: Sequence[float], taus_s: Sequence[float]) -> list[float]:
+        """``values`` of the whole grid, such as :meth:`stds`, at any moments: linear; the ends hold beyond them."""
+        return [(1.0 - share) * values[i] + share * values[i + 1] for i, share in self._places(taus_s)]
+
+    def _places(self, taus_s: Sequence[float]) -> list[tuple[int, float]]:
+        """Moments on the grid, within its ends: the place before each, and the share of the step from there."""
         first_s, last, before_last = self._first_s, len(self._rows) - 1.0, len(self._rows) - 2
         found = []
         for tau in taus_s:

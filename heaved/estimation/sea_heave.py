@@ -148,8 +148,7 @@ class SeaHeave:
         beat_s, scale = self.filter.t_s, self.scale
         taus = [shift + t_s - beat_s - learned_s for shift in shifts_s]
         if self.filter.is_steady:
-            stds = self._steady_stds
-            return [((1.0 - share) * stds[i] + share * stds[i + 1]) * scale for i, share in self._outlook.places(taus)]
+            return [std * scale for std in self._outlook.between(self._steady_stds, taus)]
         return [std * scale for std in self._outlook.stds_at(self.filter.covariance, taus)]
 
     @property
