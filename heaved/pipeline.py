@@ -11,6 +11,7 @@ Beside it, and never in it, the stages for the hull's deformation (second IMU) a
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from math import nan
 from typing import Final
 
@@ -160,8 +161,8 @@ class Pipeline:
         self.stages.take(sample)
         frame = self._frame(t, predicted)
         if self._check is not None:
-            forecast_m = frame.forecast[self._checked].heave_m if frame.forecast else nan
-            self._check.step(t, frame.observer_m, forecast_m)
+            is_taken = self._check.is_due(t) and bool(frame.forecast)
+            self._check.step(t, frame.observer_m, frame.forecast[self._checked].heave_m if is_taken else nan)
         if self._quiet is not None:
             angles = (sample.roll_rad, sample.pitch_rad) if good else (nan, nan)
             self._quiet.step(t, *angles, frame.heave_m, predicted, frame.forecast)
@@ -172,7 +173,7 @@ class Pipeline:
         """A frame for a moment without a sample: extrapolated, nothing is advanced."""
         return self._frame(t_s, self._rock.at(t_s))
 
-    def _frame(self, t_s: float, rock: tuple[RockPrediction, ...]) -> MotionFrame:
+    def _frame(self, t_s: float, rock: Sequence[RockPrediction]) -> MotionFrame:
         quiet = self._quiet.at(t_s) if self._quiet is not None else None
         return self._framer.frame(t_s, rock, quiet, self._check.doubts if self._check is not None else ())
 

@@ -13,14 +13,15 @@ from array import array
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from itertools import islice
+from itertools import chain, islice
 from math import inf, isnan, nan, pi
 from operator import attrgetter
 from pathlib import Path
-from typing import Final, TextIO, TypeVar
+from typing import Final, TextIO
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from heaved.config import Config
 from heaved.decimals import cell, lines
@@ -29,9 +30,13 @@ from heaved.estimation.rock import STANDARD_HORIZONS_S
 from heaved.estimation.sea_window import look
 from heaved.estimation.stages import Stages
 from heaved.pipeline import Pipeline
-from heaved.samples import DelayedHeave, HeaveForecast, HeaveState, MotionFrame, RockPrediction
+from heaved.predictions import HeaveForecasts, RockPredictions, turned
+from heaved.samples import DelayedHeave, HeaveState, MotionFrame
 from heaved.training.process import BlockingTrainer
 
+Array = NDArray[np.float64]
+
+_TEXTS: Final = {state: state.value for state in HeaveState}
 _DEGREES: Final = 180.0 / pi
 _ATTITUDE: Final = (("z", "m"), ("z_rate", "mps"), ("pitch", "deg"), ("pitch_rate", "degps"))
 DELAYED: Final = "~"
@@ -89,8 +94,6 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
 _OF_FRAME: Final = attrgetter(
     "heave_m", "heave_std_m", "heave_velocity_mps", "observer_m", "correction_m", "lead_s"
 )  # fmt: skip
-_OF_FORECAST: Final = attrgetter("heave_m", "std_m")
-_OF_ROCK: Final = attrgetter("roll_rad", "roll_std_rad", "pitch_rad", "pitch_std_rad", "yaw_rad", "yaw_std_rad")
 
 
 class Columns:
@@ -113,14 +116,6 @@ class Columns:
         attitude = [f"attitude_{what}_{unit}" for quantity, unit in _ATTITUDE for what in (quantity, f"{quantity}_std")]
         staged = (hull if self._hull else []) + (attitude if self._attitude else [])
         self.names = ("t_s", *heave, "quality", "delayed_heave_m", *forecasts, *rocks, *staged)
-        # Predictions are read horizon by horizon and written axis by axis.
-        self._now = len(heave)
-        first = len(heave) + len(forecasts)
-        places = first + np.arange(len(rocks)).reshape(len(self._rocks), 3, 2).transpose(1, 0, 2).ravel()
-        self._place = np.arange(first + len(rocks) + len(staged))
-        self._place[first : first + len(rocks)] = places
-        self._unit = np.ones(len(self._place))
-        self._unit[first : first + len(rocks)] = _DEGREES
 
     def header(self) -> str:
         return ",".join(self.names) + "\n"
@@ -132,39 +127,41 @@ class Columns:
     def rows(self, frames: Iterable[MotionFrame]) -> list[tuple[float, str, DelayedHeave | None]]:
         """For each of ``frames`` its time, its line but for the delayed heave of that time, whose place is held by
         DELAYED, and the delayed heave that is newest by then. What is not known is blank, never zero."""
-        flat, rest = array("d"), []
-        for frame in frames:
-            flat.extend(self._numbers(frame))
-            rest.append((frame.t_s, frame.quality.heave.value, frame.delayed))
-        numbers = np.frombuffer(flat).reshape(-1, len(self._place))[:, self._place] * self._unit
-        now, ahead = lines(numbers[:, : self._now]), lines(numbers[:, self._now :])
+        frames = list(frames)
+        if not frames:
+            return []
+        now = lines(np.frombuffer(array("d", chain.from_iterable(map(_OF_FRAME, frames)))).reshape(len(frames), -1))
+        parts = [_forecast_numbers(frames, self._forecasts), _rock_numbers(frames, self._rocks)]
+        if self._hull:
+            parts.append(np.array([_hull_numbers(frame) for frame in frames]))
+        if self._attitude:
+            parts.append(np.array([_attitude_numbers(frame) for frame in frames]))
+        ahead = lines(np.concatenate(parts, axis=1))
         return [
-            (t_s, f"{t_s:.6f},{first},{state},{DELAYED},{later}\n", delayed)
-            for (t_s, state, delayed), first, later in zip(rest, now, ahead, strict=True)
+            (frame.t_s, f"{frame.t_s:.6f},{first},{_TEXTS[frame.quality.heave]},{DELAYED},{later}\n", frame.delayed)
+            for frame, first, later in zip(frames, now, ahead, strict=True)
         ]
 
-    def _numbers(self, frame: MotionFrame) -> list[float]:
-        numbers = [*_OF_FRAME(frame)]
-        for forecast in _by_horizon(frame.forecast, self._forecasts, _NO_FORECAST):
-            numbers += _OF_FORECAST(forecast)
-        for rock in _by_horizon(frame.rock, self._rocks, _NO_ROCK):
-            numbers += _OF_ROCK(rock)
-        if self._hull:
-            numbers += _hull_numbers(frame)
-        if self._attitude:
-            numbers += _attitude_numbers(frame)
-        return numbers
+
+def _forecast_numbers(frames: Sequence[MotionFrame], horizons_s: tuple[float, ...]) -> Array:
+    """(n, 2 H): heave and its standard deviation, horizon by horizon."""
+    forecasts = [HeaveForecasts.of(frame.forecast, horizons_s) for frame in frames]
+    flat = array("d")
+    for forecast in forecasts:
+        flat.extend(forecast.heaves_m)
+        flat.extend(forecast.stds_m)
+    return np.frombuffer(flat).reshape(len(frames), 2, -1).transpose(0, 2, 1).reshape(len(frames), -1)
 
 
-Predicted = TypeVar("Predicted", HeaveForecast, RockPrediction)
-
-
-def _by_horizon(found: tuple[Predicted, ...], horizons_s: tuple[float, ...], unknown: Predicted) -> Sequence[Predicted]:
-    """One for each of the horizons; mostly they are just these."""
-    if tuple([one.horizon_s for one in found]) == horizons_s:
-        return found
-    by_horizon = {one.horizon_s: one for one in found}
-    return [by_horizon.get(h, unknown) for h in horizons_s]
+def _rock_numbers(frames: Sequence[MotionFrame], horizons_s: tuple[float, ...]) -> Array:
+    """(n, 6 H): angle and its standard deviation in degrees, axis by axis and there horizon by horizon."""
+    rocks = [RockPredictions.of(frame.rock, horizons_s) for frame in frames]
+    numbers = np.empty((len(rocks), 3, len(horizons_s), 2))
+    angles, stds, shape = numbers[..., 0], numbers[..., 1], (len(rocks), len(horizons_s), 3)
+    angles[:] = np.concatenate([rock.angles_rad for rock in rocks]).reshape(shape).transpose(0, 2, 1)
+    stds[:] = np.concatenate([rock.stds_rad for rock in rocks]).reshape(shape).transpose(0, 2, 1)
+    angles[:, 2] = turned(angles[:, 2] + np.array([[rock.yaw_from_rad] for rock in rocks]))
+    return numbers.reshape(len(rocks), -1) * _DEGREES
 
 
 def _hull_numbers(frame: MotionFrame) -> list[float]:
@@ -223,10 +220,6 @@ def _between(before: DelayedHeave | None, after: DelayedHeave, t_s: float) -> fl
         return nan
     share = (t_s - before.t_s) / (after.t_s - before.t_s)
     return before.heave_m + share * (after.heave_m - before.heave_m)
-
-
-_NO_FORECAST: Final = HeaveForecast(horizon_s=nan)
-_NO_ROCK: Final = RockPrediction(horizon_s=nan)
 
 
 def replay(

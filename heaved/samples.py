@@ -13,6 +13,7 @@ The one place where units, frames and signs are defined:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import Enum
 from math import nan
 
@@ -96,6 +97,8 @@ class HeaveState(Enum):
     VALID = "valid"
     DEGRADED = "degraded"
     INVALID = "invalid"
+
+    __hash__ = object.__hash__  # Members are compared by identity; Enum's own hash is that of the name, in Python.
 
 
 class LaserState(Enum):
@@ -294,10 +297,11 @@ class MotionFrame(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     pitch_rad: float = nan
     yaw_rad: float = nan
     points: tuple[PointMotion, ...] = ()
-    rock: tuple[RockPrediction, ...] = ()
+    rock: Sequence[RockPrediction] = ()
+    """One per horizon, shortest first; from the pipeline as columns (:mod:`heaved.predictions`), like the next ones."""
     quiet: QuietForecast | None = None
     """None: it is not asked for. Renewed once a second."""
-    forecast: tuple[HeaveForecast, ...] = ()
+    forecast: Sequence[HeaveForecast] = ()
     compensation_lead_s: float = 0.0
     """Heave, velocity, their standard deviation and the points are for this long after ``t_s``."""
     delayed: DelayedHeave | None = None

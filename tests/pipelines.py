@@ -99,7 +99,7 @@ def numbers(frame: MotionFrame) -> Iterator[float]:
             for part in value:
                 yield from walk(part)
 
-    yield from walk(msgspec.to_builtins(frame))
+    yield from walk(msgspec.to_builtins(frame, enc_hook=list))
 
 
 def imu_only(samples: Iterable[Sample]) -> list[ImuSample]:

@@ -58,7 +58,7 @@ def at_61_s(short: Recording) -> tuple[Pipeline, list[Sample]]:
 
 
 def bytes_of(frames: list[MotionFrame]) -> bytes:
-    return msgspec.json.encode(frames)
+    return msgspec.json.encode(frames, enc_hook=list)
 
 
 def changed(sample: Sample, **values: object) -> Sample:
@@ -654,4 +654,7 @@ def test_importing_it_brings_in_nothing_that_talks_to_the_world() -> None:
     forbidden = {"torch", "pymodbus", "serial", "aiohttp", "prometheus_client", "structlog", "typer", "asyncio"}
     assert not forbidden & set(loaded)
     inside = [name for name in loaded if name.startswith("heaved.")]
-    assert all(name.startswith(("heaved.estimation", "heaved.pipeline", "heaved.samples")) for name in inside)
+    assert all(
+        name.startswith(("heaved.estimation", "heaved.pipeline", "heaved.predictions", "heaved.samples"))
+        for name in inside
+    )

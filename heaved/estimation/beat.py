@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import isfinite, nan
+from math import inf, isfinite, nan
 from typing import Final
 
 BEAT_S: Final = 0.05
@@ -20,9 +20,9 @@ class Beat:
 
     def __init__(self, period_s: float = nan) -> None:
         """``period_s``: the usual interval, where it is known from before."""
-        self.period_s = period_s
         self._count = 0
-        self._t = self._a = self._first_s = self._last_s = 0.0
+        self._set(period_s)
+        self._t = self._a = self._first_s = 0.0
         self._previous_s = nan
         self._intervals: list[float] = []
 
@@ -30,20 +30,21 @@ class Beat:
         """The beat that this sample completes, or None."""
         interval = t_s - self._previous_s
         self._previous_s = t_s
-        done = None
         if isfinite(interval):
-            was_known = isfinite(self.period_s)
+            was_whole_s = self._whole_s
             self._learn(interval)
-            if interval > max(2.5 * self.period_s, BREAK_S) or isfinite(self.period_s) != was_known:
+            if interval > self._break_s or was_whole_s == inf != self._whole_s:
                 self._count = 0  # What was begun before a gap, or before the interval was known, is no beat.
         if self._count == 0:
             self._first_s, self._t, self._a = t_s, 0.0, 0.0
+        since_s = t_s - self._first_s
         self._count += 1
-        self._t += t_s - self._first_s
+        self._t += since_s
         self._a += a_mps2
-        if isfinite(self.period_s) and t_s - self._first_s >= (self.size - 1.5) * self.period_s:
-            done = self._first_s + self._t / self._count, self._a / self._count
-            self._count = 0
+        if since_s < self._whole_s:
+            return None
+        done = self._first_s + self._t / self._count, self._a / self._count
+        self._count = 0
         return done
 
     def _learn(self, interval_s: float) -> None:
@@ -51,10 +52,14 @@ class Beat:
         self._intervals.append(interval_s)
         wanted = BEAT_INTERVALS if isfinite(self.period_s) else BEAT_FIRST_INTERVALS
         if len(self._intervals) >= wanted:
-            self.period_s = sorted(self._intervals)[wanted // 2]
+            self._set(sorted(self._intervals)[wanted // 2])
             self._intervals.clear()
 
-    @property
-    def size(self) -> int:
-        """Samples in a beat."""
-        return max(1, int(BEAT_S / self.period_s + 0.25))
+    def _set(self, period_s: float) -> None:
+        """From its first sample on, a beat is whole after ``_whole_s``, and broken by a gap of ``_break_s``."""
+        self.period_s = period_s
+        if isfinite(period_s):
+            self._whole_s = (max(1, int(BEAT_S / period_s + 0.25)) - 1.5) * period_s
+            self._break_s = max(2.5 * period_s, BREAK_S)
+        else:
+            self._whole_s, self._break_s = inf, inf

@@ -23,7 +23,8 @@ from heaved.estimation.laser import LaserTeacher
 from heaved.estimation.reference import Params as LaserParams
 from heaved.estimation.sea import SeaObserver
 from heaved.estimation.spikes import SpikeGate, StuckGate
-from heaved.samples import DelayedHeave, HeaveForecast
+from heaved.predictions import HeaveForecasts
+from heaved.samples import DelayedHeave
 
 DELAYED_OVERCONFIDENCE: Final = 1.5
 """Published over modelled standard deviation of the delayed heave: the fitted spectrum is an estimate, and the smoothed
@@ -40,7 +41,7 @@ class Heave(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     observer_m: float
     correction_m: float
     lead_s: float
-    forecast: tuple[HeaveForecast, ...]
+    forecast: HeaveForecasts
 
 
 class HeaveChain:
@@ -125,6 +126,8 @@ class HeaveChain:
         gain = taught.gain
         motion = observer.at(moment_s, taught.learned_s)
         heaves, stds = observer.forecast(shift_s, taught.learned_s, max(scale, 1.0))
+        if gain != 1.0:
+            heaves, stds = [gain * heave_m for heave_m in heaves], [gain * std_m for std_m in stds]
         observer_m, correction_m = gain * motion.heave_m, self.correction.value_m
         return Heave(
             heave_m=observer_m + correction_m,
@@ -134,11 +137,8 @@ class HeaveChain:
             observer_m=observer_m,
             correction_m=correction_m,
             lead_s=observer.design_lead_s + taught.learned_s,
-            forecast=tuple([
-                HeaveForecast(horizon_s=h, heave_m=gain * heave_m, std_m=gain * std_m)
-                for h, heave_m, std_m in zip(self._params.forecast_horizons_s, heaves, stds, strict=True)
-            ]),
-        )  # fmt: skip
+            forecast=HeaveForecasts(self._params.forecast_horizons_s, heaves, stds),
+        )
 
     def delayed(self) -> DelayedHeave | None:
         """The newest delayed heave, with what the laser has taught: the sensor's lag and its scale."""

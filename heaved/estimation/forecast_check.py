@@ -51,12 +51,17 @@ class ForecastCheck:
         """When the next of them can be judged."""
         self._worse_since_s = nan
 
+    def is_due(self, t_s: float) -> bool:
+        """Whether the forecast of a frame at ``t_s`` is taken."""
+        return not 0.0 <= t_s - self._fed_s < 0.98 * FEED_S
+
     def step(self, t_s: float, heave_m: float, forecast_m: float) -> None:
-        """``heave_m``: the observer's now; ``forecast_m``: its forecast for ``horizon_s`` later (nan: not known)."""
+        """``heave_m``: the observer's now; ``forecast_m``: its forecast for ``horizon_s`` later (nan: not known); of no
+        consequence unless it :meth:`is_due`."""
         if t_s >= self._due_s:
             self._judge(t_s, heave_m)
         self._last = (t_s, heave_m)
-        if 0.0 <= t_s - self._fed_s < 0.98 * FEED_S:
+        if not self.is_due(t_s):
             return
         self._fed_s = t_s
         plain_m = float(self._regression.step(t_s, (heave_m,))[0, 0])

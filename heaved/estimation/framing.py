@@ -5,6 +5,7 @@ Nothing is advanced here: a moment without a sample is framed like any other, fr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import nan
 from typing import Final
 
@@ -15,6 +16,7 @@ from heaved.estimation.points import Attitude, Point
 from heaved.estimation.quality import COAST_S, Facts, judge
 from heaved.estimation.rock import STANDARD_HORIZONS_S
 from heaved.estimation.stages import Stages
+from heaved.predictions import HeaveForecasts
 from heaved.samples import (
     CorrectionState,
     LaserState,
@@ -33,7 +35,7 @@ NOTHING: Final = Heave(
     observer_m=nan,
     correction_m=nan,
     lead_s=nan,
-    forecast=(),
+    forecast=HeaveForecasts((), (), ()),
 )
 """While nothing is known of the heave."""
 
@@ -61,7 +63,7 @@ class Framer:
     def frame(
         self,
         t_s: float,
-        rock: tuple[RockPrediction, ...],
+        rock: Sequence[RockPrediction],
         quiet: QuietForecast | None,
         doubts: tuple[str, ...],
     ) -> MotionFrame:
@@ -106,10 +108,11 @@ class Framer:
         )
 
     def _point_motions(
-        self, heave: Heave, roll_rad: float, pitch_rad: float, rock: tuple[RockPrediction, ...]
+        self, heave: Heave, roll_rad: float, pitch_rad: float, rock: Sequence[RockPrediction]
     ) -> tuple[PointMotion, ...]:
         """Each point, for the moment that the heave is for: the attitude moves on with its present rates."""
-        soon, later = (rock[i] for i in self._rate_between)
+        predictions = tuple(rock)
+        soon, later = (predictions[i] for i in self._rate_between)
         apart_s = later.horizon_s - soon.horizon_s
         roll_rate = (later.roll_rad - soon.roll_rad) / apart_s
         pitch_rate = (later.pitch_rad - soon.pitch_rad) / apart_s

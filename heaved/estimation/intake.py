@@ -102,13 +102,16 @@ class Intake:
         """The usual interval of good samples, and the share of those that are missing."""
         if not isfinite(interval_s):
             return
-        step = min(interval_s, COAST_S)
-        if not isfinite(self.period_s) or step < 0.5 * self.period_s:
-            self.period_s = step
+        # Without min and max: this is done for every sample, and calls are most of it.
+        step = interval_s if interval_s < COAST_S else COAST_S
+        period_s = self.period_s
+        if not isfinite(period_s) or step < 0.5 * period_s:
+            period_s = step
         else:
             # What is lost must not become what is usual, but for a sensor that has become slower for good.
-            weight = 0.02 if step < 1.5 * self.period_s else 0.002
-            self.period_s += weight * (step - self.period_s)
-        lost = max(0.0, interval_s - 1.5 * min(step, self.period_s))
-        weight = min(1.0, interval_s / MISSING_MEMORY_S)
-        self.missing += weight * (lost / interval_s - self.missing)
+            period_s += (0.02 if step < 1.5 * period_s else 0.002) * (step - period_s)
+        self.period_s = period_s
+        lost = interval_s - 1.5 * (step if step < period_s else period_s)
+        weight = interval_s / MISSING_MEMORY_S
+        share = lost / interval_s if lost > 0.0 else 0.0
+        self.missing += (weight if weight < 1.0 else 1.0) * (share - self.missing)

@@ -106,20 +106,32 @@ class Outlook:
 
     def stds_at(self, P: Array, taus_s: Sequence[float]) -> list[float]:
         """The same at some moments only, linear between those of the grid."""
-        places = [self.index(tau) for tau in taus_s]
-        before = [min(int(place), len(self._rows) - 2) for place in places]
-        stds = self._stds(P, np.array([(i, i + 1) for i in before]).ravel()).tolist()
-        pairs = zip(stds[::2], stds[1::2], places, before, strict=True)
-        return [(1.0 - (place - i)) * low + (place - i) * high for low, high, place, i in pairs]
+        places = self._places(taus_s)
+        stds = self._stds(P, np.array([(i, i + 1) for i, _ in places]).ravel()).tolist()
+        return [
+            (1.0 - share) * low + share * high
+            for low, high, (_, share) in zip(stds[::2], stds[1::2], places, strict=True)
+        ]
 
     def _stds(self, P: Array, which: slice | NDArray[np.int64]) -> Array:
         rows = self._rows[which]
         variances = np.einsum("ji,ji->j", rows @ P, rows) + self._added[which]
         return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
 
-    def index(self, tau_s: float) -> float:
-        """Place of ``tau_s`` in :meth:`stds`, within its ends."""
-        return min(max((tau_s - self._first_s) / STEP_S, 0.0), len(self._rows) - 1.0)
+    def between(self, values: Sequence[float], taus_s: Sequence[float]) -> list[float]:
+        """``values`` of the whole grid, such as :meth:`stds`, at any moments: linear; the ends hold beyond them."""
+        return [(1.0 - share) * values[i] + share * values[i + 1] for i, share in self._places(taus_s)]
+
+    def _places(self, taus_s: Sequence[float]) -> list[tuple[int, float]]:
+        """Moments on the grid, within its ends: the place before each, and the share of the step from there."""
+        first_s, last, before_last = self._first_s, len(self._rows) - 1.0, len(self._rows) - 2
+        found = []
+        for tau in taus_s:
+            place = (tau - first_s) / STEP_S
+            place = 0.0 if place < 0.0 else place if place < last else last
+            i = int(place) if place < last else before_last
+            found.append((i, place - i))
+        return found
 
 
 def along(series: Sequence[float], d: float) -> Motion:
@@ -127,10 +139,3 @@ def along(series: Sequence[float], d: float) -> Motion:
     c0, c1, c2, c3, c4, c5 = series
     heave = ((((c5 * d + c4) * d + c3) * d + c2) * d + c1) * d + c0
     return Motion(heave, (((5.0 * c5 * d + 4.0 * c4) * d + 3.0 * c3) * d + 2.0 * c2) * d + c1)
-
-
-def at_index(values: Array | list[float], place: float) -> float:
-    """``values`` (n,) at a place between its elements, linear."""
-    i = min(int(place), len(values) - 2)
-    share = place - i
-    return float((1.0 - share) * values[i] + share * values[i + 1])

@@ -69,7 +69,7 @@ def judge(facts: Facts) -> tuple[HeaveState, tuple[str, ...]]:
         state = HeaveState.SETTLING
         reasons.insert(0, f"settling: {f.settled_s:.0f} s of {f.needed_s:.0f} s")
     degraded = []
-    if f.since_sample_s > max(MISSING_S, 2.0 * f.period_s if isfinite(f.period_s) else MISSING_S):
+    if f.since_sample_s > MISSING_S and not (isfinite(f.period_s) and f.since_sample_s <= 2.0 * f.period_s):
         what = f.imu_fault.value if f.imu_fault is not Fault.NONE else "samples missing"
         degraded.append(f"imu: {what}, extrapolated")
     if not f.tilt_removed:

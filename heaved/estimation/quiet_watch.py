@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import hypot, isfinite, nan
 from typing import Final
 
@@ -31,8 +32,8 @@ class QuietWatch:
         roll_rad: float,
         pitch_rad: float,
         heave_m: float,
-        rock: tuple[RockPrediction, ...],
-        forecast: tuple[HeaveForecast, ...],
+        rock: Sequence[RockPrediction],
+        forecast: Sequence[HeaveForecast],
     ) -> None:
         """Take the motion of the IMU at ``t_s`` (nan: not known), and what is predicted from there."""
         quiescence = self._quiescence
@@ -52,7 +53,7 @@ class QuietWatch:
             return heave_m
         return points.motion(self._point, heave_m, 0.0, Attitude(roll_rad, pitch_rad, 0.0, 0.0)).heave_m
 
-    def _ahead(self, rock: tuple[RockPrediction, ...], forecast: tuple[HeaveForecast, ...]) -> MotionForecast:
+    def _ahead(self, rock: Sequence[RockPrediction], forecast: Sequence[HeaveForecast]) -> MotionForecast:
         """For the horizons of both; heave at the point, errors of heave and attitude taken as independent."""
         heaves = {f"{f.horizon_s:g}": f for f in forecast}
         x, y = (self._point.forward_m, self._point.port_m) if self._point is not None else (0.0, 0.0)

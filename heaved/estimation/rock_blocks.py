@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import ceil, inf, isfinite, nan
+from operator import sub
 from typing import Final
 
 import msgspec
@@ -137,7 +138,7 @@ class Blocks:
         expected = self._expected[phase]
         if is_off := not -ON_TIME <= off <= ON_TIME:
             expected = [x + off * (x - y) for x, y in zip(expected, self._expected[phase - 1], strict=True)]
-        innovation = [value - curve for value, curve in zip(values, expected, strict=True)]
+        innovation = [*map(sub, values, expected)]
         self._values_in[phase - 1] = values
         self._e_in[phase - 1] = innovation
         if rates is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from math import cos, inf, isfinite, nan, pi, sin, tan
 from typing import Final
 
@@ -12,14 +13,12 @@ from numpy.typing import NDArray
 
 from heaved.estimation import rock, rock_direct
 from heaved.estimation.rock_paced import PacedPredictor
+from heaved.predictions import TURN, RockPredictions
 from heaved.samples import ImuSample, RockPrediction, RockScore
 
 Array = NDArray[np.float64]
 
 AXES: Final = ("roll", "pitch", "yaw")
-TURN: Final = 2.0 * pi
-Spread = tuple[list[list[float]], list[list[float]]]
-"""Standard deviations and half-widths of the intervals, rad, by horizon and axis."""
 
 
 def angle_rates(sample: ImuSample) -> tuple[float, float, float]:
@@ -30,8 +29,9 @@ def angle_rates(sample: ImuSample) -> tuple[float, float, float]:
     roll, pitch = sample.roll_rad, sample.pitch_rad
     if not (isfinite(roll) and isfinite(pitch) and abs(pitch) < 1.5):
         return nan, nan, nan
-    across = sample.gy_radps * sin(roll) + sample.gz_radps * cos(roll)
-    along = sample.gy_radps * cos(roll) - sample.gz_radps * sin(roll)
+    s, c = sin(roll), cos(roll)
+    across = sample.gy_radps * s + sample.gz_radps * c
+    along = sample.gy_radps * c - sample.gz_radps * s
     return sample.gx_radps - across * tan(pitch), -along, -across / cos(pitch)
 
 
@@ -44,8 +44,6 @@ class DirectRockPredictor:
         self.horizons_s = self.predictor.horizons_s
         self._yaw_reference_rad = nan
         self._yaw_rad = 0.0
-        self._half_width: Array = np.empty(0)
-        self._spread: Spread = ([], [])
 
     def reset(self) -> None:
         """Forget everything."""
@@ -60,46 +58,23 @@ class DirectRockPredictor:
         pitch_rad: float,
         yaw_rad: float,
         rates_radps: tuple[float, float, float] | None = None,
-    ) -> tuple[RockPrediction, ...]:
+    ) -> RockPredictions:
         """Take one sample (nan: not known) and predict from it, one record per horizon, shortest first."""
         predictor = self.predictor
         values = predictor.step(t_s, [roll_rad, pitch_rad, self._unwrapped(yaw_rad)], rates_radps)
-        if predictor.half_width is not self._half_width:  # a new one when there is something new in it
-            self._half_width = predictor.half_width
-            self._spread = (predictor.std.tolist(), predictor.half_width.tolist())
-        return self._records(values, self._spread)
+        yaw_from_rad = self._yaw_reference_rad
+        return RockPredictions(self.horizons_s, values, yaw_from_rad, predictor.std, predictor.half_width)
 
-    def at(self, t_s: float) -> tuple[RockPrediction, ...]:
+    def at(self, t_s: float) -> RockPredictions:
         """Predictions as seen from a moment without a sample, with the deviations of horizons that much longer."""
         predictor = self.predictor
         horizons = np.array(self.horizons_s)
         later = horizons + max(t_s - predictor.t_s, 0.0) if predictor.t_s > -inf else horizons
         std, half_width = (
-            np.stack([np.interp(later, horizons, column) for column in columns.T], axis=1).tolist()
+            np.stack([np.interp(later, horizons, column) for column in columns.T], axis=1)
             for columns in (predictor.std, predictor.half_width)
         )
-        return self._records(predictor.at(t_s), (std, half_width))
-
-    def _records(self, values: Array, spread: Spread) -> tuple[RockPrediction, ...]:
-        reference = self._yaw_reference_rad
-        records = []
-        for h, (roll, pitch, yaw), std, half_width in zip(self.horizons_s, values.tolist(), *spread, strict=True):
-            yaw = (yaw + reference) % TURN
-            records.append(
-                RockPrediction(
-                    horizon_s=h,
-                    roll_rad=roll,
-                    pitch_rad=pitch,
-                    yaw_rad=yaw if yaw != TURN else 0.0,  # x % 2 pi may round up to 2 pi
-                    roll_std_rad=std[0],
-                    pitch_std_rad=std[1],
-                    yaw_std_rad=std[2],
-                    roll_interval_rad=half_width[0],
-                    pitch_interval_rad=half_width[1],
-                    yaw_interval_rad=half_width[2],
-                )
-            )
-        return tuple(records)
+        return RockPredictions(self.horizons_s, predictor.at(t_s), self._yaw_reference_rad, std, half_width)
 
     def _unwrapped(self, yaw_rad: float) -> float:
         """Yaw relative to the first reading, without jumps."""
@@ -117,8 +92,8 @@ class RockChain:
     def __init__(self, params: rock.Params) -> None:
         self._params = params
         self.horizons_s = tuple(sorted({*params.horizons_s, *rock.STANDARD_HORIZONS_S}))
-        self._unknown = tuple(RockPrediction(horizon_s=h) for h in self.horizons_s)
-        self.latest = self._unknown
+        self._unknown = RockPredictions.unknown(self.horizons_s)
+        self.latest: Sequence[RockPrediction] = self._unknown
         """Predictions from the last sample."""
         self._t_s = nan
         self._ml = rock.RockPredictor(params) if params.predictor == "ml" else None
@@ -127,7 +102,7 @@ class RockChain:
         self._spikes = self._level_steps = self._restarts = 0
         self._resets: Counter[tuple[str, str]] = Counter()
 
-    def step(self, sample: ImuSample, *, good: bool) -> tuple[RockPrediction, ...]:
+    def step(self, sample: ImuSample, *, good: bool) -> Sequence[RockPrediction]:
         """Take one sample, of which nothing is known unless it is ``good``; one record per horizon, shortest first."""
         t_s = self._t_s = sample.t_s
         attitude = (sample.roll_rad, sample.pitch_rad, sample.yaw_rad) if good else (nan, nan, nan)
@@ -146,10 +121,10 @@ class RockChain:
         self.latest = self._direct.step(t_s, *attitude, rates)
         return self.latest
 
-    def at(self, t_s: float) -> tuple[RockPrediction, ...]:
+    def at(self, t_s: float) -> Sequence[RockPrediction]:
         """Predictions as seen from a moment without a sample; nothing is advanced."""
         if self._ml is not None:
-            return rock.carried(self.latest, t_s - self._t_s)
+            return rock.carried(tuple(self.latest), t_s - self._t_s)
         return self._direct.at(t_s) if self._direct is not None else self._unknown
 
     def scores(self) -> tuple[RockScore, ...]:

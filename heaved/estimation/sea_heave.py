@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.outlook import Motion, Outlook, along, at_index
+from heaved.estimation.outlook import Motion, Outlook, along
 from heaved.estimation.sea_filter import SeaFilter
 from heaved.estimation.splice import NO_SPLICE, fade
 
@@ -148,8 +148,7 @@ class SeaHeave:
         beat_s, scale = self.filter.t_s, self.scale
         taus = [shift + t_s - beat_s - learned_s for shift in shifts_s]
         if self.filter.is_steady:
-            index, stds = self._outlook.index, self._steady_stds
-            return [at_index(stds, index(tau)) * scale for tau in taus]
+            return [std * scale for std in self._outlook.between(self._steady_stds, taus)]
         return [std * scale for std in self._outlook.stds_at(self.filter.covariance, taus)]
 
     @property

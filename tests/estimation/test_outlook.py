@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import expm
 from seas import model, whole
 
-from heaved.estimation.outlook import BACK_S, ORDER, Outlook, at_index
+from heaved.estimation.outlook import BACK_S, ORDER, STEP_S, Outlook
 from heaved.estimation.sea_model import SeaSystem
 
 AHEAD_S = 8.0
@@ -71,16 +71,18 @@ def test_what_is_unknown_ahead_is_the_brute_force_covariance(system: SeaSystem, 
     for tau in (0.0, 0.05, 0.15, 0.5, 1.0, 2.0, 5.0, 7.5):
         F, Q = (np.eye(len(P)), np.zeros_like(P)) if tau == 0.0 else whole(system, tau)
         expected = np.sqrt(system.heave @ (F @ P @ F.T + Q) @ system.heave)
-        assert at_index(stds, outlook.index(tau)) == pytest.approx(expected, rel=3e-3)
+        assert outlook.between(stds, (tau,))[0] == pytest.approx(expected, rel=3e-3)
     taus = (-BACK_S, -0.02, 0.0, 0.777, AHEAD_S)
-    assert outlook.stds_at(P, taus) == pytest.approx([at_index(stds, outlook.index(tau)) for tau in taus])
+    assert outlook.stds_at(P, taus) == pytest.approx(outlook.between(stds, taus))
     sigma = np.sqrt(system.heave @ system.stationary @ system.heave)
-    assert at_index(stds, outlook.index(AHEAD_S)) < sigma
+    assert outlook.between(stds, (AHEAD_S,))[0] < sigma
 
 
 def test_a_place_between_two_is_on_the_line_and_ends_are_ends(outlook: Outlook) -> None:
-    values = np.arange(10.0)
-    assert at_index(values, 3.25) == 3.25
-    assert at_index(values, 9.0) == 9.0
-    assert outlook.index(-100.0) == 0.0
-    assert outlook.index(1e9) == outlook.index(AHEAD_S)
+    count = len(outlook.stds(np.zeros((len(outlook.row(0.0)),) * 2)))
+    moments = (-BACK_S + STEP_S * np.arange(count)).tolist()
+    within = (-BACK_S, -0.02, 0.0, 0.0125, 0.777, moments[-2] + 0.3 * STEP_S, moments[-1])
+    assert outlook.between(moments, within) == pytest.approx(within, abs=1e-12)
+    assert outlook.between(moments, (-100.0, 1e9)) == [moments[0], moments[-1]]
+    squares = [moment**2 for moment in moments]
+    assert outlook.between(squares, (0.25 * STEP_S,)) == pytest.approx([0.25 * STEP_S**2], abs=1e-12)

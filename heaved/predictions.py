@@ -1,0 +1,142 @@
+"""Predictions of one moment for several horizons, kept as columns.
+
+A pipeline predicts with every sample, and few of those who get a frame look at all of it. So predictions stay the
+columns that they were worked out as, and are the sequences of records that a :class:`heaved.samples.MotionFrame` speaks
+of for whoever asks. Frames share the columns that have not changed: nobody writes to them.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator, Sequence
+from math import nan, pi
+from typing import Final, Self, TypeVar, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heaved.samples import HeaveForecast, RockPrediction
+
+Array = NDArray[np.float64]
+
+TURN: Final = 2.0 * pi
+Record = TypeVar("Record", HeaveForecast, RockPrediction)
+Yaw = TypeVar("Yaw", float, Array)
+
+
+def turned(yaw_rad: Yaw) -> Yaw:
+    """The same heading, 0 <= yaw < 2 pi."""
+    return yaw_rad % TURN % TURN  # x % 2 pi may round up to 2 pi
+
+
+class _Predictions(Sequence[Record]):
+    """One record per horizon, made when it is asked for."""
+
+    __slots__ = ("horizons_s",)
+    horizons_s: tuple[float, ...]
+
+    def __len__(self) -> int:
+        return len(self.horizons_s)
+
+    @abstractmethod
+    def __iter__(self) -> Iterator[Record]: ...
+
+    @overload
+    def __getitem__(self, index: int) -> Record: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Record]: ...
+    def __getitem__(self, index: int | slice) -> Record | Sequence[Record]:
+        return tuple(self)[index]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sequence) and tuple(self) == tuple(other)
+
+    def __hash__(self) -> int:
+        return hash(tuple(self))
+
+    def __repr__(self) -> str:
+        return repr(tuple(self))
+
+
+class HeaveForecasts(_Predictions[HeaveForecast]):
+    """Heave (H,) and its standard deviation (H,) for each horizon (H,)."""
+
+    __slots__ = ("heaves_m", "stds_m")
+
+    def __init__(self, horizons_s: tuple[float, ...], heaves_m: Sequence[float], stds_m: Sequence[float]) -> None:
+        self.horizons_s, self.heaves_m, self.stds_m = horizons_s, heaves_m, stds_m
+
+    def __iter__(self) -> Iterator[HeaveForecast]:
+        columns = zip(self.horizons_s, self.heaves_m, self.stds_m, strict=True)
+        return iter([HeaveForecast(horizon_s=h, heave_m=heave_m, std_m=std_m) for h, heave_m, std_m in columns])
+
+    @classmethod
+    def of(cls, found: Sequence[HeaveForecast], horizons_s: tuple[float, ...]) -> Self:
+        """Those of ``found`` for these horizons, nan where there is none; mostly they are just these."""
+        if isinstance(found, cls) and found.horizons_s == horizons_s:
+            return found
+        records = _at(found, horizons_s, HeaveForecast(horizon_s=nan))
+        return cls(horizons_s, [one.heave_m for one in records], [one.std_m for one in records])
+
+
+class RockPredictions(_Predictions[RockPrediction]):
+    """Roll, pitch and yaw, their standard deviations and half-widths of their intervals, each (H, 3), for each horizon
+    (H,). Yaw is counted from ``yaw_from_rad`` without jumps, as a regression sees it; records have the heading."""
+
+    __slots__ = ("angles_rad", "intervals_rad", "stds_rad", "yaw_from_rad")
+
+    def __init__(
+        self,
+        horizons_s: tuple[float, ...],
+        angles_rad: Array,
+        yaw_from_rad: float,
+        stds_rad: Array,
+        intervals_rad: Array,
+    ) -> None:
+        self.horizons_s, self.angles_rad, self.yaw_from_rad = horizons_s, angles_rad, yaw_from_rad
+        self.stds_rad, self.intervals_rad = stds_rad, intervals_rad
+
+    def __iter__(self) -> Iterator[RockPrediction]:
+        columns = self.angles_rad.tolist(), self.stds_rad.tolist(), self.intervals_rad.tolist()
+        records = [
+            RockPrediction(
+                horizon_s=h,
+                roll_rad=roll,
+                pitch_rad=pitch,
+                yaw_rad=turned(yaw + self.yaw_from_rad),
+                roll_std_rad=roll_std,
+                pitch_std_rad=pitch_std,
+                yaw_std_rad=yaw_std,
+                roll_interval_rad=roll_interval,
+                pitch_interval_rad=pitch_interval,
+                yaw_interval_rad=yaw_interval,
+            )
+            for h, (roll, pitch, yaw), (roll_std, pitch_std, yaw_std), (
+                roll_interval,
+                pitch_interval,
+                yaw_interval,
+            ) in zip(self.horizons_s, *columns, strict=True)
+        ]
+        return iter(records)
+
+    @classmethod
+    def unknown(cls, horizons_s: tuple[float, ...]) -> Self:
+        """Nothing is known for any of the horizons."""
+        nothing = np.full((len(horizons_s), 3), nan)
+        return cls(horizons_s, nothing, 0.0, nothing, nothing)
+
+    @classmethod
+    def of(cls, found: Sequence[RockPrediction], horizons_s: tuple[float, ...]) -> Self:
+        """Those of ``found`` for these horizons, nan where there is none; mostly they are just these."""
+        if isinstance(found, cls) and found.horizons_s == horizons_s:
+            return found
+        records = _at(found, horizons_s, RockPrediction(horizon_s=nan))
+        angles = np.array([(one.roll_rad, one.pitch_rad, one.yaw_rad) for one in records])
+        stds = np.array([(one.roll_std_rad, one.pitch_std_rad, one.yaw_std_rad) for one in records])
+        intervals = np.array([(one.roll_interval_rad, one.pitch_interval_rad, one.yaw_interval_rad) for one in records])
+        return cls(horizons_s, angles, 0.0, stds, intervals)
+
+
+def _at(found: Sequence[Record], horizons_s: tuple[float, ...], unknown: Record) -> list[Record]:
+    by_horizon = {one.horizon_s: one for one in found}
+    return [by_horizon.get(h, unknown) for h in horizons_s]

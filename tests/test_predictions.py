@@ -1,0 +1,103 @@
+"""Predictions as columns are the records that they stand for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import isnan, nan, nextafter, pi
+
+import numpy as np
+import pytest
+
+from heaved.predictions import TURN, HeaveForecasts, RockPredictions, turned
+from heaved.samples import HeaveForecast, RockPrediction
+
+HORIZONS_S = (0.05, 0.5, 2.0)
+FORECASTS = tuple(HeaveForecast(horizon_s=h, heave_m=h + 1.0, std_m=0.1 * h) for h in HORIZONS_S)
+
+
+def rocks(yaw_rad: float = 1.0) -> tuple[RockPrediction, ...]:
+    return tuple(
+        RockPrediction(
+            horizon_s=h,
+            roll_rad=0.1 * h,
+            pitch_rad=-0.2 * h,
+            yaw_rad=yaw_rad,
+            roll_std_rad=0.01 * h,
+            pitch_std_rad=0.02 * h,
+            yaw_std_rad=0.03 * h,
+            roll_interval_rad=0.04 * h,
+            pitch_interval_rad=0.05 * h,
+            yaw_interval_rad=0.06 * h,
+        )
+        for h in HORIZONS_S
+    )
+
+
+@pytest.mark.parametrize(
+    ("columns", "records"),
+    [(HeaveForecasts.of(FORECASTS, HORIZONS_S), FORECASTS), (RockPredictions.of(rocks(), HORIZONS_S), rocks())],
+    ids=["heave", "rock"],
+)
+def test_columns_are_the_sequence_of_their_records(
+    columns: HeaveForecasts | RockPredictions, records: Sequence[HeaveForecast | RockPrediction]
+) -> None:
+    assert isinstance(columns, Sequence)
+    assert len(columns) == len(records) == 3
+    assert list(columns) == list(records)
+    assert [columns[0], columns[1], columns[-1]] == [records[0], records[1], records[2]]
+    assert tuple(columns[1:]) == records[1:]
+    assert list(reversed(columns)) == list(reversed(records))
+    assert records[1] in columns
+    assert columns.index(records[2]) == 2  # type: ignore[arg-type]
+    assert columns == records
+    assert records == columns
+    assert columns != records[:2]
+    assert columns != 3
+    assert hash(columns) == hash(records)
+    assert repr(columns) == repr(records)
+    with pytest.raises(IndexError):
+        columns[3]
+
+
+def test_there_may_be_none() -> None:
+    none = HeaveForecasts((), (), ())
+    assert not none
+    assert none == ()
+    assert list(none) == []
+
+
+def test_columns_of_these_horizons_stay_what_they_are() -> None:
+    heave, rock = HeaveForecasts.of(FORECASTS, HORIZONS_S), RockPredictions.of(rocks(), HORIZONS_S)
+    assert HeaveForecasts.of(heave, HORIZONS_S) is heave
+    assert RockPredictions.of(rock, HORIZONS_S) is rock
+
+
+def test_other_horizons_are_picked_and_what_is_not_there_is_not_known() -> None:
+    asked = (2.0, 1.0, 0.05)
+    heave = HeaveForecasts.of(HeaveForecasts.of(FORECASTS, HORIZONS_S), asked)
+    assert (heave[0], heave[2]) == (FORECASTS[2], FORECASTS[0])
+    assert heave[1].horizon_s == 1.0
+    assert isnan(heave[1].heave_m)
+    assert isnan(heave[1].std_m)
+    rock = RockPredictions.of(rocks(), asked)
+    assert (rock[0], rock[2]) == (rocks()[2], rocks()[0])
+    for found, h in ((rock[1], 1.0), (RockPredictions.unknown(HORIZONS_S)[1], 0.5)):
+        assert found.horizon_s == h
+        assert all(isnan(getattr(found, name)) for name in RockPrediction.__struct_fields__ if name != "horizon_s")
+
+
+@pytest.mark.parametrize("turns", [-2, 0, 3])
+def test_yaw_is_a_heading_whatever_it_is_counted_from(turns: int) -> None:
+    yaws = np.array([0.0, 0.25, 6.25]) + TURN * turns
+    angles = np.column_stack((np.zeros(3), np.zeros(3), yaws - 1.5))
+    rock = RockPredictions(HORIZONS_S, angles, 1.5, np.zeros((3, 3)), np.zeros((3, 3)))
+    off = [prediction.yaw_rad - expected for prediction, expected in zip(rock, (0.0, 0.25, 6.25), strict=True)]
+    assert all(abs((d + pi) % TURN - pi) < 1e-12 for d in off)
+    assert all(0.0 <= prediction.yaw_rad < TURN for prediction in rock)
+
+
+def test_a_hair_below_north_is_north_and_never_a_whole_turn() -> None:
+    hair = -nextafter(0.0, 1.0)
+    assert hair % TURN == TURN  # what the remainder rounds to
+    assert turned(hair) == 0.0
+    assert turned(np.array([hair, -1.0, nan])).tolist()[:2] == [0.0, TURN - 1.0]
