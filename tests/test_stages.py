@@ -204,7 +204,7 @@ def heave_of(frame: MotionFrame) -> bytes:
     bare = msgspec.structs.replace(
         frame, hull=None, attitude=None, crane_roll_rad=0.0, crane_pitch_rad=0.0, crane_yaw_rad=0.0
     )
-    return msgspec.msgpack.encode(bare)
+    return msgspec.msgpack.encode(bare, enc_hook=list)
 
 
 NAMED = {
