@@ -94,16 +94,18 @@ class Run(msgspec.Struct, frozen=True, eq=False):
     """(k,) m/s2; 0 in a hole, nan where the start was averaged."""
 
 
-def run(system: SeaSystem, steady: Steady, record: Record, *, careful: bool = True) -> Run:
+def run(
+    system: SeaSystem, steady: Steady, record: Record, *, full_start: bool = True, full_holes: bool = True
+) -> Run:
     """Run the filter over a record, from the stationary state at its first sample.
 
-    careful: False starts with the steady gain and the mean as bias, good enough where only innovations near the end of
-    a long record are wanted.
+    full_start, full_holes: whether the covariance is carried there. Without, the run starts with the mean as bias and
+    keeps to the steady gain: good enough where nothing is left of the start, and where only innovations are wanted.
     """
     n, count = len(system.H), len(record.a_mps2)
     predicted, innovation = np.full(count, np.nan), np.full(count, np.nan)
     x, P, begin = np.zeros(n), None, 0
-    if careful:
+    if full_start:
         coarse = max(1, round(COARSE_S / record.dt_s))
         begin = min(count, round(FULL_S / record.dt_s)) // coarse * coarse
         begin = _first_hole(record.is_known, begin) // coarse * coarse
@@ -116,10 +118,13 @@ def run(system: SeaSystem, steady: Steady, record: Record, *, careful: bool = Tr
     for first, end, is_known in _stretches(record.is_known, begin):
         a = record.a_mps2[first:end]
         if not is_known:
+            predicted[first:end], innovation[first:end] = system.heave @ x, 0.0
+            if not full_holes:
+                x = system.moved((end - first) * record.dt_s) @ x
+                continue
             if P is None:
                 P = steady.P - np.outer(steady.K, steady.K) * steady.S
             F, Q = system.transition((end - first) * record.dt_s)
-            predicted[first:end], innovation[first:end] = system.heave @ x, 0.0
             x, P = F @ x, _symmetric(F @ P @ F.T + Q)
             continue
         done = 0

@@ -129,7 +129,7 @@ def look(window: SeaWindow) -> SeaFit:
     steady = system.steady(record.dt_s)
     if steady is None:
         return SeaFit(number=window.number, message="the filter of the fitted model does not converge")
-    done = sea_run.run(system, steady, record, careful=len(record.a_mps2) * record.dt_s < SETTLE_S)
+    done = sea_run.run(system, steady, record, full_start=len(record.a_mps2) * record.dt_s < SETTLE_S)
     kept = round(window.delay_s / record.dt_s) + round(30.0 / record.dt_s)
     if not np.isfinite(done.x).all():
         return SeaFit(number=window.number, message="the filter of the fitted model left the finite numbers")
@@ -168,7 +168,7 @@ def _scores(window: SeaWindow, record: sea_run.Record) -> dict[float, float]:
         steady = system.steady(record.dt_s)
         if steady is None:
             continue
-        y = sea_run.run(system, steady, recent, careful=False).innovation[-fresh:]
+        y = sea_run.run(system, steady, recent, full_start=False, full_holes=False).innovation[-fresh:]
         likelihood = _likelihood(candidate.model, steady, np.where(recent.is_known[-fresh:], y, nan))
         found[candidate.window_s] = SCORE_MEMORY * candidate.score + (likelihood if np.isfinite(likelihood) else -1e9)
     best = max(found.values(), default=0.0)

@@ -41,7 +41,7 @@ def test_blocks_are_the_steady_recursion(
     count: int, system: SeaSystem, steady: Steady, sea: tuple[Array, Array]
 ) -> None:
     a = sea[1][:count]
-    done = run(system, steady, record(a), careful=False)
+    done = run(system, steady, record(a), full_start=False)
     x = np.zeros(len(system.H))
     x[-1] = np.mean(a)
     x = steady.F @ x
