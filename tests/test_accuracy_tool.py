@@ -349,6 +349,9 @@ def test_asked_figures_are_found_in_the_lines() -> None:
         f"| {over} | S4 / S6S / Hebrides / SL | ≤ 1.25 / ≤ 1.4 | 1.1 / never / – / – "
         "| **not reached**: S6S; not measured: Hebrides, SL | 9 / – / – / – |"
     ) in rows
+    assert (
+        "| closed loop, live: hook motion over heave | S6 / T3 | ≤ 4 % of heave | – / 3.1 | not measured: S6 | – / – |"
+    ) in rows
     assert "| real IMU at rest, still ship: error | static / S0 | ≤ 5 mm | 4 / – | not measured: S0 | – / – |" in rows
     assert rows[-1] == f"{len(figures)} figures: 5 ok, 2 not reached, {len(figures) - 7} not measured."
 

@@ -171,7 +171,7 @@ def table(lines: Sequence[Line], observer: str) -> str:
             f"{' / '.join(dict.fromkeys(map(_bounds, members)))} {members[0].unit}".rstrip(),
             " / ".join(map(_shown, values)),
             found[0] if len(set(found)) == 1 else "; ".join(_named(members, found)),
-            " / ".join(_shown(measured(lines, asked, PAPERS)) for asked in members),
+            " / ".join(_shown(measured(lines, asked, PAPERS) if asked.by_observer else nan) for asked in members),
         ]
         rows.append(f"| {' | '.join(cells)} |")
     counts = ", ".join(f"{count} {verdict.strip('*')}" for verdict, count in verdicts.items())
