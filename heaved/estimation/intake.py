@@ -60,14 +60,14 @@ class Intake:
         ax, ay, az = sample.ax_mps2, sample.ay_mps2, sample.az_mps2
         up, before_s = az - GRAVITY_MPS2, self._chain.good_t_s
         self._note_tilt(t_s, t_s - self._attitude_t_s <= ATTITUDE_HOLD_S and isfinite(ax + ay))
-        bias = self._level_bias
-        roll_rad, pitch_rad = self._attitude_of_acceleration(t_s)
+        bias, tilt = self._level_bias, None
         if self._tilt_removed:
-            up = up_acceleration(ax - bias.x_mps2, ay - bias.y_mps2, az, roll_rad, pitch_rad)
+            tilt = self._attitude_of_acceleration(t_s)
+            up = up_acceleration(ax - bias.x_mps2, ay - bias.y_mps2, az, *tilt)
         if isfinite(self._chain.observe(t_s, up, az)):
             self._note_interval(t_s - before_s)
-            if self._tilt_removed:
-                bias.take(t_s, ax, ay, az, roll_rad, pitch_rad)
+            if tilt is not None:
+                bias.take(t_s, ax, ay, az, *tilt)
         elif self._chain.stuck.is_stuck and abs(up) <= PLAUSIBLE_MPS2:
             self.fault = Fault.STUCK
         else:

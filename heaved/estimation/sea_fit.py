@@ -128,8 +128,9 @@ def measured_share(sp: Spectrum, model: SeaModel) -> float:
     """Variance of the heave that the periodogram shows, over that of ``model``: where waves stand out of the noise the
     periodogram counts, and the noise is left out as a Wiener filter would.
 
-    The likelihood weighs all frequencies alike, so that a model whose skirts are right may be a third too high at the
-    peak: no matter to the filter, but not what people call the height of the sea.
+    The likelihood asks for the same relative fit everywhere and for no energy in particular, so that a model whose
+    skirts are right may be a third too high at the peak: no matter to the filter, but not what people call the height
+    of the sea.
     """
     waves = model.heave_spectrum(sp.f_hz)
     seen = waves * sp.power / model.acceleration_spectrum(sp.f_hz)

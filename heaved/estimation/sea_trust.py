@@ -13,7 +13,7 @@ CHANGED: Final = 3.0
 CHANGED_NOW: Final = 9.0
 """The same in the last seconds, which are fewer."""
 STILL_LIKELIHOOD: Final = 15.0
-"""Waves must make the record that much likelier than noise alone (nine parameters give half of it by chance)."""
+"""Waves must make the record that much likelier than noise alone (ten parameters give a third of it by chance)."""
 STILL_SHARE: Final = 0.5
 """Nor is it a sea when the error of the heave is that share of the heave itself."""
 FACTOR_LIMIT: Final = 10.0

@@ -31,8 +31,8 @@ PATIENCE: Final = 3.0
 FEW_COMPONENTS_BELOW_S: Final = 30.0
 """A shorter record does not bear more than two components."""
 SETTLE_S: Final = 400.0
-"""After this nothing of the start of a filter is left (in swell of 16 s: a hundredth of its error; after two minutes it
-is more than models differ by): before the samples that a model is judged on, its filter runs this long."""
+"""After this nothing of the start of a filter is left, in swell of 16 s either (after two minutes it is more than what
+models differ by): before the samples that a model is judged on, its filter runs this long."""
 NEWEST_S: Final = 60.0
 """The newest stretch is taken when it is that long: the sea may have changed in the hole."""
 WHITENESS_S: Final = 2.0
