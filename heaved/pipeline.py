@@ -11,7 +11,7 @@ Beside it, and never in it, the stages for the hull's deformation (second IMU) a
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from math import nan
 from typing import Final
 
@@ -142,30 +142,50 @@ class Pipeline:
 
     def step(self, sample: Sample) -> MotionFrame | None:
         """Take one sample; a frame for each IMU sample, faulted ones too. One older than the last is counted."""
+        return self._step(sample, self._foresee(sample))
+
+    def run(self, samples: Sequence[Sample]) -> Iterator[MotionFrame | None]:
+        """What :meth:`step` gives for one sample after the other; fits and networks may be accepted in between.
+
+        The rock predictor, into which nothing else goes, takes all of them first: a processor is a good part faster
+        with many rounds of one thing than with one round of many. So go on to the end before anything else is given.
+        """
+        for sample, rock in [(sample, self._foresee(sample)) for sample in samples]:
+            yield self._step(sample, rock)
+
+    def _foresee(self, sample: Sample) -> Sequence[RockPrediction] | None:
+        """The rock predictions from a sample of the IMU; None for others, and for one that is out of order."""
+        if not isinstance(sample, ImuSample):
+            return None
+        if sample.t_s <= self._imu_t_s:
+            self._out_of_order += 1
+            return None
+        self._imu_t_s = sample.t_s
+        return self._rock.step(sample, good=sample.fault is Fault.NONE)
+
+    def _step(self, sample: Sample, rock: Sequence[RockPrediction] | None) -> MotionFrame | None:
+        """All the rest."""
         if isinstance(sample, LaserSample):
             self._chain.laser.give(sample)
             return None
         if not isinstance(sample, ImuSample):
             self.stages.take(sample)
             return None
-        t = sample.t_s
-        if t <= self._imu_t_s:
-            self._out_of_order += 1
+        if rock is None:
             return None
-        self._imu_t_s = t
-        good = sample.fault is Fault.NONE
+        t = sample.t_s
         self._intake.take(sample)
-        predicted = self._rock.step(sample, good=good)
         if self._has_laser:
             self._chain.laser.teach(t, self._chain.observer)
         self.stages.take(sample)
-        frame = self._frame(t, predicted)
+        frame = self._frame(t, rock)
         if self._check is not None:
             is_taken = self._check.is_due(t) and bool(frame.forecast)
             self._check.step(t, frame.observer_m, frame.forecast[self._checked].heave_m if is_taken else nan)
         if self._quiet is not None:
-            angles = (sample.roll_rad, sample.pitch_rad) if good else (nan, nan)
-            self._quiet.step(t, *angles, frame.heave_m, predicted, frame.forecast)
+            is_good = sample.fault is Fault.NONE
+            angles = (sample.roll_rad, sample.pitch_rad) if is_good else (nan, nan)
+            self._quiet.step(t, *angles, frame.heave_m, rock, frame.forecast)
         self.stages.take_frame(frame)
         return frame
 

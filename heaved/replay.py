@@ -9,44 +9,29 @@ from __future__ import annotations
 import os
 import sys
 import time
-from array import array
-from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from itertools import chain, islice
-from math import inf, isnan, nan, pi
-from operator import attrgetter
+from itertools import islice
+from math import inf, isnan, nan
 from pathlib import Path
 from typing import Final, TextIO
 
 import msgspec
-import numpy as np
-from numpy.typing import NDArray
 
 from heaved.config import Config
-from heaved.decimals import cell, lines
 from heaved.devices.recording import Recording
-from heaved.estimation.rock import STANDARD_HORIZONS_S
 from heaved.estimation.sea_window import look
 from heaved.estimation.stages import Stages
 from heaved.pipeline import Pipeline
-from heaved.predictions import HeaveForecasts, RockPredictions, turned
-from heaved.samples import DelayedHeave, HeaveState, MotionFrame
+from heaved.samples import HeaveState, MotionFrame, Sample
+from heaved.table import Table
 from heaved.training.process import BlockingTrainer
 
-Array = NDArray[np.float64]
-
-_TEXTS: Final = {state: state.value for state in HeaveState}
-_DEGREES: Final = 180.0 / pi
-_ATTITUDE: Final = (("z", "m"), ("z_rate", "mps"), ("pitch", "deg"), ("pitch_rate", "degps"))
-DELAYED: Final = "~"
-"""Stands for a cell that is not known yet."""
-MAX_STEP_S: Final = 0.5
-"""Delayed heaves further apart than this have a hole between them."""
-BLOCK_ROWS: Final = 256
-"""Rows that are made into text together; they wait for their delayed heave anyway."""
-_PROGRESS_ROWS: Final = 500
-"""Rows between two calls of ``progress``."""
+BLOCK_FRAMES: Final = 256
+"""Frames that are made into text together."""
+BLOCK_SAMPLES: Final = 64
+"""Samples that are read together, and go through the pipeline so."""
 
 Progress = Callable[[int, int], None]
 """(bytes read, bytes in all)"""
@@ -91,137 +76,6 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
         )
 
 
-_OF_FRAME: Final = attrgetter(
-    "heave_m", "heave_std_m", "heave_velocity_mps", "observer_m", "correction_m", "lead_s"
-)  # fmt: skip
-
-
-class Columns:
-    """The columns of the result for one configuration, and the text of frames in them."""
-
-    def __init__(self, config: Config) -> None:
-        self._forecasts = config.heave.forecast_horizons_s
-        self._rocks = tuple(sorted({*config.rock.horizons_s, *STANDARD_HORIZONS_S}))
-        forecasts = [f"forecast_{h:g}s_{what}" for h in self._forecasts for what in ("m", "std_m")]
-        rocks = [
-            f"{axis}_{h:g}s_{what}"
-            for axis in ("roll", "pitch", "yaw")
-            for h in self._rocks
-            for what in ("deg", "std_deg")
-        ]
-        heave = ["heave_m", "heave_std_m", "heave_velocity_mps", "observer_m", "correction_m", "lead_s"]
-        self._hull, self._attitude = config.hull.enabled, config.attitude.enabled
-        hull = [*(f"hull_{axis}_deg" for axis in "xyz"), *(f"hull_static_{axis}_deg" for axis in "xyz"),
-                *(f"hull_{axis}_std_arcsec" for axis in "xyz")]  # fmt: skip
-        attitude = [f"attitude_{what}_{unit}" for quantity, unit in _ATTITUDE for what in (quantity, f"{quantity}_std")]
-        staged = (hull if self._hull else []) + (attitude if self._attitude else [])
-        self.names = ("t_s", *heave, "quality", "delayed_heave_m", *forecasts, *rocks, *staged)
-
-    def header(self) -> str:
-        return ",".join(self.names) + "\n"
-
-    def row(self, frame: MotionFrame) -> str:
-        """One line, as of :meth:`rows`."""
-        return self.rows([frame])[0][1]
-
-    def rows(self, frames: Iterable[MotionFrame]) -> list[tuple[float, str, DelayedHeave | None]]:
-        """For each of ``frames`` its time, its line but for the delayed heave of that time, whose place is held by
-        DELAYED, and the delayed heave that is newest by then. What is not known is blank, never zero."""
-        frames = list(frames)
-        if not frames:
-            return []
-        now = lines(np.frombuffer(array("d", chain.from_iterable(map(_OF_FRAME, frames)))).reshape(len(frames), -1))
-        parts = [_forecast_numbers(frames, self._forecasts), _rock_numbers(frames, self._rocks)]
-        if self._hull:
-            parts.append(np.array([_hull_numbers(frame) for frame in frames]))
-        if self._attitude:
-            parts.append(np.array([_attitude_numbers(frame) for frame in frames]))
-        ahead = lines(np.concatenate(parts, axis=1))
-        return [
-            (frame.t_s, f"{frame.t_s:.6f},{first},{_TEXTS[frame.quality.heave]},{DELAYED},{later}\n", frame.delayed)
-            for frame, first, later in zip(frames, now, ahead, strict=True)
-        ]
-
-
-def _forecast_numbers(frames: Sequence[MotionFrame], horizons_s: tuple[float, ...]) -> Array:
-    """(n, 2 H): heave and its standard deviation, horizon by horizon."""
-    forecasts = [HeaveForecasts.of(frame.forecast, horizons_s) for frame in frames]
-    flat = array("d")
-    for forecast in forecasts:
-        flat.extend(forecast.heaves_m)
-        flat.extend(forecast.stds_m)
-    return np.frombuffer(flat).reshape(len(frames), 2, -1).transpose(0, 2, 1).reshape(len(frames), -1)
-
-
-def _rock_numbers(frames: Sequence[MotionFrame], horizons_s: tuple[float, ...]) -> Array:
-    """(n, 6 H): angle and its standard deviation in degrees, axis by axis and there horizon by horizon."""
-    rocks = [RockPredictions.of(frame.rock, horizons_s) for frame in frames]
-    numbers = np.empty((len(rocks), 3, len(horizons_s), 2))
-    angles, stds, shape = numbers[..., 0], numbers[..., 1], (len(rocks), len(horizons_s), 3)
-    angles[:] = np.concatenate([rock.angles_rad for rock in rocks]).reshape(shape).transpose(0, 2, 1)
-    stds[:] = np.concatenate([rock.stds_rad for rock in rocks]).reshape(shape).transpose(0, 2, 1)
-    angles[:, 2] = turned(angles[:, 2] + np.array([[rock.yaw_from_rad] for rock in rocks]))
-    return numbers.reshape(len(rocks), -1) * _DEGREES
-
-
-def _hull_numbers(frame: MotionFrame) -> list[float]:
-    """The newest deformation, some tenths of a second older than the row."""
-    if frame.hull is None:
-        return [nan] * 9
-    angles = [_DEGREES * angle for angle in (*frame.hull.total_rad, *frame.hull.static_rad)]
-    return angles + [3600.0 * _DEGREES * std for std in frame.hull.std_rad]
-
-
-def _attitude_numbers(frame: MotionFrame) -> list[float]:
-    motion = frame.attitude
-    if motion is None:
-        return [nan] * 8
-    return [
-        motion.heave_m,
-        motion.heave_std_m,
-        motion.heave_velocity_mps,
-        motion.heave_velocity_std_mps,
-        _DEGREES * motion.pitch_rad,
-        _DEGREES * motion.pitch_std_rad,
-        _DEGREES * motion.pitch_rate_radps,
-        _DEGREES * motion.pitch_rate_std_radps,
-    ]
-
-
-class DelayedColumn:
-    """Holds rows back until the delayed heave of their time is known, a minute later, and puts it in."""
-
-    def __init__(self, write: Callable[[str], object]) -> None:
-        self._write = write
-        self._rows: deque[tuple[float, str]] = deque()
-        self._last: DelayedHeave | None = None
-
-    def put(self, t_s: float, row: str, delayed: DelayedHeave | None) -> None:
-        """A row and its time; ``delayed``: what is newest now."""
-        self._rows.append((t_s, row))
-        if delayed is None or delayed is self._last:
-            return
-        before, self._last = self._last, delayed
-        while self._rows and self._rows[0][0] <= delayed.t_s:
-            at_s, waiting = self._rows.popleft()
-            self._write(waiting.replace(DELAYED, cell(_between(before, delayed, at_s)), 1))
-
-    def flush(self) -> None:
-        """What has no delayed heave any more."""
-        while self._rows:
-            self._write(self._rows.popleft()[1].replace(DELAYED, "", 1))
-
-
-def _between(before: DelayedHeave | None, after: DelayedHeave, t_s: float) -> float:
-    """Linear, since neighbours are 50 ms apart; nan outside, and in holes."""
-    if t_s == after.t_s:
-        return after.heave_m
-    if before is None or not before.t_s <= t_s or after.t_s - before.t_s > MAX_STEP_S:
-        return nan
-    share = (t_s - before.t_s) / (after.t_s - before.t_s)
-    return before.heave_m + share * (after.heave_m - before.heave_m)
-
-
 def replay(
     source: Path, out: Path | None, config: Config, *, until_s: float = inf, progress: Progress | None = None
 ) -> Summary:
@@ -237,15 +91,12 @@ def replay(
     if out is not None and out.exists() and out.samefile(source):
         raise OutputError(f"{out} is the recording itself: name another file with -o")
     with Recording(source) as recording, BlockingTrainer() as trainer, _writing(out) as file:
-        columns = Columns(config)
-        file.write(columns.header())
+        table = Table(config, file.write)
         run = _Run(_pipeline(config, recording.has_laser), trainer)
-        rows = DelayedColumn(file.write)
         frames = run.frames(recording, until_s, progress)
-        while block := columns.rows(islice(frames, BLOCK_ROWS)):
-            for t_s, row, delayed in block:
-                rows.put(t_s, row, delayed)
-        rows.flush()
+        while block := list(islice(frames, BLOCK_FRAMES)):
+            table.put(block)
+        table.flush()
     return run.summary(time.monotonic() - begun_s)
 
 
@@ -276,29 +127,34 @@ class _Run:
         self._fits: Counter[str] = Counter()
 
     def frames(self, recording: Recording, until_s: float, progress: Progress | None) -> Iterator[MotionFrame]:
+        """The frames of all samples up to ``until_s``, in order."""
+        pipeline, samples = self._pipeline, self._samples(recording, until_s)
+        while block := list(islice(samples, BLOCK_SAMPLES)):
+            for frame in pipeline.run(block):
+                if (past := pipeline.fit_due()) is not None:
+                    self._fits[pipeline.accept_fit(look(past))] += 1
+                if (window := pipeline.training_due()) is not None:
+                    self._trainings[pipeline.accept(self._trainer.fit(window))] += 1
+                if frame is not None:
+                    self._quality[frame.quality.heave] += 1
+                    yield frame
+            if progress is not None:
+                progress(recording.read_bytes, recording.total_bytes)
+
+    def _samples(self, recording: Recording, until_s: float) -> Iterator[Sample]:
         first_s = nan
         for imu, laser, rates, craft in recording.instants():
             sample = imu or laser or rates or craft
             if sample is not None:
                 first_s = sample.t_s if isnan(first_s) else first_s
                 if sample.t_s - first_s > until_s:
-                    break
+                    return
                 self._duration_s = sample.t_s - first_s
             self._rows += 1
             # The IMU last: a row is one instant, and what the others say is known when its frame is made.
             for reading in (laser, rates, craft, imu):
-                if reading is None:
-                    continue
-                frame = self._pipeline.step(reading)
-                if (past := self._pipeline.fit_due()) is not None:
-                    self._fits[self._pipeline.accept_fit(look(past))] += 1
-                if (window := self._pipeline.training_due()) is not None:
-                    self._trainings[self._pipeline.accept(self._trainer.fit(window))] += 1
-                if frame is not None:
-                    self._quality[frame.quality.heave] += 1
-                    yield frame
-            if progress is not None and self._rows % _PROGRESS_ROWS == 0:
-                progress(recording.read_bytes, recording.total_bytes)
+                if reading is not None:
+                    yield reading
 
     def summary(self, elapsed_s: float) -> Summary:
         return Summary(

@@ -418,6 +418,25 @@ def test_a_laser_ahead_of_the_imu_waits_for_it(longer: Recording) -> None:
     assert b.lead_learned_s == pytest.approx(a.lead_learned_s, abs=1e-3)
 
 
+def test_samples_in_blocks_give_the_same_frames_as_one_by_one(longer: Recording) -> None:
+    """To the last digit, with lasers, faults and samples out of order among them, and a fit accepted within a block."""
+    samples = list(longer.samples())
+    samples[700] = changed(samples[700], fault=Fault.TIMEOUT)
+    samples[900:920] = reversed(samples[900:920])
+    one_by_one, in_blocks = (pipeline(with_rock=True, heave_params=heave.Params(observer="sea")) for _ in range(2))
+    frames, fits = [], 0
+    for i in range(0, len(samples), 33):
+        for frame in in_blocks.run(samples[i : i + 33]):
+            if (past := in_blocks.fit_due()) is not None:
+                fits += in_blocks.accept_fit(look(past)) == "accepted"
+            if frame is not None:
+                frames.append(frame)
+    assert bytes_of(frames) == bytes_of(run(one_by_one, samples))
+    found, expected = in_blocks.summary(), one_by_one.summary()
+    assert fits == found.refreshes == expected.refreshes > 1
+    assert found.out_of_order == expected.out_of_order > 5
+
+
 def test_a_laser_out_of_order_or_repeated_does_no_harm(longer: Recording) -> None:
     """Blocks of two seconds in reverse order, every reading twice, one from the far future and some without sense."""
     samples = list(longer.samples())

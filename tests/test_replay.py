@@ -13,7 +13,7 @@ import pytest
 from heaved.config import Config
 from heaved.devices.recording import RecordingError
 from heaved.estimation import correction, heave, lead, rock
-from heaved.replay import MAX_STEP_S, Columns, DelayedColumn, OutputError, Summary, replay
+from heaved.replay import OutputError, Summary, replay
 from heaved.samples import (
     CorrectionState,
     DelayedHeave,
@@ -27,6 +27,7 @@ from heaved.samples import (
 from heaved.simulate.play import write_recording
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import Recording, record
+from heaved.table import MAX_STEP_S, Table
 
 # Learns early and trains often, so that a short recording shows all of it.
 EAGER = Config(
@@ -132,8 +133,9 @@ def test_the_columns_hold_what_their_names_say() -> None:
             RockPrediction(horizon_s=0.05, roll_std_rad=4 * degree, pitch_std_rad=5 * degree, yaw_std_rad=6 * degree),
         ),
     )
-    columns = Columns(config)
-    assert columns.header() == (
+    written: list[str] = []
+    table = Table(config, written.append)
+    assert written.pop() == (
         "t_s,heave_m,heave_std_m,heave_velocity_mps,observer_m,correction_m,lead_s,quality,delayed_heave_m,"
         "forecast_0.5s_m,forecast_0.5s_std_m,forecast_2s_m,forecast_2s_std_m,"
         "roll_0.05s_deg,roll_0.05s_std_deg,roll_0.1s_deg,roll_0.1s_std_deg,"
@@ -143,8 +145,10 @@ def test_the_columns_hold_what_their_names_say() -> None:
         "yaw_0.05s_deg,yaw_0.05s_std_deg,yaw_0.1s_deg,yaw_0.1s_std_deg,"
         "yaw_0.15s_deg,yaw_0.15s_std_deg,yaw_1s_deg,yaw_1s_std_deg\n"
     )
-    assert columns.row(frame) == (
-        "12.500000,1.000000,0.100000,-0.500000,0.900000,0.100000,-0.250000,degraded,~,"
+    table.put([frame])
+    table.flush()
+    assert "".join(written) == (
+        "12.500000,1.000000,0.100000,-0.500000,0.900000,0.100000,-0.250000,degraded,,"
         ",,3.000000,0.300000,"
         ",4.000000,,,,,1.000000,,"
         ",5.000000,,,,,2.000000,,"
@@ -159,42 +163,56 @@ def delayed(t_s: float, heave_m: float) -> DelayedHeave:
     return DelayedHeave(t_s=t_s, heave_m=heave_m, std_m=0.01)
 
 
-def merged(arrivals: list[tuple[float, DelayedHeave | None]]) -> tuple[list[str], list[int]]:
-    """Cells in the order of writing, and how many rows were out after each arrival."""
+def merged(arrivals: list[tuple[float, DelayedHeave | None]], at_once: int = 1) -> tuple[list[str], list[int]]:
+    """Cells in the order of writing, and how many rows were out after each block of frames."""
     written: list[str] = []
-    column = DelayedColumn(written.append)
+    table = Table(Config(), written.append)
+    place = written.pop().split(",").index("delayed_heave_m")
+    quality = Quality(heave=HeaveState.VALID, laser=LaserState.OFF, correction=CorrectionState.OFF)
+    frames = [MotionFrame(t_s=t_s, quality=quality, heave_m=9.0, delayed=newest) for t_s, newest in arrivals]
     out = []
-    for t_s, newest in arrivals:
-        column.put(t_s, f"{t_s:g},~,x~\n", newest)
-        out.append(len(written))
-    column.flush()
-    assert [row.split(",")[0] for row in written] == [f"{t_s:g}" for t_s, _ in arrivals]
-    assert all(row.endswith(",x~\n") for row in written)  # One place per row, the first.
-    return [row.split(",")[1] for row in written], out
+    for i in range(0, len(frames), at_once):
+        table.put(frames[i : i + at_once])
+        out.append("".join(written).count("\n"))
+    table.flush()
+    rows = list(csv.reader("".join(written).splitlines()))
+    assert [row[0] for row in rows] == [f"{t_s:.6f}" for t_s, _ in arrivals]
+    assert {row[1] for row in rows} == {"9.000000"}
+    return [row[place] for row in rows], out
 
 
-def test_a_delayed_heave_goes_into_the_row_of_its_own_time() -> None:
+@pytest.mark.parametrize("at_once", [1, 3, 8])
+def test_a_delayed_heave_goes_into_the_row_of_its_own_time(at_once: int) -> None:
     """Rows every 0.1 s, delayed heaves 0.3 s old from 0.5 s on: at the very times, so as they are."""
     values = {0.2: 1.0, 0.3: -2.0, 0.4: 3.5}
     arrivals = [(round(0.1 * k, 1), None) for k in range(5)]
     arrivals += [(0.5, delayed(0.2, 1.0)), (0.6, delayed(0.3, -2.0)), (0.7, delayed(0.4, 3.5))]
-    cells, out = merged(arrivals)
+    cells, out = merged(arrivals, at_once)
     assert cells == [f"{values[t_s]:.6f}" if t_s in values else "" for t_s, _ in arrivals]
-    assert out == [0, 0, 0, 0, 0, 3, 4, 5]  # As soon as it is known, and in order.
+    # As soon as it is known for a whole block, and in order.
+    assert out == {1: [0, 0, 0, 0, 0, 3, 4, 5], 3: [0, 3, 3], 8: [0]}[at_once]
 
 
-def test_between_two_delayed_heaves_it_is_linear() -> None:
+@pytest.mark.parametrize("at_once", [1, 2, 6])
+def test_between_two_delayed_heaves_it_is_linear(at_once: int) -> None:
     """Four rows to one of them; the same one is offered with each of its rows."""
     first, second = delayed(0.0, 1.0), delayed(0.4, 2.0)
-    cells, _ = merged([(0.0, None), (0.1, first), (0.2, first), (0.3, first), (0.4, first), (0.5, second)])
+    cells, _ = merged([(0.0, None), (0.1, first), (0.2, first), (0.3, first), (0.4, first), (0.5, second)], at_once)
     assert cells == ["1.000000", "1.250000", "1.500000", "1.750000", "2.000000", ""]
 
 
-def test_a_hole_in_the_delayed_heaves_stays_blank() -> None:
+@pytest.mark.parametrize("at_once", [1, 4])
+def test_a_hole_in_the_delayed_heaves_stays_blank(at_once: int) -> None:
     """Linear over MAX_STEP_S at most, whose two ends are known all the same."""
     before, after = delayed(0.0, 1.0), delayed(MAX_STEP_S + 0.1, 2.0)
-    cells, _ = merged([(0.0, before), (0.3, before), (MAX_STEP_S + 0.1, after), (0.7, after)])
+    cells, _ = merged([(0.0, before), (0.3, before), (MAX_STEP_S + 0.1, after), (0.7, after)], at_once)
     assert cells == ["1.000000", "", "2.000000", ""]
+
+
+def test_a_delayed_heave_that_goes_back_changes_nothing() -> None:
+    """The sensor's lead has been learned anew, and with it the time that the delayed heave is for."""
+    kept = [(0.0, delayed(0.0, 1.0)), (0.1, delayed(0.1, 2.0)), (0.2, delayed(0.05, 9.0)), (0.3, delayed(0.2, 4.0))]
+    assert merged(kept)[0] == ["1.000000", "2.000000", "4.000000", ""]
 
 
 def test_without_any_delayed_heave_all_rows_come_out_with_a_blank() -> None:

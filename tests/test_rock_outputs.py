@@ -17,8 +17,8 @@ from heaved.estimation.points import Point
 from heaved.outputs import report, wire
 from heaved.outputs.requests import Watch, parse_request
 from heaved.pipeline import Pipeline
-from heaved.replay import Columns
 from heaved.samples import GRAVITY_MPS2, ImuSample, MotionFrame, QuietForecast, QuietWindow, RockPrediction, RockScore
+from heaved.table import Table
 
 AMPLITUDE_M, PERIOD_S = 0.3, 8.0
 
@@ -90,8 +90,9 @@ def test_quiet_windows(limit_m: float, is_quiet: bool) -> None:
 def test_the_replay_has_the_same_columns_for_either_predictor() -> None:
     config = parse({}, file="x", directory=None)  # type: ignore[arg-type]
     paper = msgspec.structs.replace(config, rock=rock.Params(predictor="ml"))
-    assert Columns(config).header() == Columns(paper).header()
-    assert "pitch_5s_std_deg" in Columns(config).names
+    names = Table(config, str).names
+    assert Table(paper, str).names == names
+    assert "pitch_5s_std_deg" in names
 
 
 def test_a_quiet_point_must_exist() -> None:

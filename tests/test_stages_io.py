@@ -29,7 +29,7 @@ from heaved.estimation.hull import HullDeformation, refit
 from heaved.metrics import Metrics
 from heaved.outputs import report, stage_wire, wire
 from heaved.outputs.records import AttitudeStatus, HeaveStatus, HullStatus, QualityRecord, StatusRecord
-from heaved.replay import Columns, replay
+from heaved.replay import replay
 from heaved.samples import (
     CorrectionState,
     CraftMotion,
@@ -43,6 +43,7 @@ from heaved.samples import (
     RatesSample,
 )
 from heaved.simulate.flexure import SCENES, simulate
+from heaved.table import Table
 from heaved.training import hull_fitter
 
 RATES = """fields = [
@@ -396,7 +397,7 @@ def test_a_replay_gives_the_attitude_of_a_craft(tmp_path: Path) -> None:
 
 
 def test_without_the_stages_there_are_no_columns_of_theirs() -> None:
-    assert not [name for name in Columns(Config()).names if "hull" in name or "attitude" in name]
+    assert not [name for name in Table(Config(), str).names if "hull" in name or "attitude" in name]
 
 
 # ---- the stream ------------------------------------------------------------------------------------------------------
