@@ -59,24 +59,50 @@ class _Predictions(Sequence[Record]):
 
 
 class HeaveForecasts(_Predictions[HeaveForecast]):
-    """Heave (H,) and its standard deviation (H,) for each horizon (H,)."""
+    """Heave and its standard deviation for each horizon (H,)."""
 
-    __slots__ = ("heaves_m", "stds_m")
-
-    def __init__(self, horizons_s: tuple[float, ...], heaves_m: Sequence[float], stds_m: Sequence[float]) -> None:
-        self.horizons_s, self.heaves_m, self.stds_m = horizons_s, heaves_m, stds_m
-
-    def __iter__(self) -> Iterator[HeaveForecast]:
-        columns = zip(self.horizons_s, self.heaves_m, self.stds_m, strict=True)
-        return iter([HeaveForecast(horizon_s=h, heave_m=heave_m, std_m=std_m) for h, heave_m, std_m in columns])
+    __slots__ = ("_records",)
+    _records: tuple[HeaveForecast, ...]
 
     @classmethod
-    def of(cls, found: Sequence[HeaveForecast], horizons_s: tuple[float, ...]) -> Self:
+    @abstractmethod
+    def numbers(cls, forecasts: Sequence[Self]) -> Array:
+        """(n, H, 2) heaves and standard deviations, m, of n forecasts for the same horizons."""
+
+    def __iter__(self) -> Iterator[HeaveForecast]:
+        try:
+            return iter(self._records)
+        except AttributeError:
+            rows = zip(self.horizons_s, self.numbers([self])[0].tolist(), strict=True)
+            self._records = tuple([HeaveForecast(horizon_s=h, heave_m=m, std_m=std_m) for h, (m, std_m) in rows])
+            return iter(self._records)
+
+    @classmethod
+    def of(cls, found: Sequence[HeaveForecast], horizons_s: tuple[float, ...]) -> HeaveForecasts:
         """Those of ``found`` for these horizons, nan where there is none; mostly they are just these."""
-        if isinstance(found, cls) and found.horizons_s == horizons_s:
+        if isinstance(found, HeaveForecasts) and found.horizons_s == horizons_s:
             return found
         records = _at(found, horizons_s, HeaveForecast(horizon_s=nan))
-        return cls(horizons_s, [one.heave_m for one in records], [one.std_m for one in records])
+        return PlainForecasts(horizons_s, [one.heave_m for one in records], [one.std_m for one in records])
+
+
+class PlainForecasts(HeaveForecasts):
+    """Numbers as they are."""
+
+    __slots__ = ("_heaves_m", "_stds_m")
+
+    def __init__(self, horizons_s: tuple[float, ...], heaves_m: Sequence[float], stds_m: Sequence[float]) -> None:
+        self.horizons_s, self._heaves_m, self._stds_m = horizons_s, heaves_m, stds_m
+
+    @classmethod
+    def numbers(cls, forecasts: Sequence[Self]) -> Array:
+        columns = [(one._heaves_m, one._stds_m) for one in forecasts]
+        return np.array(columns, dtype=np.float64).reshape(len(forecasts), 2, -1).transpose(0, 2, 1)
+
+    @classmethod
+    def unknown(cls, horizons_s: tuple[float, ...]) -> Self:
+        """Nothing is known for any of the horizons."""
+        return cls(horizons_s, [nan] * len(horizons_s), [nan] * len(horizons_s))
 
 
 class RockPredictions(_Predictions[RockPrediction]):

@@ -9,7 +9,7 @@ from __future__ import annotations
 from array import array
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from itertools import chain
+from itertools import chain, groupby
 from math import inf, nan, pi
 from operator import attrgetter
 from typing import Final
@@ -154,11 +154,8 @@ class DelayedColumn:
 def _forecast_numbers(frames: Sequence[MotionFrame], horizons_s: tuple[float, ...]) -> Array:
     """(n, 2 H): heave and its standard deviation, horizon by horizon."""
     forecasts = [HeaveForecasts.of(frame.forecast, horizons_s) for frame in frames]
-    flat = array("d")
-    for forecast in forecasts:
-        flat.extend(forecast.heaves_m)
-        flat.extend(forecast.stds_m)
-    return np.frombuffer(flat).reshape(len(frames), 2, -1).transpose(0, 2, 1).reshape(len(frames), -1)
+    groups = [list(alike) for _, alike in groupby(forecasts, type)]
+    return np.concatenate([alike[0].numbers(alike) for alike in groups]).reshape(len(frames), -1)
 
 
 def _rock_numbers(frames: Sequence[MotionFrame], horizons_s: tuple[float, ...]) -> Array:

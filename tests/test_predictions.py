@@ -8,7 +8,7 @@ from math import isnan, nan, nextafter, pi
 import numpy as np
 import pytest
 
-from heaved.predictions import TURN, HeaveForecasts, RockPredictions, turned
+from heaved.predictions import TURN, HeaveForecasts, PlainForecasts, RockPredictions, turned
 from heaved.samples import HeaveForecast, RockPrediction
 
 HORIZONS_S = (0.05, 0.5, 2.0)
@@ -60,7 +60,7 @@ def test_columns_are_the_sequence_of_their_records(
 
 
 def test_there_may_be_none() -> None:
-    none = HeaveForecasts((), (), ())
+    none = PlainForecasts((), (), ())
     assert not none
     assert none == ()
     assert list(none) == []

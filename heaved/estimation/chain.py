@@ -120,14 +120,11 @@ class HeaveChain:
         observer, taught = self.observer, self.laser.lead
         scale = self.laser.reference.std_scale
         moment_s = shift_s + self._lead_s
-        std_m = taught.gain * observer.error_std_m(moment_s, scale if self._lead_s == 0.0 else max(scale, 1.0))
+        gain, no_less = taught.gain, scale if scale > 1.0 else 1.0
+        std_m = gain * observer.error_std_m(moment_s, scale if self._lead_s == 0.0 else no_less)
         if not isfinite(std_m):
             return None
-        gain = taught.gain
         motion = observer.at(moment_s, taught.learned_s)
-        heaves, stds = observer.forecast(shift_s, taught.learned_s, max(scale, 1.0))
-        if gain != 1.0:
-            heaves, stds = [gain * heave_m for heave_m in heaves], [gain * std_m for std_m in stds]
         observer_m, correction_m = gain * motion.heave_m, self.correction.value_m
         return Heave(
             heave_m=observer_m + correction_m,
@@ -137,7 +134,7 @@ class HeaveChain:
             observer_m=observer_m,
             correction_m=correction_m,
             lead_s=observer.design_lead_s + taught.learned_s,
-            forecast=HeaveForecasts(self._params.forecast_horizons_s, heaves, stds),
+            forecast=observer.forecast(shift_s, taught.learned_s, no_less, gain),
         )
 
     def delayed(self) -> DelayedHeave | None:

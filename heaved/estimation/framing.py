@@ -16,7 +16,7 @@ from heaved.estimation.points import Attitude, Point
 from heaved.estimation.quality import COAST_S, Facts, judge
 from heaved.estimation.rock import STANDARD_HORIZONS_S
 from heaved.estimation.stages import Stages
-from heaved.predictions import HeaveForecasts
+from heaved.predictions import PlainForecasts
 from heaved.samples import (
     CorrectionState,
     LaserState,
@@ -35,7 +35,7 @@ NOTHING: Final = Heave(
     observer_m=nan,
     correction_m=nan,
     lead_s=nan,
-    forecast=HeaveForecasts((), (), ()),
+    forecast=PlainForecasts((), (), ()),
 )
 """While nothing is known of the heave."""
 

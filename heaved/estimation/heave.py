@@ -28,6 +28,7 @@ from heaved.estimation.outlook import Motion
 from heaved.estimation.ring import Ring
 from heaved.estimation.sea_window import SeaFit, SeaWindow
 from heaved.estimation.spectrum import dominant_frequencies, heave_spectrum
+from heaved.predictions import HeaveForecasts, PlainForecasts
 from heaved.samples import DelayedHeave, SeaState
 
 Array = NDArray[np.float64]
@@ -347,12 +348,14 @@ class HarmonicObserver:
         return [self.at(shift, learned_lead_s) for shift in shifts_s]
 
     def forecast(
-        self, shift_s: float, learned_lead_s: float = 0.0, scale: float = 1.0
-    ) -> tuple[list[float], list[float]]:
-        """Heave and :meth:`error_std_m` for each horizon, after a moment ``shift_s`` after the last sample."""
-        shifts = [shift_s + h for h in self._params.forecast_horizons_s]
-        stds = [self.error_std_m(shift, scale) for shift in shifts]
-        return [motion.heave_m for motion in self.outlook(tuple(shifts), learned_lead_s)], stds
+        self, shift_s: float, learned_lead_s: float = 0.0, scale: float = 1.0, gain: float = 1.0
+    ) -> HeaveForecasts:
+        """Heave and :meth:`error_std_m` for each horizon after a moment ``shift_s`` after the last sample, both times
+        ``gain``: what the laser has shown of the sensor's scale."""
+        horizons_s = self._params.forecast_horizons_s
+        shifts = tuple([shift_s + h for h in horizons_s])
+        heaves = [gain * motion.heave_m for motion in self.outlook(shifts, learned_lead_s)]
+        return PlainForecasts(horizons_s, heaves, [gain * self.error_std_m(shift, scale) for shift in shifts])
 
     def unshifted(self) -> Motion:
         """The one-step observer: eq. (14) with m = 0, as the comparison with the laser wants it."""

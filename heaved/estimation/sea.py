@@ -31,6 +31,7 @@ from heaved.estimation.sea_trust import NEEDED_S, SeaTrust
 from heaved.estimation.sea_window import Candidate, SeaFit, SeaWindow
 from heaved.estimation.smoother import FixedLagSmoother
 from heaved.estimation.splice import Splice
+from heaved.predictions import HeaveForecasts, PlainForecasts
 from heaved.samples import DelayedHeave, SeaState
 
 Array = NDArray[np.float64]
@@ -302,19 +303,19 @@ class SeaObserver:
         return [self.at(shift, learned_lead_s) for shift in shifts_s]
 
     def forecast(
-        self, shift_s: float, learned_lead_s: float = 0.0, scale: float = 1.0
-    ) -> tuple[list[float], list[float]]:
+        self, shift_s: float, learned_lead_s: float = 0.0, scale: float = 1.0, gain: float = 1.0
+    ) -> HeaveForecasts:
         """Heave and :meth:`error_std_m` for each horizon of the constructor after a moment ``shift_s`` after the last
-        sample."""
+        sample, both times ``gain``: what the laser has shown of the sensor's scale."""
+        horizons_s = self._horizons_s
         if self._heave is None:
-            return [nan] * len(self._horizons_s), [nan] * len(self._horizons_s)
+            return PlainForecasts.unknown(horizons_s)
         self._heave.set_lead(learned_lead_s)
         if shift_s == 0.0:
-            heaves, stds = self._heave.forecast(self.t_s)
-        else:
-            heaves = [self._heave.at(self.t_s, shift_s + h).heave_m for h in self._horizons_s]
-            stds = [self._heave.std_m(self.t_s, shift_s + h) for h in self._horizons_s]
-        return heaves, stds if scale == 1.0 else [std * scale for std in stds]
+            return self._heave.forecast(self.t_s, scale, gain)
+        shifts = [shift_s + h for h in horizons_s]
+        heaves = [gain * self._heave.at(self.t_s, shift).heave_m for shift in shifts]
+        return PlainForecasts(horizons_s, heaves, [gain * self.error_std_m(shift, scale) for shift in shifts])
 
     def unshifted(self) -> Motion:
         """What the laser is compared with: nothing learned taken out."""

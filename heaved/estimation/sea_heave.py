@@ -3,22 +3,25 @@
 A sample's own heave, what it is for a compensator some tenths of a second later, and the forecasts are all the filter's
 state of the last beat moved in time (:mod:`outlook`). What does not change within a beat is made ready once: for each
 moment that is always asked for, the series that reaches from the beat to any sample before the next one, and the
-standard deviation. A sample then costs the series at its own age. For any other moment all of it is worked out.
+standard deviation, to the next half of a beat. A sample then costs the series at its own age. For any other moment all
+of it is worked out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from math import hypot, isfinite, nan, sqrt
-from operator import add
 from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.outlook import Motion, Outlook, along
+from heaved.estimation.outlook import ORDER, Motion, Outlook, along
 from heaved.estimation.sea_filter import SeaFilter
-from heaved.estimation.splice import NO_SPLICE, fade
+from heaved.estimation.sea_forecasts import NOTHING_LEFT, Ahead, SeaForecasts
+from heaved.estimation.splice import NO_SPLICE
+from heaved.predictions import HeaveForecasts, PlainForecasts
 
 Array = NDArray[np.float64]
 
@@ -28,6 +31,15 @@ MARGIN_S: Final = 3.0
 """Beyond the longest horizon: how early a sensor may be, and the age of the last beat."""
 CONVERGED: Final = 1.5
 """The covariance has converged when the error of the heave is within this factor of that of the steady filter."""
+
+
+class Stds(msgspec.Struct, frozen=True, eq=False):
+    """Standard deviations of the heave's error by the model, at some age of the beat."""
+
+    ahead_m: Array
+    """(H,) of the forecasts."""
+    near_m: list[float]
+    """Now, and after the lead."""
 
 
 class SeaHeave:
@@ -53,27 +65,31 @@ class SeaHeave:
         self._outlook = Outlook(system, max((*horizons_s, lead_s, 0.0)) + MARGIN_S)
         self._steady_stds: list[float] = self._outlook.stds(f.steady_covariance).tolist()
         self.steady_std_m = _std(system.heave, f.steady_covariance)
+        self._horizons_s, self._count = horizons_s, len(horizons_s)
+        self._unknown = PlainForecasts.unknown(horizons_s)
         self._shifts_s = (*horizons_s, 0.0, lead_s)
-        self._count = len(horizons_s)
-        self._places = {shift: i for i, shift in enumerate(self._shifts_s)}
-        self._fades = [(h, fade(h)) for h in horizons_s]
-        self._plain_rows = self._outlook.derivatives((0.0,))[0]
+        self._places = {0.0: 0, lead_s: 1}
+        self._plain_row = self._outlook.derivatives((0.0,))[0]
+        self._steady_by_age: dict[int, Stds] = {}
         self._learned_s = nan
         self.moved()
 
     def moved(self) -> None:
         """The filter's state has changed, and with it all that was made ready."""
-        self._series: list[list[float]] = []
+        self._near: list[list[float]] = []
         self._unshifted: list[float] = []
         self._state_series: Array | None = None
-        self._modelled: list[float] = []
+        self._by_age: dict[int, Stds] = {}
+        self._ahead: Ahead | None = None
 
     def set_lead(self, learned_s: float) -> None:
         """How early the sensor has been found to be, which is taken out of :meth:`at` and :meth:`forecast`."""
         if learned_s != self._learned_s:
             self._learned_s = learned_s
-            self._rows = self._outlook.derivatives([shift - learned_s for shift in self._shifts_s])
-            self._series, self._modelled = [], []
+            rows = self._outlook.derivatives([shift - learned_s for shift in self._shifts_s])
+            self._rows = rows.reshape(-1, rows.shape[2])
+            self._steady_by_age = {}
+            self.moved()
 
     # --- heave -------------------------------------------------------------------------------------------------------
 
@@ -84,7 +100,7 @@ class SeaHeave:
             return Motion(nan, nan)
         place = self._places.get(shift_s)
         if place is not None:
-            motion = along((self._series or self._made_ready())[place], late)
+            motion = along((self._near or self._made_ready())[place], late)
         else:
             if self._state_series is None:
                 self._state_series = self._outlook.series(self.filter.x)
@@ -97,59 +113,62 @@ class SeaHeave:
     def unshifted(self, t_s: float) -> Motion:
         """What the laser is compared with: nothing learned taken out, nothing left of another model."""
         if not self._unshifted:
-            self._unshifted = (self._plain_rows @ self.filter.x).tolist()
+            self._unshifted = self._plain_row.dot(self.filter.x).tolist()
         return along(self._unshifted, t_s - self.filter.t_s)
 
-    def forecast(self, t_s: float) -> tuple[list[float], list[float]]:
-        """:meth:`at` and :meth:`std_m` for all the horizons: heave and its standard deviations."""
-        d = t_s - self.filter.t_s
-        if not d <= STALE_BEAT_S:
-            return [nan] * self._count, [nan] * self._count
-        if not self._series:
+    def forecast(self, t_s: float, scale: float = 1.0, gain: float = 1.0) -> HeaveForecasts:
+        """:meth:`at` and ``scale`` times :meth:`std_m` for all the horizons, both times ``gain``."""
+        late_s = t_s - self.filter.t_s
+        if not late_s <= STALE_BEAT_S:
+            return self._unknown
+        if not self._near:
             self._made_ready()
-        if not self._modelled:
-            self._modelled_at(t_s)
-        heaves = [((((c5 * d + c4) * d + c3) * d + c2) * d + c1) * d + c0 for c0, c1, c2, c3, c4, c5 in self._ahead]
-        stds = self._ahead_stds
-        if t_s < self.splice.until_s:
-            left = self.splice.heaves(t_s, self._fades)
-            return [*map(add, heaves, left)], [*map(hypot, stds, left)]
-        return heaves, stds
+        stds_m = self._stds(late_s).ahead_m
+        ahead = self._ahead
+        if ahead is None or ahead.stds_m is not stds_m:
+            ahead = self._ahead = Ahead(self._series, stds_m)
+        left = self.splice.state(t_s) if t_s < self.splice.until_s else NOTHING_LEFT
+        return SeaForecasts(self._horizons_s, ahead, (late_s, gain, self.scale, gain * scale, *left))
 
     def _made_ready(self) -> list[list[float]]:
-        self._series = (self._rows @ self.filter.x).tolist()
-        self._ahead = self._series[: self._count]
-        return self._series
+        made = self._rows.dot(self.filter.x).reshape(-1, ORDER)
+        self._series, self._near = made[: self._count], made[self._count :].tolist()
+        return self._near
 
     # --- how far it can be trusted -----------------------------------------------------------------------------------
 
     def std_m(self, t_s: float, shift_s: float) -> float:
         """Standard deviation of the error of :meth:`at`: from the covariance of the filter, times :attr:`scale`."""
-        if not t_s - self.filter.t_s <= STALE_BEAT_S:
+        late_s = t_s - self.filter.t_s
+        if not late_s <= STALE_BEAT_S:
             return nan
         place = self._places.get(shift_s)
         if place is not None:
-            std_m = (self._modelled or self._modelled_at(t_s))[place]
+            std_m = self._stds(late_s).near_m[place] * self.scale
         else:
-            std_m = self._modelled_stds_m(t_s, (shift_s,))[0]
+            std_m = self._modelled_m(late_s, (shift_s,))[0] * self.scale
         if t_s < self.splice.until_s:
             std_m = hypot(std_m, self.splice.at(t_s + shift_s)[0])
         return std_m
 
-    def _modelled_at(self, t_s: float) -> list[float]:
-        """For what is always asked for; it changes less within a beat than it is known."""
-        self._modelled = self._modelled_stds_m(t_s, self._shifts_s)
-        self._ahead_stds = self._modelled[: self._count]
-        return self._modelled
+    def _stds(self, late_s: float) -> Stds:
+        """For what is always asked for, to the next half of a beat: nearer than that they are not known."""
+        half_s = 0.5 * self.filter.steady.dt_s
+        age = round(late_s / half_s)
+        by_age = self._steady_by_age if self.filter.is_steady else self._by_age
+        found = by_age.get(age)
+        if found is None:
+            modelled_m = self._modelled_m(age * half_s, self._shifts_s)
+            found = by_age[age] = Stds(np.array(modelled_m[: self._count]), modelled_m[self._count :])
+        return found
 
-    def _modelled_stds_m(self, t_s: float, shifts_s: Sequence[float]) -> list[float]:
-        """After a sample at ``t_s``."""
-        learned_s = self._learned_s if isfinite(self._learned_s) else 0.0
-        beat_s, scale = self.filter.t_s, self.scale
-        taus = [shift + t_s - beat_s - learned_s for shift in shifts_s]
+    def _modelled_m(self, late_s: float, shifts_s: Sequence[float]) -> list[float]:
+        """Standard deviation by the model, ``late_s`` after the beat and so much later."""
+        early_s = self._learned_s if isfinite(self._learned_s) else 0.0
+        taus = [shift + late_s - early_s for shift in shifts_s]
         if self.filter.is_steady:
-            return [std * scale for std in self._outlook.between(self._steady_stds, taus)]
-        return [std * scale for std in self._outlook.stds_at(self.filter.covariance, taus)]
+            return self._outlook.between(self._steady_stds, taus)
+        return self._outlook.stds_at(self.filter.covariance, taus)
 
     @property
     def state_std_m(self) -> float:

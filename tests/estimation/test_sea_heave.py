@@ -10,9 +10,10 @@ from scipy.linalg import expm
 from seas import model, simulated, whole
 
 from heaved.estimation.sea_filter import SeaFilter
+from heaved.estimation.sea_forecasts import SeaForecasts
 from heaved.estimation.sea_heave import CONVERGED, STALE_BEAT_S, SeaHeave
 from heaved.estimation.sea_model import SeaSystem
-from heaved.estimation.splice import Splice
+from heaved.estimation.splice import LEAST_M, NO_SPLICE, Splice
 
 DT_S = 0.05
 HORIZONS_S = (0.1, 0.5, 2.0)
@@ -55,26 +56,58 @@ def test_heave_is_the_state_moved_on(heave: SeaHeave, late_s: float, learned_s: 
 
 
 def test_standard_deviations_are_those_of_the_covariance_moved_on(heave: SeaHeave, system: SeaSystem) -> None:
-    """Times the scale; and they are held until the next beat, which changes them less than they are known."""
+    """Times the scale; whatever the age of the beat, to the next half of its length."""
     heave.scale = 1.5
     heave.set_lead(0.0)
     P = heave.filter.covariance
-    for shift_s in (0.0, *HORIZONS_S, 0.777):
-        F, Q = (np.eye(len(P)), np.zeros_like(P)) if shift_s == 0.0 else whole(system, shift_s)
+    for late_s, halves in ((0.0, 0), (0.011, 0), (0.014, 1), (0.03, 1), (0.06, 2), (0.8, 32)):
+        for shift_s in (0.0, LEAD_S):
+            tau_s = shift_s + halves * 0.5 * DT_S
+            F, Q = (np.eye(len(P)), np.zeros_like(P)) if tau_s == 0.0 else whole(system, tau_s)
+            expected = 1.5 * np.sqrt(system.heave @ (F @ P @ F.T + Q) @ system.heave)
+            # Linear between whole beats, a little more than the truth.
+            assert heave.std_m(BEAT_S + late_s, shift_s) == pytest.approx(expected, rel=2e-2 if halves % 2 else 5e-3)
+    for shift_s in (*HORIZONS_S, 0.777):
+        F, Q = whole(system, shift_s)
         expected = 1.5 * np.sqrt(system.heave @ (F @ P @ F.T + Q) @ system.heave)
         assert heave.std_m(BEAT_S, shift_s) == pytest.approx(expected, rel=5e-3)
-    held = [heave.std_m(BEAT_S, h) for h in HORIZONS_S]
-    assert [heave.std_m(BEAT_S + 0.04, h) for h in HORIZONS_S] == held
 
 
 def test_forecasts_are_heave_and_deviation_of_each_horizon(heave: SeaHeave) -> None:
-    for splice in (None, Splice(0.2, -0.1, BEAT_S - 1.0), Splice(0.2, -0.1, BEAT_S - 17.0)):
+    """With a model before that has just been left, and one that is as good as forgotten."""
+    for splice in (None, Splice(0.2, -0.1, BEAT_S - 1.0), Splice(0.2, -0.1, BEAT_S - 14.0)):
         heave.splice = splice or heave.splice
         heave.set_lead(0.01)
         t_s = BEAT_S + 0.03
-        heaves, stds = heave.forecast(t_s)
-        assert heaves == pytest.approx([heave.at(t_s, h).heave_m for h in HORIZONS_S], rel=1e-12)
-        assert stds == pytest.approx([heave.std_m(t_s, h) for h in HORIZONS_S], rel=1e-12)
+        found = heave.forecast(t_s, 3.0, 0.9)
+        assert [f.horizon_s for f in found] == list(HORIZONS_S)
+        assert [f.heave_m for f in found] == pytest.approx(
+            [0.9 * heave.at(t_s, h).heave_m for h in HORIZONS_S], rel=1e-12, abs=LEAST_M
+        )
+        left = [heave.splice.at(t_s + h)[0] for h in HORIZONS_S]
+        heave.splice = NO_SPLICE
+        modelled = [heave.std_m(t_s, h - 0.005) for h in HORIZONS_S]  # 0.025 s after the beat: half of its length
+        assert [f.std_m for f in found] == pytest.approx(
+            (0.9 * 3.0 * np.hypot(modelled, left)).tolist(), rel=1e-12, abs=LEAST_M
+        )
+
+
+def test_forecasts_of_many_moments_are_those_of_each(heave: SeaHeave) -> None:
+    """Of several beats and models, some with something left of a model before, some with the laser's scale."""
+    heave.set_lead(0.0)
+    forecasts = []
+    for k in range(12):
+        if k % 3 == 0:
+            heave.filter.x, heave.filter.t_s = 1.1 * heave.filter.x, BEAT_S + k
+            heave.moved()
+        if k == 6:
+            heave.splice = Splice(0.2, -0.1, BEAT_S + k)
+        forecasts.append(heave.forecast(BEAT_S + k - k % 3 + 0.011 * k, 1.0 + 0.1 * k, 1.0 - 0.01 * k))
+    assert isinstance(forecasts[0], SeaForecasts)
+    together = SeaForecasts.numbers(forecasts)
+    assert together.shape == (12, len(HORIZONS_S), 2)
+    for one, row in zip(forecasts, together, strict=True):
+        assert row == pytest.approx(np.array([(f.heave_m, f.std_m) for f in one]), rel=1e-12)
 
 
 def test_what_is_left_of_the_old_model_is_in_heave_velocity_and_deviation(heave: SeaHeave) -> None:
@@ -89,11 +122,14 @@ def test_what_is_left_of_the_old_model_is_in_heave_velocity_and_deviation(heave:
 
 def test_a_state_that_has_moved_gives_other_numbers(heave: SeaHeave) -> None:
     heave.set_lead(0.0)
-    before, std_m = heave.forecast(BEAT_S)[0], heave.std_m(BEAT_S, 0.5)
+    before, std_m = heave.forecast(BEAT_S), heave.std_m(BEAT_S, 0.5)
+    first = before[0].heave_m
     heave.filter.x = 2.0 * heave.filter.x
     heave.filter.P = 4.0 * heave.filter.covariance
     heave.moved()
-    assert heave.forecast(BEAT_S)[0] == pytest.approx([2.0 * value for value in before])
+    assert heave.forecast(BEAT_S)[0].heave_m == pytest.approx(2.0 * first)
+    assert before[0].heave_m == first
+    assert [f.heave_m for f in heave.forecast(BEAT_S)] == pytest.approx([2.0 * f.heave_m for f in before])
     assert heave.std_m(BEAT_S, 0.0) > 1.9 * heave.steady_std_m
     assert heave.std_m(BEAT_S, 0.5) > std_m
 
@@ -111,4 +147,6 @@ def test_without_a_beat_for_too_long_nothing_is_known(heave: SeaHeave) -> None:
     t_s = BEAT_S + STALE_BEAT_S + 0.01
     assert isnan(heave.at(t_s, 0.0).heave_m)
     assert isnan(heave.std_m(t_s, 0.5))
-    assert all(map(isnan, (*heave.forecast(t_s)[0], *heave.forecast(t_s)[1])))
+    forecast = heave.forecast(t_s)
+    assert [f.horizon_s for f in forecast] == list(HORIZONS_S)
+    assert all(isnan(f.heave_m) and isnan(f.std_m) for f in forecast)
