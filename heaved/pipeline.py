@@ -49,8 +49,6 @@ from heaved.samples import (
 
 MAX_RATE_HZ: Final = 250.0
 """Sizes the rings; a faster sensor is served too, with a shorter memory of late lasers."""
-CHECKED_S: Final = (0.5, 2.0)
-"""The forecast of a horizon between these, the one nearest to 1 s, is compared with a plain regression's."""
 
 
 class PipelineState(msgspec.Struct, frozen=True, kw_only=True):
@@ -128,10 +126,7 @@ class Pipeline:
         self._quiet: QuietWatch | None = None
         if quiet is not None and quiet.enabled:
             self._quiet = QuietWatch(quiet, next((p for p in point if p.name == quiet.point), None))
-        checked_s = min(heave.forecast_horizons_s, key=lambda h: abs(h - 1.0), default=nan)
-        self._checked = heave.forecast_horizons_s.index(checked_s) if checked_s == checked_s else 0
-        is_checked = CHECKED_S[0] <= checked_s <= CHECKED_S[1] and lead_s < 0.5 * checked_s
-        self._check = ForecastCheck(checked_s, lead_s) if is_checked else None
+        self._check = ForecastCheck.of(heave.forecast_horizons_s, lead_s)
         self._imu_t_s = nan
         self._accepted_t_s = self._fitted_t_s = nan
         self._trained: Counter[str] = Counter()
@@ -180,8 +175,7 @@ class Pipeline:
         self.stages.take(sample)
         frame = self._frame(t, rock)
         if self._check is not None:
-            is_taken = self._check.is_due(t) and bool(frame.forecast)
-            self._check.step(t, frame.observer_m, frame.forecast[self._checked].heave_m if is_taken else nan)
+            self._check.step(t, frame.observer_m, frame.forecast)
         if self._quiet is not None:
             is_good = sample.fault is Fault.NONE
             angles = (sample.roll_rad, sample.pitch_rad) if is_good else (nan, nan)

@@ -17,7 +17,16 @@ from heaved.estimation.points import Point
 from heaved.outputs import report, wire
 from heaved.outputs.requests import Watch, parse_request
 from heaved.pipeline import Pipeline
-from heaved.samples import GRAVITY_MPS2, ImuSample, MotionFrame, QuietForecast, QuietWindow, RockPrediction, RockScore
+from heaved.samples import (
+    GRAVITY_MPS2,
+    HeaveForecast,
+    ImuSample,
+    MotionFrame,
+    QuietForecast,
+    QuietWindow,
+    RockPrediction,
+    RockScore,
+)
 from heaved.table import Table
 
 AMPLITUDE_M, PERIOD_S = 0.3, 8.0
@@ -103,6 +112,19 @@ def test_a_quiet_point_must_exist() -> None:
 # ---- the forecasts' check --------------------------------------------------------------------------------------------
 
 
+def foretold(heave_m: float) -> tuple[HeaveForecast, ...]:
+    """A second ahead, beside others."""
+    return HeaveForecast(horizon_s=0.5, heave_m=9.0), HeaveForecast(horizon_s=1.0, heave_m=heave_m)
+
+
+def test_the_horizon_nearest_to_a_second_is_checked_if_it_tells_anything() -> None:
+    check = ForecastCheck.of((0.1, 0.6, 1.2, 5.0), 0.1)
+    assert check is not None
+    assert check._horizon_s == 1.2
+    for horizons_s, lead_s in (((), 0.0), ((0.1, 5.0), 0.0), ((1.0,), 0.5)):
+        assert ForecastCheck.of(horizons_s, lead_s) is None
+
+
 @pytest.mark.parametrize(("error_m", "is_doubted"), [(0.0, False), (0.4, True)])
 def test_forecasts_that_are_worse_than_a_regression_are_doubted(error_m: float, is_doubted: bool) -> None:
     check = ForecastCheck(1.0)
@@ -110,7 +132,7 @@ def test_forecasts_that_are_worse_than_a_regression_are_doubted(error_m: float, 
     for k in range(4000):
         t = k / 20
         truth = sin(tau * t / 8) + 1e-3 * rng.standard_normal()
-        check.step(t, truth, sin(tau * (t + 1.0) / 8) + error_m * rng.standard_normal())
+        check.step(t, truth, foretold(sin(tau * (t + 1.0) / 8) + error_m * rng.standard_normal()))
     observer_m, plain_m = check.errors_m
     assert abs(observer_m - (error_m or 1e-3)) < 0.15 * (error_m or 1e-3)
     assert plain_m < 0.1
@@ -121,16 +143,17 @@ def test_the_lead_of_the_heave_is_allowed_for() -> None:
     check = ForecastCheck(1.0, 0.3)
     for k in range(2000):
         t = k / 20
-        check.step(t, sin(tau * (t + 0.3) / 8), sin(tau * (t + 1.0) / 8))
+        check.step(t, sin(tau * (t + 0.3) / 8), foretold(sin(tau * (t + 1.0) / 8)))
     assert check.errors_m[0] < 2e-3  # linear interpolation between frames
 
 
 def test_unknown_forecasts_are_not_compared() -> None:
-    check = ForecastCheck(1.0)
-    for k in range(1000):
-        check.step(k / 20, sin(k / 20), nan)
-    assert not isfinite(check.errors_m[0])
-    assert check.doubts == ()
+    for unknown in (foretold(nan), foretold(0.0)[:1], ()):
+        check = ForecastCheck(1.0)
+        for k in range(1000):
+            check.step(k / 20, sin(k / 20), unknown)
+        assert not isfinite(check.errors_m[0])
+        assert check.doubts == ()
 
 
 # ---- what is read ----------------------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.estimation.outlook import ORDER
 from heaved.estimation.splice import TIME_S
 from heaved.predictions import HeaveForecasts
 
@@ -52,19 +53,23 @@ class SeaForecasts(HeaveForecasts):
             if not beats or one._ahead is not beats[-1]:
                 beats.append(one._ahead)
             place.append(len(beats) - 1)
-        series = np.stack([beat.series for beat in beats])[place]
-        found = np.empty((len(forecasts), series.shape[1], 2))
+        shape = len(beats), len(forecasts[0].horizons_s)
+        series = np.concatenate([beat.series for beat in beats]).reshape(*shape, ORDER)
+        stds_m = np.concatenate([beat.stds_m for beat in beats]).reshape(shape)
+        if len(beats) > 1:
+            series, stds_m = series[place], stds_m[place]
+        found = np.empty((len(forecasts), shape[1], 2))
         heaves, stds = found[..., 0], found[..., 1]
         heaves[:] = series[..., -1]
-        for k in range(series.shape[2] - 2, -1, -1):
+        for k in range(ORDER - 2, -1, -1):
             heaves *= late_s
             heaves += series[..., k]
-        stds[:] = modelled * np.stack([beat.stds_m for beat in beats])[place]
+        np.multiply(modelled, stds_m, out=stds)
         if own[:, 4:].any():
             later_s = np.array(forecasts[0].horizons_s)
             left = (left_m + slope_mps * later_s) * np.exp(-(elapsed_s + later_s) / TIME_S)
             heaves += left
-            stds[:] = np.hypot(stds, left)
+            np.hypot(stds, left, out=stds)
         heaves *= gain
         stds *= whole
         return found

@@ -46,7 +46,7 @@ class SpikeGate:
             self.rejected += 1
             return nan
         self._steps += 1
-        weight = max(MEMORY, 1.0 / self._steps)
+        weight = MEMORY if self._steps > 1.0 / MEMORY else 1.0 / self._steps
         square, most = step * step, 4.0 * limit * limit
         self._mean_square += weight * ((square if square < most else most) - self._mean_square)
         self._t_s, self._value = t_s, value
