@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections import Counter
 from math import isfinite, nan
-from typing import Final
 
 import msgspec
 
@@ -25,10 +24,6 @@ from heaved.estimation.sea import SeaObserver
 from heaved.estimation.spikes import SpikeGate, StuckGate
 from heaved.predictions import HeaveForecasts
 from heaved.samples import DelayedHeave
-
-DELAYED_OVERCONFIDENCE: Final = 1.5
-"""Published over modelled standard deviation of the delayed heave: the fitted spectrum is an estimate, and the smoothed
-value is so good that this shows (coverage: tools/accuracy.py heave)."""
 
 
 class Heave(msgspec.Struct, frozen=True, gc=False, kw_only=True):
@@ -72,8 +67,6 @@ class HeaveChain:
         self.correction = ResidualCorrection(correction, max_rate_hz)
         self.laser = LaserTeacher(laser, heave.lead, self.correction, max_rate_hz)
         self.good_t_s = nan
-        self._delayed_of: DelayedHeave | None = None
-        self._delayed: DelayedHeave | None = None
         self.resets: Counter[tuple[str, str]] = Counter()
         self._resets_seen = 0
 
@@ -138,18 +131,10 @@ class HeaveChain:
         )
 
     def delayed(self) -> DelayedHeave | None:
-        """The newest delayed heave, with what the laser has taught: the sensor's lag and its scale."""
-        newest = self.observer.delayed
-        if newest is not self._delayed_of:
-            self._delayed_of, self._delayed = newest, None
-            if newest is not None:
-                taught = self.laser.lead
-                self._delayed = DelayedHeave(
-                    t_s=newest.t_s + taught.learned_s,
-                    heave_m=taught.gain * newest.heave_m,
-                    std_m=DELAYED_OVERCONFIDENCE * taught.gain * newest.std_m,
-                )
-        return self._delayed
+        """The newest delayed heave, with what the laser has taught."""
+        taught = self.laser.lead
+        self.laser.delayed.take(self.observer.delayed, taught.learned_s, taught.gain)
+        return self.laser.delayed.newest
 
     def start_over(self) -> None:
         """An observer that knows nothing, after a restoration that failed."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from heaved.estimation import lead, reference
 from heaved.estimation.correction import ResidualCorrection
+from heaved.estimation.delayed import DelayedOutput
 from heaved.estimation.heave import HarmonicObserver
 from heaved.estimation.outlook import Motion
 from heaved.estimation.ring import Ring
@@ -30,6 +31,7 @@ class LaserTeacher:
     Attributes:
         reference: the laser as heave reference.
         lead: what it has shown beyond the lead of the chain's own design.
+        delayed: the delayed heave with both.
         fault: of the last reading that was looked at.
     """
 
@@ -41,6 +43,7 @@ class LaserTeacher:
         self._correction = correction
         self.reference = reference.Reference(laser)
         self.lead = lead.LeadTracker(comparison)
+        self.delayed = DelayedOutput(laser.noise_std_m)
         self.fault = Fault.NONE
         self._waiting: deque[LaserSample] = deque(maxlen=1024)
         self._outputs = Ring(int(LATE_S * max_rate_hz), 5)
@@ -87,6 +90,8 @@ class LaserTeacher:
         if verdict is reference.Verdict.RESTARTED:
             self._compared.clear()
             self._correction.forget_rows()
+        if verdict is reference.Verdict.ACCEPTED and self.reference.known:
+            self.delayed.give(sample.t_s, self.reference.value_m)
         if verdict is reference.Verdict.ACCEPTED and self._is_aiding:
             assert isinstance(observer, SeaObserver)
             observer.aid(sample.t_s, self.reference.signed(sample.laser_m), self._noise_std_m)
