@@ -18,6 +18,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
+import msgspec
+
 from heaved.samples import CraftSample, ImuSample, LaserSample, RatesSample
 
 COLUMNS: Final = (
@@ -42,6 +44,7 @@ IGNORED: Final = (
 )  # fmt: skip
 """Columns of a second IMU beside its rates: allowed, never looked at."""
 
+_DECODER: Final = msgspec.json.Decoder(list[float])
 _RADIANS_PER_DEGREE: Final = radians(1.0)
 _LONGEST_HEADER: Final = 4096
 """Characters. A first line beyond this is no header of ours, whatever it is."""
@@ -139,28 +142,24 @@ class Recording:
         width = len(self.columns)
         read = COLUMNS if set(STAGE_COLUMNS).isdisjoint(self.columns) else COLUMNS + STAGE_COLUMNS
         has_midships = not set(STAGE_COLUMNS[:3]).isdisjoint(self.columns)
-        # A cell is appended to each row, and columns that the file does not have are picked from there.
-        pick = itemgetter(*(self.columns.index(name) if name in self.columns else -1 for name in read))
-        there = sum(name in self.columns for name in read)
+        there = [name for name in read if name in self.columns]
+        pick = itemgetter(*map(self.columns.index, there))
+        # What the file does not have is picked from the nan that is appended to each row of numbers.
+        arrange = itemgetter(*(there.index(name) if name in there else -1 for name in read))
         last_s = -float("inf")
         for row in rows:
             if len(row) != width:
                 if not row:
                     continue  # An empty line, as editors leave at the end.
                 raise self._error(f"{len(row)} cells, but the header has {width}", line=_line(rows))
-            row.append("nan")
             cells = pick(row)
-            blanks = cells.count("")
-            try:
-                values = [float(cell) if cell else nan for cell in cells] if blanks else list(map(float, cells))
-            except ValueError:
-                raise self._bad_cell(row, _line(rows)) from None
-            text = "".join(cells)
-            if sum(map(isfinite, values)) + blanks != there or "_" in text or not text.isascii():
+            found = _numbers(cells)
+            if found is None:
                 raise self._bad_cell(row, _line(rows))
-            t_s, ax, ay, az, roll, pitch, yaw, gx, gy, gz, laser, *staged = values
+            found.append(nan)
+            t_s, ax, ay, az, roll, pitch, yaw, gx, gy, gz, laser, *staged = arrange(found)
             if not t_s > last_s:
-                raise self._bad_time(cells[0], last_s, _line(rows))
+                raise self._bad_time(cells[there.index("t_s")], last_s, _line(rows))
             last_s = t_s
             if has_midships:
                 gx, gy, gz = staged[:3]
@@ -238,6 +237,25 @@ def read_recording(path: Path) -> Iterator[Row]:
     """
     with Recording(path) as recording:
         yield from recording
+
+
+def _numbers(cells: tuple[str, ...]) -> list[float] | None:
+    """The numbers in some cells, nan for a blank one; None: one is no finite number in plain digits, and not blank."""
+    if "" not in cells:
+        try:
+            # Four times as fast as float(), to the same digits, and stricter: what it does not take is looked at again.
+            found = _DECODER.decode(f"[{','.join(cells)}]")
+        except msgspec.DecodeError:
+            found = []
+        if len(found) == len(cells):
+            return found
+    try:
+        found = [float(cell) if cell else nan for cell in cells]
+    except ValueError:
+        return None
+    text = "".join(cells)
+    is_plain = sum(map(isfinite, found)) + cells.count("") == len(cells) and "_" not in text and text.isascii()
+    return found if is_plain else None
 
 
 def _staged(t_s: float, values: list[float]) -> tuple[RatesSample | None, CraftSample | None]:

@@ -92,6 +92,10 @@ REFUSED_ROWS = {
     "digits of another script": ("0,٣,1\n", 2, "az_mps2", "is not a number"),
     "decimal comma": ('0,"9,8",1\n', 2, "az_mps2", "is not a number"),
     "hexadecimal": ("0,0x10,1\n", 2, "az_mps2", "is not a number"),
+    "two numbers": ('0,"9.8, 1",1\n', 2, "az_mps2", "is not a number"),
+    "null": ("0,null,1\n", 2, "az_mps2", "is not a number"),
+    "true": ("0,true,1\n", 2, "az_mps2", "is not a number"),
+    "brackets": ("0,[9.8],1\n", 2, "az_mps2", "is not a number"),
     "too few cells": ("0,9.8,1\n1,9.8\n", 3, "", "2 cells, but the header has 3"),
     "too many cells": ("0,9.8,1,4\n", 2, "", "4 cells, but the header has 3"),
     "cut short": ("0,9.8,1\n1,9.", 3, "", "2 cells"),
@@ -175,6 +179,7 @@ def test_arbitrary_bytes_give_finite_samples_or_a_refusal(
 
 @given(st.lists(st.floats(-100, 100), min_size=1, max_size=20))
 def test_numbers_come_back_exactly(tmp_path_factory: pytest.TempPathFactory, numbers: list[float]) -> None:
-    body = "".join(f"{k},{value!r},\n" for k, value in enumerate(numbers))
+    """Whether a cell of their row is blank or none is."""
+    body = "".join(f"{k},{value!r},{'' if k % 2 else k}\n" for k, value in enumerate(numbers))
     rows = list(read_recording(write(tmp_path_factory.mktemp("exact"), HEADER + body)))
     assert [imu.az_mps2 for imu, _ in rows if imu is not None] == numbers
