@@ -179,9 +179,17 @@ class SeaSystem:
             if not np.isfinite(p).all():
                 return None
             if float(np.trace(step)) <= RICCATI_TOLERANCE * float(np.trace(p)):
-                S = float(self.H @ p @ self.H) + R
-                return Steady(dt_s=dt_s, F=F, Q=Q, P=p, K=p @ self.H / S, S=S)
+                return self._steady(dt_s, F, Q, p)
         return None
+
+    def steady_of(self, dt_s: float, P: Array) -> Steady:
+        """That filter from its covariance ``P`` (n, n) before a sample is taken in."""
+        return self._steady(dt_s, *self.transition(dt_s), P)
+
+    def _steady(self, dt_s: float, F: Array, Q: Array, P: Array) -> Steady:
+        PH = P @ self.H
+        S = float(self.H @ PH) + measurement_variance(self.model.noise_psd, dt_s)
+        return Steady(dt_s=dt_s, F=F, Q=Q, P=P, K=PH / S, S=S)
 
 
 class Steady(msgspec.Struct, frozen=True, eq=False, kw_only=True):
