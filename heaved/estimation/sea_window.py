@@ -214,25 +214,25 @@ def _fit_all(
     rate, seconds = 1.0 / record.dt_s, len(record.a_mps2) * record.dt_s
     earlier = {candidate.window_s: candidate.model for candidate in window.candidates}
     known = list(scores)
-    candidates: list[Candidate] = []
-    shares: list[float] = []
-    waves = 0.0
-    for length in sorted(window.windows_s):
-        span = min(length, seconds)
-        stretch = unbroken(record, round(span * rate))
-        sp = sea_fit.spectrum(stretch, rate)
-        components = window.components if len(stretch) >= FEW_COMPONENTS_BELOW_S * rate else min(2, window.components)
-        warm = earlier.get(length)
-        fitted = sea_fit.fit(sp, window.stages, components, window.bias_walk_psd, warm)
-        if not candidates:
-            waves = fitted.waves
-        # A length that is new starts as well as the longest one before it.
-        score = scores.get(length, scores[known[-1]] if known else 0.0)
-        candidates.append(Candidate(window_s=length, model=fitted.model, score=score))
-        shares.append(sea_fit.measured_share(sp, fitted.model))
-        if span < length:
-            break
-    return tuple(candidates), shares, waves
+    every = sorted(window.windows_s)
+    lengths = [length for shorter, length in zip([0.0, *every], every, strict=False) if shorter <= seconds]
+    stretches = [unbroken(record, round(min(length, seconds) * rate)) for length in lengths]
+    spectra = [sea_fit.spectrum(stretch, rate) for stretch in stretches]
+    few = [len(stretch) < FEW_COMPONENTS_BELOW_S * rate for stretch in stretches]
+    fitted: dict[float, sea_fit.Fitted] = {}
+    for are_few in set(few):
+        components = min(2, window.components) if are_few else window.components
+        of = [i for i, is_few in enumerate(few) if is_few == are_few]
+        warm = [earlier.get(lengths[i]) for i in of]
+        made = sea_fit.fit([spectra[i] for i in of], window.stages, components, window.bias_walk_psd, warm)
+        fitted.update(zip([lengths[i] for i in of], made, strict=True))
+    # A length that is new starts as well as the longest one before it.
+    unknown = scores[known[-1]] if known else 0.0
+    candidates = tuple(
+        Candidate(window_s=length, model=fitted[length].model, score=scores.get(length, unknown)) for length in lengths
+    )
+    shares = [sea_fit.measured_share(sp, fitted[length].model) for sp, length in zip(spectra, lengths, strict=True)]
+    return candidates, shares, fitted[lengths[0]].waves
 
 
 def unbroken(record: sea_run.Record, count: int) -> Array:
