@@ -5,8 +5,8 @@
 over log f0, log zeta and log L of each component and log N, P being the periodogram. The ordinates of a periodogram are
 nearly independent exponential variables, so Fisher scoring applies: each step is the weighted least-squares fit of
 P / S - 1 by the slopes of log S, and a handful of steps do what a general minimiser needs hundreds of evaluations for.
-All starts, of all spectra that are to be fitted, run side by side to the end (one that is a hundred behind after eight
-steps may be the best after twenty); the best of each spectrum is taken.
+All starts, of all spectra that are to be fitted, run side by side, all of them to the end (one that is behind three
+others after eight steps may be better than they by far); the best of each spectrum is taken.
 
 What the error of the heave lives on is the low-frequency skirt of the spectrum, four decades below its peak. It has a
 dozen ordinates, and the tail above the peak has hundreds: were they weighed alike, a skirt that is far off would be
