@@ -1,9 +1,9 @@
 """The heave chain: vertical acceleration in, heave out, with what the laser has taught taken into account.
 
-acceleration --- spikes out --- observer (F^m) --- gain ---(+)--- heave, velocity, standard deviation
-                                    ^      |                ^
-                           lead, gain      X* at laser      '--- residual network <--- trained outside, guarded
-                                    '---- laser ----'
+    acceleration --- spikes out --- observer (F^m) --- gain ---(+)--- heave, velocity, standard deviation
+                                        ^      |                ^
+                               lead, gain      X* at laser      '--- residual network <--- trained outside, guarded
+                                        '---- laser ----'
 """
 
 from __future__ import annotations

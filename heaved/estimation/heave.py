@@ -237,16 +237,12 @@ class HarmonicObserver:
         """Look for the frequencies, eq. after (14), and work out what the chain does to this sea."""
         self._refreshed_t_s = t_s
         record = self._ring.since(t_s - self._params.window_s)
-        found = (
-            2.0
-            * pi
-            * dominant_frequencies(
-                record[:, 0],
-                record[:, 1],
-                self._params.components,
-                self._params.band_hz,
-                1.0 / self._params.highpass_period_s,
-            )
+        found = 2.0 * pi * dominant_frequencies(
+            record[:, 0],
+            record[:, 1],
+            self._params.components,
+            self._params.band_hz,
+            1.0 / self._params.highpass_period_s,
         )
         if len(found):
             # Fewer peaks than components: the others stay where they were, but never two at one frequency.
