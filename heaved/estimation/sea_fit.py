@@ -5,7 +5,8 @@
 over log f0, log zeta and log L of each component and log N, P being the periodogram. The ordinates of a periodogram are
 nearly independent exponential variables, so Fisher scoring applies: each step is the weighted least-squares fit of
 P / S - 1 by the slopes of log S, and a handful of steps do what a general minimiser needs hundreds of evaluations for.
-All starts run side by side; the best one is taken.
+All starts, of all spectra that are to be fitted, run side by side, all of them to the end (one that is behind three
+others after eight steps may be better than they by far); the best of each spectrum is taken.
 
 What the error of the heave lives on is the low-frequency skirt of the spectrum, four decades below its peak. It has a
 dozen ordinates, and the tail above the peak has hundreds: were they weighed alike, a skirt that is far off would be
@@ -18,13 +19,13 @@ components cannot follow above the waves; the noise that the filter is given is 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from math import log, pi
 from typing import Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import detrend, welch
 
 from heaved.estimation.sea_model import SeaModel
 
@@ -47,16 +48,17 @@ WEIGHED_FROM_HZ: Final = 0.15
 WEIGHT_POWER: Final = 0.7
 """0: each ordinate weighs the same; 1: each octave does."""
 STEPS: Final = 25
-GAIN_ENOUGH: Final = 1e-2
-"""Fall of the likelihood in one step below which a start has converged: the data cannot tell such models apart."""
 LONGEST_STEP: Final = 0.7
-"""Of any logarithm."""
+"""Of any logarithm. Longer steps find lower costs, in corners that the heave is worse for."""
 STARTS: Final = ((1.0, 1.6, 2.6, 0.7), (1.2, 0.5, 2.2, 1.7), (1.0, 1.2, 0.7, 2.0), (1.0, 1.13, 0.88, 1.3))
 """First frequencies of the components, over that of the velocity's peak; the second also tries a swell at 0.05 Hz."""
 SWELL_HZ: Final = 0.05
 LINE_DAMPING: Final = 0.07
 """Of the last start: a wave train is a few lines side by side."""
 DAMPING_GUESS: Final = 0.3
+
+POOLED: Final = 0.03
+"""Ordinates nearer together than this share of their frequency are pooled: over that the model is a straight line."""
 
 LIMITS: Final = {"frequency_hz": (0.025, 0.6), "damping": (0.05, 1.0), "level": (1e-10, 1e5), "noise": (1e-12, 1e2)}
 """A chain that is damped less than that is a line, and costs digits; one that is damped more has a pole far above the
@@ -84,7 +86,7 @@ class Spectrum(msgspec.Struct, frozen=True, eq=False):
 def spectrum(a_mps2: Array, rate_hz: float) -> Spectrum:
     """Of ``a_mps2`` (n,), evenly sampled; n of at least some tens of seconds."""
     n = min(len(a_mps2), round(SEGMENT_S * rate_hz))
-    f, power = welch(a_mps2, rate_hz, nperseg=n, noverlap=3 * n // 4, detrend=detrend)
+    f, power = _welch(a_mps2, rate_hz, n)
     top = min(BAND_HZ[1], BAND_OF_NYQUIST * 0.5 * rate_hz)
     inside = (f >= max(BAND_HZ[0], MAIN_LOBE * rate_hz / n)) & (f <= top)
     edges = np.geomspace(min(NOISE_OVER_HZ, 0.6 * 0.5 * rate_hz), 0.9 * 0.5 * rate_hz, NOISE_BANDS + 1)
@@ -92,6 +94,36 @@ def spectrum(a_mps2: Array, rate_hz: float) -> Spectrum:
     quiet = min(float(np.mean(band)) for band in bands if len(band))
     low, high = LIMITS["noise"]
     return Spectrum(f[inside], np.maximum(power[inside], 1e-300), min(max(quiet, low), high))
+
+
+def _welch(a: Array, rate_hz: float, n: int) -> tuple[Array, Array]:
+    """Averaged periodogram (Welch 1967) of segments of ``n`` samples that overlap by three quarters, each without its
+    straight line and under Hann's window: frequencies and one-sided density.
+
+    A straight line is taken out by two products, where scipy's solves a least-squares problem of every segment.
+    """
+    segments = np.lib.stride_tricks.sliding_window_view(a, n)[:: n - 3 * n // 4]
+    slope = np.linspace(-1.0, 1.0, n)
+    slope /= np.sqrt(slope @ slope)
+    segments = segments - segments.mean(axis=1, keepdims=True)
+    segments -= np.outer(segments @ slope, slope)
+    window = 0.5 - 0.5 * np.cos(2.0 * pi * np.arange(n) / n)
+    segments *= window
+    power = np.mean(np.abs(np.fft.rfft(segments)) ** 2, axis=0) * (2.0 / (rate_hz * float(window @ window)))
+    power[0] *= 0.5
+    if n % 2 == 0:
+        power[-1] *= 0.5  # Nyquist's frequency has no other side either.
+    return np.fft.rfftfreq(n, 1.0 / rate_hz).astype(np.float64), power.astype(np.float64)
+
+
+def _pooled(sp: Spectrum) -> tuple[Spectrum, Array]:
+    """Means of neighbouring ordinates, and the weight of each in the likelihood: the sum of theirs."""
+    width = np.maximum(np.floor(POOLED * sp.f_hz / (sp.f_hz[1] - sp.f_hz[0])), 1.0)
+    # Of a group of m, each takes up 1 / m.
+    first = np.flatnonzero(np.diff(np.floor(np.cumsum(1.0 / width) - 1.0 / width + 1e-9), prepend=-1.0))
+    count = np.diff(first, append=len(sp.f_hz))
+    f, power = (np.add.reduceat(values, first) / count for values in (sp.f_hz, sp.power))
+    return Spectrum(f, power, sp.noise_psd), np.add.reduceat(sp.weight, first)
 
 
 class Fitted(msgspec.Struct, frozen=True):
@@ -104,13 +136,30 @@ class Fitted(msgspec.Struct, frozen=True):
     """How much likelier the spectrum is with waves than with noise alone: difference of the plain log-likelihoods."""
 
 
-def fit(sp: Spectrum, stages: int, components: int, bias_walk_psd: float, warm: SeaModel | None = None) -> Fitted:
-    """The most likely model of ``components`` chains of ``stages``; ``warm`` is an earlier one of the same size."""
-    starts = _starts(sp, components, warm)
-    theta, cost = _score(sp, starts, stages, bias_walk_psd)
-    best = int(np.argmin(cost))
-    values = np.exp(theta[best])
-    parts = [tuple(values[i * components : (i + 1) * components].tolist()) for i in range(3)]
+def fit(
+    spectra: Sequence[Spectrum],
+    stages: int,
+    components: int,
+    bias_walk_psd: float,
+    warm: Sequence[SeaModel | None] | None = None,
+) -> list[Fitted]:
+    """The most likely model of ``components`` chains of ``stages`` for each spectrum; ``warm``: an earlier one of each,
+    used when it is of the same size."""
+    earlier = warm if warm is not None else [None] * len(spectra)
+    starts = [_starts(sp, components, model) for sp, model in zip(spectra, earlier, strict=True)]
+    rows = np.repeat(np.arange(len(spectra)), [len(part) for part in starts])
+    theta, cost = _score(_Whittle([_pooled(sp) for sp in spectra], rows, stages, bias_walk_psd), np.concatenate(starts))
+    best = [int(np.argmin(np.where(rows == i, cost, np.inf))) for i in range(len(spectra))]
+    return [
+        _fitted(sp, theta[row], float(cost[row]), stages, bias_walk_psd) for sp, row in zip(spectra, best, strict=True)
+    ]
+
+
+def _fitted(sp: Spectrum, theta: Array, cost: float, stages: int, bias_walk_psd: float) -> Fitted:
+    """The model of the logarithms ``theta`` (3K + 1,)."""
+    K = (len(theta) - 1) // 3
+    values = np.exp(theta)
+    parts = [tuple(values[i * K : (i + 1) * K].tolist()) for i in range(3)]
     model = SeaModel(
         stages=stages,
         frequency_hz=parts[0],
@@ -119,9 +168,9 @@ def fit(sp: Spectrum, stages: int, components: int, bias_walk_psd: float, warm: 
         noise_psd=sp.noise_psd,
         bias_walk_psd=bias_walk_psd,
     )
-    log_S = _log_spectrum(theta[best : best + 1], sp.f_hz, stages, bias_walk_psd)[0][0]
-    waves = _noise_cost(sp, bias_walk_psd) - float(np.sum(log_S + sp.power * np.exp(-log_S)))
-    return Fitted(model, float(cost[best]), waves)
+    S = msgspec.structs.replace(model, noise_psd=float(values[-1])).acceleration_spectrum(sp.f_hz)
+    waves = _noise_cost(sp, bias_walk_psd) - float(np.sum(np.log(S) + sp.power / S))
+    return Fitted(model, cost, waves)
 
 
 def measured_share(sp: Spectrum, model: SeaModel) -> float:
@@ -157,7 +206,64 @@ def _starts(sp: Spectrum, components: int, warm: SeaModel | None) -> Array:
     return np.column_stack((np.array(rows), np.full(len(rows), log(sp.noise_psd))))
 
 
-def _score(sp: Spectrum, starts: Array, stages: int, bias_walk_psd: float) -> tuple[Array, Array]:
+class _Whittle:
+    """The likelihood of spectra, for many models at once: ``theta`` (s, 3K + 1) as :func:`_starts` has it.
+
+    Attributes:
+        power, weight: (s, n) ordinates that each model is held against; of a shorter spectrum the rest weighs nothing.
+    """
+
+    def __init__(
+        self, spectra: Sequence[tuple[Spectrum, Array]], rows: NDArray[np.intp], stages: int, bias_walk_psd: float
+    ) -> None:
+        """``spectra``: with the weights of their ordinates. ``rows`` (s,): which of them each model is for."""
+        longest = max(len(weight) for _, weight in spectra)
+        padded = [
+            np.array([np.pad(values, (0, longest - len(values)), constant_values=rest) for values in columns])[rows]
+            for columns, rest in (
+                ([sp.f_hz for sp, _ in spectra], 1.0),
+                ([sp.power for sp, _ in spectra], 1.0),
+                ([weight for _, weight in spectra], 0.0),
+            )
+        ]
+        f, self.power, self.weight = padded
+        self._stages = stages
+        self._f2 = f[:, None, :] ** 2
+        w2 = (2.0 * pi * f) ** 2
+        self._high_pass = w2[:, None, :] ** 2 * self._f2 ** (2 * (stages - 3))
+        self._bias = 2.0 * bias_walk_psd / w2
+
+    def spectrum(self, theta: Array) -> tuple[Array, Array]:
+        """S (s, n) of each model, and the slopes J (s, 3K + 1, n) of log S."""
+        M, K = self._stages, (theta.shape[1] - 1) // 3
+        log_f0, log_zeta, log_level = (theta[:, i * K : (i + 1) * K, None] for i in range(3))
+        c = 4.0 * np.exp(2.0 * log_zeta)
+        scale = np.exp(log_level - 4.0 * (M - 3) * log_f0) * c**M
+        x2 = self._f2 * np.exp(-2.0 * log_f0)
+        resonance = 1.0 / ((1.0 - x2) ** 2 + c * x2)
+        chains = self._high_pass * scale * _power(resonance, M)
+        N = np.exp(theta[:, 3 * K :])
+        S = chains.sum(axis=1) + (N + self._bias)
+        J = np.empty((*theta.shape, S.shape[1]))
+        share = np.divide(chains, S[:, None, :], out=J[:, 2 * K : 3 * K])
+        x2_resonance = x2 * resonance
+        J[:, :K] = share * (x2_resonance * (4.0 * M * x2 + (2.0 * M * c - 4.0 * M)) - 4.0 * (M - 3))
+        J[:, K : 2 * K] = share * (2.0 * M - 2.0 * M * c * x2_resonance)
+        J[:, 3 * K] = N / S
+        return S, J
+
+
+def _power(base: Array, exponent: int) -> Array:
+    """By squaring: an order faster than the general power."""
+    result = base if exponent & 1 else None
+    while exponent := exponent >> 1:
+        base = base * base
+        if exponent & 1:
+            result = base if result is None else result * base
+    return np.ones_like(base) if result is None else result
+
+
+def _score(whittle: _Whittle, starts: Array) -> tuple[Array, Array]:
     """Fisher scoring with Levenberg's damping from each row of ``starts`` (s, p): their ends, and cost (s,)."""
     K = (starts.shape[1] - 1) // 3
     sizes = (K, K, K, 1)
@@ -168,53 +274,28 @@ def _score(sp: Spectrum, starts: Array, stages: int, bias_walk_psd: float) -> tu
     centre[:, K : 2 * K] = log(DAMPING_GUESS)
     eye = np.eye(starts.shape[1])
 
-    weight = sp.weight
+    def costs(S: Array, ratio: Array, at: Array) -> Array:
+        return np.asarray(np.sum((np.log(S) + ratio) * whittle.weight, axis=1) + 0.5 * (at - centre) ** 2 @ prior)
 
-    def cost_of(log_S: Array, at: Array) -> Array:
-        whittle = (log_S + sp.power * np.exp(-log_S)) @ weight
-        return np.asarray(whittle + 0.5 * np.sum(prior * (at - centre) ** 2, axis=1))
-
-    log_S, J = _log_spectrum(theta, sp.f_hz, stages, bias_walk_psd)
-    cost = cost_of(log_S, theta)
+    S, J = whittle.spectrum(theta)
+    ratio = whittle.power / S
+    cost = costs(S, ratio, theta)
     damping = np.full(len(theta), 1e-2)
     for _ in range(STEPS):
-        slope = np.matmul(J, (weight * (sp.power * np.exp(-log_S) - 1.0))[:, :, None])[:, :, 0]
-        slope -= prior * (theta - centre)
-        fisher = np.matmul(J * weight, J.transpose(0, 2, 1)) + prior * eye
+        JW = J * whittle.weight[:, None, :]
+        slope = np.matmul(JW, (ratio - 1.0)[:, :, None])[:, :, 0] - prior * (theta - centre)
+        fisher = np.matmul(JW, J.transpose(0, 2, 1)) + prior * eye
         fisher += damping[:, None, None] * (fisher * eye)
         step = np.clip(np.linalg.solve(fisher, slope[:, :, None])[:, :, 0], -LONGEST_STEP, LONGEST_STEP)
         trial = np.clip(theta + step, low, high)
-        trial_log_S, trial_J = _log_spectrum(trial, sp.f_hz, stages, bias_walk_psd)
-        trial_cost = cost_of(trial_log_S, trial)
+        S, trial_J = whittle.spectrum(trial)
+        trial_ratio = whittle.power / S
+        trial_cost = costs(S, trial_ratio, trial)
         better = trial_cost < cost
-        gain = np.where(better, cost - trial_cost, 0.0)
-        theta[better], log_S[better], J[better] = trial[better], trial_log_S[better], trial_J[better]
+        theta[better], J[better], ratio[better] = trial[better], trial_J[better], trial_ratio[better]
         cost = np.where(better, trial_cost, cost)
-        damping = np.where(better, 0.3 * damping, 5.0 * damping)
-        if np.all((gain < GAIN_ENOUGH) & (better | (damping > 1e3))):
-            break
+        damping *= np.where(better, 0.3, 5.0)
     return theta, cost
-
-
-def _log_spectrum(theta: Array, f: Array, stages: int, bias_walk_psd: float) -> tuple[Array, Array]:
-    """log S (s, n) of each row of theta (s, 3K + 1), and its slopes J (s, 3K + 1, n)."""
-    K = (theta.shape[1] - 1) // 3
-    x2 = (f / np.exp(theta[:, :K, None])) ** 2
-    c = 4.0 * np.exp(2.0 * theta[:, K : 2 * K, None])
-    D = (1.0 - x2) ** 2 + c * x2
-    w2 = (2.0 * pi * f) ** 2
-    log_chain = theta[:, 2 * K : 3 * K, None] + stages * (np.log(c) - np.log(D)) + 2 * (stages - 3) * np.log(x2)
-    S_chain = np.exp(log_chain) * w2**2
-    N = np.exp(theta[:, 3 * K :])
-    S = S_chain.sum(axis=1) + N + 2.0 * bias_walk_psd / w2
-    J = np.empty((*theta.shape, len(f)))
-    share = S_chain / S[:, None, :]
-    q = 2.0 * stages * c * x2 / D
-    J[:, :K] = share * (q - 4.0 * (stages - 3) - 4.0 * stages * x2 * (1.0 - x2) / D)
-    J[:, K : 2 * K] = share * (2.0 * stages - q)
-    J[:, 2 * K : 3 * K] = share
-    J[:, 3 * K] = N / S
-    return np.log(S), J
 
 
 def _noise_cost(sp: Spectrum, bias_walk_psd: float) -> float:

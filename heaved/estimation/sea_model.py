@@ -31,12 +31,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
+from scipy.linalg.lapack import dgesv
 
 Array = NDArray[np.float64]
 
 DOUBLINGS: Final = 40
 """Of the Riccati recursion: 2^40 samples are thirty years at 1 kHz."""
-RICCATI_TOLERANCE: Final = 1e-13
+RICCATI_TOLERANCE: Final = 1e-8
 """Relative change of P at which the doubling has converged; it is quadratic, so the next one would change nothing."""
 BIAS_SPREAD_MPS2: Final = 0.5
 """What is known of the accelerometer's bias at the start, with what a wrong tilt adds."""
@@ -166,22 +167,31 @@ class SeaSystem:
         """
         F, Q = self.transition(dt_s)
         R = measurement_variance(self.model.noise_psd, dt_s)
-        a, g, p = F.T.copy(), np.outer(self.H, self.H) / R, Q.copy()
-        identity = np.eye(len(F))
+        n, identity = len(F), np.eye(len(F))
+        a, g, p = F.T, np.outer(self.H, self.H) / R, Q
         for _ in range(DOUBLINGS):
-            solved = np.linalg.solve(identity + g @ p, np.hstack((a, g)))
-            t, tg = solved[:, : len(F)], solved[:, len(F) :]
+            right = np.empty((n, 2 * n), order="F")
+            right[:, :n], right[:, n:] = a, g
+            _, _, solved, info = dgesv(identity + g @ p, right, overwrite_a=True, overwrite_b=True)
+            t, tg = solved[:, :n], solved[:, n:]
             step = a.T @ p @ t
-            g = g + a @ tg @ a.T
-            a = a @ t
-            g, step = 0.5 * (g + g.T), 0.5 * (step + step.T)
-            p = p + step
-            if not np.isfinite(p).all():
+            p = p + 0.5 * (step + step.T)
+            if info != 0 or not np.isfinite(p).all():
                 return None
             if float(np.trace(step)) <= RICCATI_TOLERANCE * float(np.trace(p)):
-                S = float(self.H @ p @ self.H) + R
-                return Steady(dt_s=dt_s, F=F, Q=Q, P=p, K=p @ self.H / S, S=S)
+                return self._steady(dt_s, F, Q, p)
+            step = a @ tg @ a.T
+            a, g = a @ t, g + 0.5 * (step + step.T)
         return None
+
+    def steady_of(self, dt_s: float, P: Array) -> Steady:
+        """That filter from its covariance ``P`` (n, n) before a sample is taken in."""
+        return self._steady(dt_s, *self.transition(dt_s), P)
+
+    def _steady(self, dt_s: float, F: Array, Q: Array, P: Array) -> Steady:
+        PH = P @ self.H
+        S = float(self.H @ PH) + measurement_variance(self.model.noise_psd, dt_s)
+        return Steady(dt_s=dt_s, F=F, Q=Q, P=P, K=PH / S, S=S)
 
 
 class Steady(msgspec.Struct, frozen=True, eq=False, kw_only=True):

@@ -2,9 +2,8 @@
 
 A model that was fitted a moment ago knows the sea but not the state. It is therefore run over all that is stored; the
 filter's memory of its start is the bias, half a minute, and the noise below the wave band, minutes long: after seven
-nothing of the start is left. Where it begins later than that, and after a hole, the full covariance is carried for a
-minute, so that the gain is what little is known, not what would be known in the end; then the steady gain runs in
-blocks, which costs a matrix product for every BLOCK samples.
+nothing of the start is left. Where it begins later than that, and after a hole, less is known for a minute than in the
+end: what the steady gain, which runs in blocks, makes of that minute is corrected (:func:`_corrected`).
 """
 
 from __future__ import annotations
@@ -18,15 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from heaved.estimation.sea_model import SeaSystem, Steady, measurement_variance
+from heaved.estimation.sea_model import SeaSystem, Steady
 
 Array = NDArray[np.float64]
 
-BLOCK: Final = 32
+BLOCK: Final = 64
+"""Samples to a matrix product."""
 FULL_S: Final = 60.0
 """Seconds for which the covariance is carried: twice the memory of the bias."""
-COARSE_S: Final = 0.2
-"""Samples are averaged over this at the very start: what is lost there is above the waves."""
+TELLING: Final = 1e-14
+"""Least variance, over the largest one, of a direction of the state in which less is known than in the end."""
+CHUNK: Final = 16
+"""Samples after a hole whose predictions are corrected together."""
 UNSURE: Final = 1.5
 """Standard deviation of the predicted heave over that of the steady filter."""
 HOLE: Final = 3.5
@@ -91,32 +93,35 @@ class Run(msgspec.Struct, frozen=True, eq=False):
     predicted_m: Array
     """(k,) heave before each sample was taken in; nan where that is not as sure as in the steady filter."""
     innovation: Array
-    """(k,) m/s2; 0 in a hole, nan where the start was averaged."""
+    """(k,) m/s2; 0 in a hole, nan in the first minute of a full start, and after a hole that is not ``kept``."""
 
 
 def run(
-    system: SeaSystem, steady: Steady, record: Record, *, full_start: bool = True, full_holes: bool = True
+    system: SeaSystem,
+    steady: Steady,
+    record: Record,
+    *,
+    full_start: bool = True,
+    full_holes: bool = True,
+    kept: int | None = None,
 ) -> Run:
     """Run the filter over a record, from the stationary state at its first sample.
 
     full_start, full_holes: whether the covariance is carried there. Without, the run starts with the mean as bias and
     keeps to the steady gain: good enough where nothing is left of the start, and where only innovations are wanted.
+    kept: how many of the last predictions and innovations are wanted after a hole too; None: all.
     """
-    n, count = len(system.H), len(record.a_mps2)
+    count, whole = len(record.a_mps2), round(FULL_S / record.dt_s)
+    told_from = whole if full_start else 0
+    if kept is not None:
+        told_from = max(told_from, count - kept)
     predicted, innovation = np.full(count, np.nan), np.full(count, np.nan)
-    x, P, begin = np.zeros(n), None, 0
-    if full_start:
-        coarse = max(1, round(COARSE_S / record.dt_s))
-        begin = min(count, round(FULL_S / record.dt_s)) // coarse * coarse
-        begin = _first_hole(record.is_known, begin) // coarse * coarse
-        x, P = _coarse_start(system, record, begin, coarse)
-        if begin * record.dt_s >= FULL_S - coarse * record.dt_s:
-            P = None
-    else:
+    x = np.zeros(len(system.H))
+    P = system.stationary if full_start else None
+    if not full_start:
         x[-1] = float(np.mean(record.a_mps2))
     blocks = _Blocks(system, steady)
-    for first, end, is_known in _stretches(record.is_known, begin):
-        a = record.a_mps2[first:end]
+    for first, end, is_known in _stretches(record.is_known):
         if not is_known:
             predicted[first:end], innovation[first:end] = system.heave @ x, 0.0
             if not full_holes:
@@ -127,69 +132,80 @@ def run(
             F, Q = system.transition((end - first) * record.dt_s)
             x, P = F @ x, _symmetric(F @ P @ F.T + Q)
             continue
-        done = 0
         if P is not None:
-            done = min(len(a), round(FULL_S / record.dt_s))
-            x, P = _full(system, steady, a[:done], x, P, predicted[first:], innovation[first:])
-            if done == round(FULL_S / record.dt_s):
+            settled = min(first + whole, end)
+            part = slice(first, settled)
+            said = (predicted[part], innovation[part])
+            x, P = _corrected(blocks, record.a_mps2[part], x, P, *said, is_told=settled > told_from)
+            if settled - first == whole:
                 P = None
-        x = blocks.run(a[done:], x, predicted[first + done : end], innovation[first + done : end])
+            first = settled
+        x = blocks.run(record.a_mps2[first:end], x, predicted[first:end], innovation[first:end])
+    if full_start:
+        predicted[:whole], innovation[:whole] = np.nan, np.nan
     return Run(x, P, predicted, innovation)
 
 
-def _first_hole(is_known: NDArray[np.bool_], within: int) -> int:
-    holes = np.flatnonzero(~is_known[:within])
-    return int(holes[0]) if len(holes) else within
-
-
-def _stretches(is_known: NDArray[np.bool_], begin: int) -> Iterator[tuple[int, int, bool]]:
+def _stretches(is_known: NDArray[np.bool_]) -> Iterator[tuple[int, int, bool]]:
     """(first, end, is_known) of each stretch that is all known or all unknown."""
-    edges = begin + 1 + np.flatnonzero(np.diff(is_known[begin:].astype(np.int8)))
-    bounds = [begin, *edges.tolist(), len(is_known)]
-    for first, end in itertools.pairwise(bounds):
-        if end > first:
-            yield first, end, bool(is_known[first])
+    edges = 1 + np.flatnonzero(np.diff(is_known.astype(np.int8)))
+    for first, end in itertools.pairwise([0, *edges.tolist(), len(is_known)]):
+        yield first, end, bool(is_known[first])
 
 
-def _coarse_start(system: SeaSystem, record: Record, count: int, coarse: int) -> tuple[Array, Array]:
-    """x and P, the last of ``count`` samples taken in, from nothing but the spectrum; ``coarse`` samples at a time."""
-    dt = coarse * record.dt_s
-    F, Q = system.transition(dt)
-    R = measurement_variance(system.model.noise_psd, dt)
-    x, P = np.zeros(len(system.H)), system.stationary
-    for i, z in enumerate(np.mean(record.a_mps2[:count].reshape(-1, coarse), axis=1).tolist()):
-        if i:
-            x, P = F @ x, _symmetric(F @ P @ F.T + Q)
-        PH = P @ system.H
-        S = float(system.H @ PH) + R
-        x, P = x + PH * ((z - float(system.H @ x)) / S), P - np.outer(PH, PH) / S
-    if count and coarse > 1:
-        # The last mean stands for the middle of its samples.
-        forward, noise = system.transition(0.5 * (coarse - 1) * record.dt_s)
-        x, P = forward @ x, _symmetric(forward @ P @ forward.T + noise)
-    return x, P
-
-
-def _full(
-    system: SeaSystem, steady: Steady, a: Array, x: Array, P: Array, predicted: Array, innovation: Array
+def _corrected(
+    blocks: _Blocks, a: Array, x: Array, P: Array, predicted: Array, innovation: Array, *, is_told: bool
 ) -> tuple[Array, Array]:
-    """One sample at a time with the covariance; x and P are those of the sample before.
+    """As :meth:`_Blocks.run`, from a state ``x`` (n,) of which less is known, ``P`` (n, n), than in the steady filter;
+    the state after ``a`` (k,) and its covariance.
 
-    What is predicted while the heave is much less sure than in the steady filter is left out: it would be smoothed as
-    if it were as good.
+    With L L' the difference of the two covariances before the first sample, the true state is off by L u + e, u (r,) of
+    unit variance and e as large as in the steady filter. What that leaves of the samples is then H A^i L u + white
+    noise of its own variance S, so that u is a regression on it (Friedland 1969, the whole state being the bias).
+    Without ``is_told``, predictions and innovations are not corrected but left out.
     """
-    R = measurement_variance(system.model.noise_psd, steady.dt_s)
-    sure = UNSURE**2 * float(system.heave @ steady.P @ system.heave)
-    for i, z in enumerate(a.tolist()):
-        x, P = steady.F @ x, _symmetric(steady.F @ P @ steady.F.T + steady.Q)
-        PH = P @ system.H
-        S = float(system.H @ PH) + R
-        y = z - float(system.H @ x)
-        innovation[i] = y
-        if float(system.heave @ P @ system.heave) < sure:
-            predicted[i] = system.heave @ x
-        x, P = x + PH * (y / S), P - np.outer(PH, PH) / S
-    return x, P
+    steady = blocks.steady
+    values, vectors = np.linalg.eigh(_symmetric(steady.F @ P @ steady.F.T + steady.Q) - steady.P)
+    less = values > TELLING * max(float(values[-1]), 0.0)
+    L = vectors[:, less] * np.sqrt(values[less])
+    x = blocks.run(a, x, predicted, innovation)
+    seen, heave, L = blocks.ahead(L, len(a))
+    known = np.eye(L.shape[1]) + seen.T @ seen / steady.S
+    u = np.linalg.solve(known, np.column_stack((seen.T @ innovation / steady.S, L.T)))
+    if is_told:
+        _tell(steady.S, float(blocks.heave @ steady.P @ blocks.heave), seen, heave, predicted, innovation)
+    else:
+        predicted[:], innovation[:] = np.nan, np.nan
+    return x + L @ u[:, 0], _symmetric(steady.P - np.outer(steady.K, steady.K) * steady.S + L @ u[:, 1:])
+
+
+def _tell(S: float, variance_m2: float, seen: Array, heave: Array, predicted: Array, innovation: Array) -> None:
+    """Correct what the steady filter predicted and left (k,) by what of u (r,) is known before each sample.
+
+    seen, heave: (k, r) innovation and heave from u. variance_m2: of the heave that the steady filter predicts. What is
+    predicted while the heave is much less sure than that is left out: it would be smoothed as if it were as good.
+    """
+    count, r = seen.shape
+    pad = -count % CHUNK
+    told = [np.pad(values, ((0, pad), (0, 0))).reshape(-1, CHUNK, r) for values in (seen, heave)]
+    seen, heave = told
+    y = np.pad(innovation, (0, pad)).reshape(-1, CHUNK, 1)
+    # Before each chunk: u and its covariance, from all chunks before it.
+    sums = np.matmul(seen.transpose(0, 2, 1), np.concatenate((seen, y), axis=2)) / S
+    sums = np.concatenate((np.zeros_like(sums[:1]), np.cumsum(sums[:-1], axis=0)))
+    P = np.linalg.inv(np.eye(r) + sums[:, :, :r])
+    u = np.matmul(P, sums[:, :, r:])
+    # Within: the innovations are whitened by Cholesky's factor of their covariance, each by those before it.
+    PH = np.matmul(P, seen.transpose(0, 2, 1))
+    factor = np.linalg.cholesky(S * np.eye(CHUNK) + np.matmul(seen, PH))
+    right = np.concatenate((y - np.matmul(seen, u), np.matmul(heave, PH).transpose(0, 2, 1)), axis=2)
+    white = np.linalg.solve(factor, right)
+    learned = np.tril(white[:, :, 1:].transpose(0, 2, 1), -1)
+    innovation[:] = (np.diagonal(factor, axis1=1, axis2=2) * white[:, :, 0]).ravel()[:count]
+    correction = np.matmul(heave, u) + np.matmul(learned, white[:, :, :1])
+    more_m2 = np.sum(np.matmul(heave, P) * heave, axis=2) - np.sum(learned**2, axis=2)
+    is_sure = variance_m2 + more_m2.ravel()[:count] < UNSURE**2 * variance_m2
+    predicted[:] = np.where(is_sure, predicted + correction.ravel()[:count], np.nan)
 
 
 class _Blocks:
@@ -200,46 +216,59 @@ class _Blocks:
     """
 
     def __init__(self, system: SeaSystem, steady: Steady) -> None:
-        n = len(system.H)
-        self._system, self._steady = system, steady
-        A = steady.F @ (np.eye(n) - np.outer(steady.K, system.H))
-        self._A, self._FK = A, steady.F @ steady.K
-        rows = np.empty((2, BLOCK, n))  # H and heave of x, i samples on
-        rows[:, 0] = system.H, system.heave
-        for i in range(1, BLOCK):
-            rows[:, i] = rows[:, i - 1] @ A
-        gains = rows @ self._FK  # (2, BLOCK): of a sample, i + 1 samples on
+        self.steady, self.heave, self._H = steady, system.heave, system.H
+        FK = steady.F @ steady.K
+        rows = np.stack((system.H, system.heave))[:, None, :]  # (2, i, n): H and heave of x, i samples on
+        columns = FK[None, :]  # (i, n): of a sample, i + 1 samples on
+        self._powers = [steady.F - np.outer(FK, system.H)]
+        """A^(2^j), (n, n) each, up to that of a block."""
+        while len(columns) < BLOCK:
+            power = self._powers[-1]
+            rows = np.concatenate((rows, rows @ power), axis=1)
+            columns = np.concatenate((columns, columns @ power.T))
+            self._powers.append(power @ power)
+        gains = rows @ FK  # (2, BLOCK): of a sample, i + 1 samples on
         lower = np.subtract.outer(np.arange(BLOCK), np.arange(BLOCK)) - 1
         self._from_x = rows
         self._from_z = np.where(lower >= 0, gains[:, np.maximum(lower, 0)], 0.0)
-        columns = [self._FK]
-        for _ in range(BLOCK - 1):
-            columns.append(A @ columns[-1])
-        self._into_x = np.stack(columns[::-1])  # (BLOCK, n)
-        self._A_block = np.linalg.matrix_power(A, BLOCK)
+        self._into_x = columns[::-1]  # (BLOCK, n)
 
     def run(self, a: Array, x: Array, predicted: Array, innovation: Array) -> Array:
         """Take ``a`` (k,) in after the state ``x``; fills ``predicted`` and ``innovation`` (k,)."""
-        system, steady = self._system, self._steady
-        x = steady.F @ x if len(a) else x
-        count = len(a) // BLOCK
-        Z = a[: count * BLOCK].reshape(count, BLOCK)
+        if not len(a):
+            return x
+        x = self.steady.F @ x
+        count = (len(a) - 1) // BLOCK
+        rest = len(a) - count * BLOCK
+        Z, last = a[: count * BLOCK].reshape(count, BLOCK), a[count * BLOCK :]
         into = Z @ self._into_x
         starts = np.empty((count, len(x)))
         for i in range(count):
             starts[i] = x
-            x = self._A_block @ x + into[i]
-        z_of = starts @ self._from_x[0].T + Z @ self._from_z[0].T
-        innovation[: count * BLOCK] = (Z - z_of).ravel()
-        predicted[: count * BLOCK] = (starts @ self._from_x[1].T + Z @ self._from_z[1].T).ravel()
-        for i in range(count * BLOCK, len(a)):
-            innovation[i] = a[i] - system.H @ x
-            predicted[i] = system.heave @ x
-            x = self._A @ x + self._FK * a[i]
-        if not len(a):
-            return x
-        # Back before the last prediction: x = F (x- + K y), and the state that is wanted is the bracket.
-        return np.asarray(np.linalg.solve(steady.F, x))
+            x = self._powers[-1] @ x + into[i]
+        for made, from_x, from_z in zip((innovation, predicted), self._from_x, self._from_z, strict=True):
+            made[: count * BLOCK] = (starts @ from_x.T + Z @ from_z.T).ravel()
+            made[count * BLOCK :] = from_x[:rest] @ x + from_z[:rest, :rest] @ last
+        np.subtract(a, innovation, out=innovation)
+        x = self._moved(x, rest - 1) + last[:-1] @ self._into_x[BLOCK - rest + 1 :]
+        return np.asarray(x + self.steady.K * innovation[-1])
+
+    def ahead(self, L: Array, count: int) -> tuple[Array, Array, Array]:
+        """Where errors ``L`` (n, r) of the state before a sample lead to: in the innovation and the heave before it and
+        the samples after it, (count, r) each, and in the state after the last of them, (n, r)."""
+        each = [L]
+        for _ in range((count - 1) // BLOCK):
+            each.append(self._powers[-1] @ each[-1])
+        seen, heave = np.matmul(self._from_x[:, None], np.stack(each)).reshape(2, -1, L.shape[1])[:, :count]
+        last = self._moved(each[-1], (count - 1) % BLOCK)
+        return seen, heave, last - np.outer(self.steady.K, self._H @ last)
+
+    def _moved(self, x: Array, count: int) -> Array:
+        """A^count x, ``count`` < BLOCK; x is (n,) or (n, r)."""
+        for j, power in enumerate(self._powers):
+            if count >> j & 1:
+                x = power @ x
+        return x
 
 
 def _symmetric(P: Array) -> Array:

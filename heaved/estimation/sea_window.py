@@ -32,7 +32,9 @@ FEW_COMPONENTS_BELOW_S: Final = 30.0
 """A shorter record does not bear more than two components."""
 SETTLE_S: Final = 400.0
 """After this nothing of the start of a filter is left, in swell of 16 s either (after two minutes it is more than what
-models differ by): before the samples that a model is judged on, its filter runs this long."""
+models differ by): before the first sample whose innovation is looked at, a filter runs this long."""
+SAME_DT: Final = 1e-3
+"""Relative change of the usual interval up to which the gain of a steady filter stays as it was."""
 NEWEST_S: Final = 60.0
 """The newest stretch is taken when it is that long: the sea may have changed in the hole."""
 WHITENESS_S: Final = 2.0
@@ -50,6 +52,10 @@ class Candidate(msgspec.Struct, frozen=True, kw_only=True):
     model: SeaModel
     score: float = 0.0
     """Log-likelihood of what came after its predecessors, less that of the best length; forgotten slowly."""
+    steady_dt_s: float = 0.0
+    """Interval of the samples that its steady filter is for; 0: that was not solved for, the model was not used."""
+    steady_P: bytes = b""
+    """(n, n) covariance of that filter before a sample is taken in."""
 
 
 class SeaWindow(msgspec.Struct, frozen=True, kw_only=True, tag="sea"):
@@ -120,22 +126,24 @@ def look(window: SeaWindow) -> SeaFit:
     if stretch_s < (MIN_STRETCH_S if window.candidates else MIN_RECORD_S) and stretch_s < len(t) * record.dt_s:
         return SeaFit(number=window.number, message="the record has too many holes")
     scores = _scores(window, record)
-    candidates, shares, waves = _fit_all(window, record, scores)
+    fitted, shares, waves = _fit_all(window, record, scores)
     # Candidates come shortest first: a longer past is exact where the sea is steady, a shorter one has to earn it.
-    ranks = range(len(candidates))
-    chosen = max(ranks, key=lambda rank: candidates[rank].score + PATIENCE * rank)
-    best, share = candidates[chosen], shares[chosen]
+    chosen = max(range(len(fitted)), key=lambda rank: fitted[rank].score + PATIENCE * rank)
+    best, share = fitted[chosen], shares[chosen]
     system = SeaSystem(best.model)
     steady = system.steady(record.dt_s)
     if steady is None:
         return SeaFit(number=window.number, message="the filter of the fitted model does not converge")
-    done = sea_run.run(system, steady, record, full_start=len(record.a_mps2) * record.dt_s < SETTLE_S)
     kept = round(window.delay_s / record.dt_s) + round(30.0 / record.dt_s)
+    judged, settle = max(kept, round(WHITENESS_OVER_S / record.dt_s)), round(SETTLE_S / record.dt_s)
+    recent = _newest(record, settle + judged)
+    done = sea_run.run(system, steady, recent, full_start=len(recent.a_mps2) < settle, kept=judged)
     if not np.isfinite(done.x).all():
         return SeaFit(number=window.number, message="the filter of the fitted model left the finite numbers")
+    used = msgspec.structs.replace(best, steady_dt_s=record.dt_s, steady_P=steady.P.tobytes())
     return SeaFit(
         number=window.number,
-        candidates=candidates,
+        candidates=tuple(used if candidate is best else candidate for candidate in fitted),
         window_s=best.window_s,
         record_s=len(record.a_mps2) * record.dt_s,
         model=best.model,
@@ -160,12 +168,11 @@ def _scores(window: SeaWindow, record: sea_run.Record) -> dict[float, float]:
         fresh = min(len(record.a_mps2), round((record.end_s - window.looked_s) / record.dt_s))
     if fresh < 2:
         return {candidate.window_s: candidate.score for candidate in window.candidates}
-    span = min(len(record.a_mps2), fresh + round(SETTLE_S / record.dt_s))
-    recent = sea_run.Record(record.end_s, record.dt_s, record.a_mps2[-span:], record.is_known[-span:])
+    recent = _newest(record, fresh + round(SETTLE_S / record.dt_s))
     found: dict[float, float] = {}
     for candidate in window.candidates:
         system = SeaSystem(candidate.model)
-        steady = system.steady(record.dt_s)
+        steady = _steady(system, candidate, record.dt_s)
         if steady is None:
             continue
         y = sea_run.run(system, steady, recent, full_start=False, full_holes=False).innovation[-fresh:]
@@ -173,6 +180,18 @@ def _scores(window: SeaWindow, record: sea_run.Record) -> dict[float, float]:
         found[candidate.window_s] = SCORE_MEMORY * candidate.score + (likelihood if np.isfinite(likelihood) else -1e9)
     best = max(found.values(), default=0.0)
     return {window_s: score - best for window_s, score in found.items()}
+
+
+def _steady(system: SeaSystem, candidate: Candidate, dt_s: float) -> Steady | None:
+    """The steady filter of a candidate: solved for again only where it was not kept, or the interval has changed."""
+    if not abs(dt_s - candidate.steady_dt_s) <= SAME_DT * dt_s:
+        return system.steady(dt_s)
+    n = len(system.H)
+    return system.steady_of(dt_s, np.frombuffer(candidate.steady_P).reshape(n, n))
+
+
+def _newest(record: sea_run.Record, count: int) -> sea_run.Record:
+    return sea_run.Record(record.end_s, record.dt_s, record.a_mps2[-count:], record.is_known[-count:])
 
 
 def _likelihood(model: SeaModel, steady: Steady, innovation: Array) -> float:
@@ -195,25 +214,25 @@ def _fit_all(
     rate, seconds = 1.0 / record.dt_s, len(record.a_mps2) * record.dt_s
     earlier = {candidate.window_s: candidate.model for candidate in window.candidates}
     known = list(scores)
-    candidates: list[Candidate] = []
-    shares: list[float] = []
-    waves = 0.0
-    for length in sorted(window.windows_s):
-        span = min(length, seconds)
-        stretch = unbroken(record, round(span * rate))
-        sp = sea_fit.spectrum(stretch, rate)
-        components = window.components if len(stretch) >= FEW_COMPONENTS_BELOW_S * rate else min(2, window.components)
-        warm = earlier.get(length)
-        fitted = sea_fit.fit(sp, window.stages, components, window.bias_walk_psd, warm)
-        if not candidates:
-            waves = fitted.waves
-        # A length that is new starts as well as the longest one before it.
-        score = scores.get(length, scores[known[-1]] if known else 0.0)
-        candidates.append(Candidate(window_s=length, model=fitted.model, score=score))
-        shares.append(sea_fit.measured_share(sp, fitted.model))
-        if span < length:
-            break
-    return tuple(candidates), shares, waves
+    every = sorted(window.windows_s)
+    lengths = [length for shorter, length in zip([0.0, *every], every, strict=False) if shorter <= seconds]
+    stretches = [unbroken(record, round(min(length, seconds) * rate)) for length in lengths]
+    spectra = [sea_fit.spectrum(stretch, rate) for stretch in stretches]
+    few = [len(stretch) < FEW_COMPONENTS_BELOW_S * rate for stretch in stretches]
+    fitted: dict[float, sea_fit.Fitted] = {}
+    for are_few in set(few):
+        components = min(2, window.components) if are_few else window.components
+        of = [i for i, is_few in enumerate(few) if is_few == are_few]
+        warm = [earlier.get(lengths[i]) for i in of]
+        made = sea_fit.fit([spectra[i] for i in of], window.stages, components, window.bias_walk_psd, warm)
+        fitted.update(zip([lengths[i] for i in of], made, strict=True))
+    # A length that is new starts as well as the longest one before it.
+    unknown = scores[known[-1]] if known else 0.0
+    candidates = tuple(
+        Candidate(window_s=length, model=fitted[length].model, score=scores.get(length, unknown)) for length in lengths
+    )
+    shares = [sea_fit.measured_share(sp, fitted[length].model) for sp, length in zip(spectra, lengths, strict=True)]
+    return candidates, shares, fitted[lengths[0]].waves
 
 
 def unbroken(record: sea_run.Record, count: int) -> Array:

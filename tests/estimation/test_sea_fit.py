@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.signal import welch
+from scipy.signal import detrend, welch
 from seas import model, simulated
 
 from heaved.estimation import sea_fit
@@ -23,23 +23,47 @@ def acceleration(name: str, duration_s: float, seed: int = 1, noise: float = 1e-
     return np.asarray(seaway(name, seed, attitude=False).motion(t).heave_acceleration_mps2 + white)
 
 
-def test_slopes_are_differences_of_the_logarithm() -> None:
+@pytest.mark.parametrize("stages", [4, 6, 7, 12])
+def test_slopes_are_differences_of_the_logarithm(stages: int) -> None:
     f = np.linspace(0.02, 0.8, 60)
+    whittle = sea_fit._Whittle([(sea_fit.Spectrum(f, np.ones(60), 1e-5), np.ones(60))], np.zeros(4, int), stages, WALK)
     rng = np.random.default_rng(2)
     parts = [rng.uniform(*limits, (4, 2)) for limits in ((0.06, 0.3), (0.1, 0.9), (0.1, 3.0))]
     theta = np.log(np.column_stack((*parts, np.full(4, 1e-5))))
-    log_S, J = sea_fit._log_spectrum(theta, f, 6, WALK)
+    S, J = whittle.spectrum(theta)
     for i, row in enumerate(np.exp(theta)):
         m = SeaModel(
-            stages=6, frequency_hz=tuple(row[:2]), damping=tuple(row[2:4]), level_m2phz=tuple(row[4:6]),
+            stages=stages, frequency_hz=tuple(row[:2]), damping=tuple(row[2:4]), level_m2phz=tuple(row[4:6]),
             noise_psd=row[6], bias_walk_psd=WALK,
         )  # fmt: skip
-        np.testing.assert_allclose(log_S[i], np.log(m.acceleration_spectrum(f)), rtol=1e-9)
+        np.testing.assert_allclose(S[i], m.acceleration_spectrum(f), rtol=1e-9)
     h = 1e-5
     for j in range(theta.shape[1]):
         nudge = h * np.eye(theta.shape[1])[j]
-        ahead, behind = (sea_fit._log_spectrum(theta + s * nudge, f, 6, WALK)[0] for s in (1, -1))
+        ahead, behind = (np.log(whittle.spectrum(theta + s * nudge)[0]) for s in (1, -1))
         np.testing.assert_allclose(J[:, j], (ahead - behind) / (2 * h), atol=1e-6, rtol=1e-5)
+
+
+@pytest.mark.parametrize("seconds", [60.0, 120.0, 600.0])
+def test_pooling_keeps_the_sums_and_leaves_the_low_ordinates_alone(seconds: float) -> None:
+    """Of weights and frequencies; groups as wide as 3 % of their frequency, and the likelihood of a smooth sea as it
+    was, to a hundredth: how closely two models can be told apart."""
+    sp = sea_fit.spectrum(acceleration("S6", seconds), RATE_HZ)
+    pooled, weight = sea_fit._pooled(sp)
+    spacing = sp.f_hz[1] - sp.f_hz[0]
+    single = sp.f_hz < 2.0 * spacing / 0.03 - 1e-9
+    count = int(np.count_nonzero(single))
+    np.testing.assert_allclose(pooled.f_hz[:count], sp.f_hz[single])
+    np.testing.assert_allclose(pooled.power[:count], sp.power[single])
+    assert np.sum(weight) == pytest.approx(np.sum((0.15 / sp.f_hz) ** 0.7))
+    edges = np.diff(pooled.f_hz)
+    assert np.all(edges > 0.999 * spacing)
+    assert np.all(edges < np.maximum(0.03 * pooled.f_hz[1:] + spacing, 1.001 * spacing))
+    assert pooled.f_hz[-1] > 0.8 - 0.03 * 0.8
+    S = model(7, 2).acceleration_spectrum
+    pooled_cost = float(np.sum(weight * (np.log(S(pooled.f_hz)) + pooled.power / S(pooled.f_hz))))
+    cost = float(np.sum((np.log(S(sp.f_hz)) + sp.power / S(sp.f_hz)) * (0.15 / sp.f_hz) ** 0.7))
+    assert pooled_cost == pytest.approx(cost, rel=0.01)
 
 
 @pytest.mark.parametrize("name", ["S4", "S6", "S6S"])
@@ -47,7 +71,7 @@ def test_the_spectrum_of_a_jonswap_sea_is_found(name: str) -> None:
     """1800 s: Kullback's divergence of the acceleration's spectrum, r - 1 - log r on average over the band (five
     decades of it), r = true over fitted: a factor of two everywhere would be 0.3. The measured height to a tenth."""
     sp = sea_fit.spectrum(acceleration(name, 1800.0), RATE_HZ)
-    fitted = sea_fit.fit(sp, 8, 3, WALK).model
+    fitted = sea_fit.fit([sp], 8, 3, WALK)[0].model
     f = np.linspace(0.02, 0.8, 800)
     r = ((2 * np.pi * f) ** 4 * heave_spectrum(name, f) + 1e-6) / fitted.acceleration_spectrum(f)
     assert np.mean(r - 1.0 - np.log(r)) < 0.15
@@ -60,7 +84,7 @@ def test_the_cost_is_whittles_with_its_weights_and_no_worse_than_that_of_the_tru
     m = model(6, 2)
     _, a = simulated(SeaSystem(m), 1 / RATE_HZ, 24_000, seed=5)
     sp = sea_fit.spectrum(a, RATE_HZ)
-    fitted = sea_fit.fit(sp, 6, 2, WALK)
+    fitted = sea_fit.fit([sp], 6, 2, WALK)[0]
 
     def whittle(of: SeaModel) -> float:
         S = of.acceleration_spectrum(sp.f_hz)
@@ -81,11 +105,14 @@ def test_the_noise_floor_is_that_above_the_waves(noise: float) -> None:
     assert sp.noise_psd == pytest.approx(noise**2, rel=0.15)
 
 
-def test_the_periodogram_is_welchs() -> None:
-    a = acceleration("S6", 400.0)
+@pytest.mark.parametrize("seconds", [400.0, 299.95, 45.0])
+def test_the_periodogram_is_welchs(seconds: float) -> None:
+    """Three overlapping segments, or one, of an even or an odd number of samples."""
+    a = acceleration("S6", seconds) + 1e-3 * np.arange(round(seconds * RATE_HZ))
     sp = sea_fit.spectrum(a, RATE_HZ)
-    f, power = welch(a - np.mean(a), RATE_HZ, nperseg=6000, noverlap=4500, detrend="linear")
-    kept = (f >= 0.02 - 1e-12) & (f <= 0.8 + 1e-12)
+    n = min(6000, len(a))
+    f, power = welch(a, RATE_HZ, nperseg=n, noverlap=3 * n // 4, detrend=lambda part: detrend(part, type="linear"))
+    kept = (f >= max(0.02, 2.6 * RATE_HZ / n) - 1e-12) & (f <= 0.8 + 1e-12)
     np.testing.assert_allclose(sp.f_hz, f[kept])
     np.testing.assert_allclose(sp.power, power[kept], rtol=1e-6)
 
@@ -93,12 +120,24 @@ def test_the_periodogram_is_welchs() -> None:
 @pytest.mark.parametrize("name", ["S4", "S6S", "SL"])
 def test_a_warm_start_is_never_worse(name: str) -> None:
     a = acceleration(name, 620.0)
-    earlier = sea_fit.fit(sea_fit.spectrum(a[:12_000], RATE_HZ), 8, 3, WALK).model
+    earlier = sea_fit.fit([sea_fit.spectrum(a[:12_000], RATE_HZ)], 8, 3, WALK)[0].model
     sp = sea_fit.spectrum(a[-12_000:], RATE_HZ)
-    cold, warm = sea_fit.fit(sp, 8, 3, WALK), sea_fit.fit(sp, 8, 3, WALK, earlier)
+    cold, warm = sea_fit.fit([sp], 8, 3, WALK)[0], sea_fit.fit([sp], 8, 3, WALK, [earlier])[0]
     assert warm.cost <= cold.cost + 1e-9
     other = model(8, 2)  # of another size: passed over
-    assert sea_fit.fit(sp, 8, 3, WALK, other) == cold
+    assert sea_fit.fit([sp], 8, 3, WALK, [other]) == [cold]
+
+
+def test_spectra_side_by_side_are_fitted_as_each_by_itself() -> None:
+    """Of different lengths, one with a warm start: what is padded weighs nothing."""
+    a = acceleration("S6S", 620.0)
+    spectra = [sea_fit.spectrum(a[-round(seconds * RATE_HZ) :], RATE_HZ) for seconds in (60.0, 120.0, 600.0)]
+    warm = [None, model(7, 3), None]
+    together = sea_fit.fit(spectra, 7, 3, WALK, warm)
+    for fitted, sp, earlier in zip(together, spectra, warm, strict=True):
+        alone = sea_fit.fit([sp], 7, 3, WALK, [earlier])[0]
+        assert fitted.cost == pytest.approx(alone.cost, abs=0.5)
+        assert fitted.waves == pytest.approx(alone.waves, rel=0.02)
 
 
 RECORDS = {
@@ -120,7 +159,7 @@ RECORDS = {
 @pytest.mark.parametrize(("stages", "components"), [(6, 2), (8, 3)])
 def test_what_is_no_sea_gives_a_model_all_the_same(name: str, stages: int, components: int) -> None:
     """Finite, within its limits, and one whose steady filter exists."""
-    m = sea_fit.fit(sea_fit.spectrum(RECORDS[name], RATE_HZ), stages, components, WALK).model
+    m = sea_fit.fit([sea_fit.spectrum(RECORDS[name], RATE_HZ)], stages, components, WALK)[0].model
     for field, values in (("frequency_hz", m.frequency_hz), ("damping", m.damping), ("level", m.level_m2phz)):
         low, high = sea_fit.LIMITS[field]
         assert all(low * 0.999 <= v <= high * 1.001 for v in values)
@@ -133,6 +172,6 @@ def test_a_slow_sensor_is_fitted_in_the_band_that_it_has(rate_hz: float) -> None
     a = acceleration("S6", 600.0)[:: round(RATE_HZ / rate_hz)]
     sp = sea_fit.spectrum(a, rate_hz)
     assert sp.f_hz[-1] <= 0.36 * rate_hz
-    found = sea_fit.fit(sp, 8, 2, WALK).model
+    found = sea_fit.fit([sp], 8, 2, WALK)[0].model
     f = np.linspace(0.02, 0.6, 600)
     assert np.trapezoid(found.heave_spectrum(f), f) == pytest.approx(np.trapezoid(heave_spectrum("S6", f), f), rel=0.5)

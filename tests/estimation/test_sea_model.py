@@ -115,6 +115,10 @@ def test_the_steady_covariance_of_a_large_model_is_a_fixed_point() -> None:
     again = steady.F @ after @ steady.F.T + steady.Q
     assert np.max(np.abs(again - steady.P)) < 1e-9 * np.max(np.abs(steady.P))
     assert pytest.approx(steady.P @ system.H / steady.S, rel=1e-9) == steady.K
+    same = system.steady_of(0.05, steady.P)
+    for ours, theirs in ((same.F, steady.F), (same.Q, steady.Q), (same.P, steady.P), (same.K, steady.K)):
+        np.testing.assert_array_equal(ours, theirs)
+    assert (same.dt_s, same.S) == (0.05, steady.S)
 
 
 def test_a_realisation_has_the_spectrum() -> None:

@@ -100,6 +100,24 @@ def test_a_swell_that_stays_is_judged_by_the_long_past() -> None:
     assert 120.0 not in lengths
 
 
+@pytest.mark.parametrize("ratio", [1.0, 1.0003, 1.2])
+def test_a_filter_that_was_kept_scores_as_one_that_is_solved_for_again(
+    ratio: float, s6: tuple[Array, Array, Array]
+) -> None:
+    """The model in use brings its filter's covariance along: for the same interval it is taken, else solved again."""
+    t, _, a = s6
+    before = look(window(t[:8000], a[:8000]))
+    assert [len(c.steady_P) > 0 for c in before.candidates] == [
+        c.window_s == before.window_s for c in before.candidates
+    ]
+    asked = window(ratio * t[:8600], a[:8600], before, looked_s=ratio * before.t_s)
+    bare = tuple(msgspec.structs.replace(c, steady_P=b"", steady_dt_s=0.0) for c in before.candidates)
+    kept, solved = look(asked), look(msgspec.structs.replace(asked, candidates=bare))
+    for ours, theirs in zip(kept.candidates, solved.candidates, strict=True):
+        assert ours.model == theirs.model
+        assert ours.score == pytest.approx(theirs.score, abs=0.05)
+
+
 def test_candidates_that_outlive_their_past_are_no_reason_to_fail(s6: tuple[Array, Array, Array]) -> None:
     """After a reset there is a new record, and no time of the last look."""
     t, _, a = s6
