@@ -25,7 +25,7 @@ from heaved.estimation.beat import BEAT_MIN_S, BEAT_S, Beat
 from heaved.estimation.outlook import Motion
 from heaved.estimation.sea_filter import Offset, SeaFilter
 from heaved.estimation.sea_heave import SeaHeave
-from heaved.estimation.sea_model import SeaModel, SeaSystem, Steady, heave_std, measurement_variance
+from heaved.estimation.sea_model import SeaModel, SeaSystem, Steady, heave_std
 from heaved.estimation.sea_record import SeaRecord
 from heaved.estimation.sea_trust import NEEDED_S, SeaTrust
 from heaved.estimation.sea_window import Candidate, SeaFit, SeaWindow
@@ -236,7 +236,7 @@ class SeaObserver:
             return "rejected"
         system = SeaSystem(fit.model)
         n = len(system.H)
-        steady = _steady(system, fit.dt_s, np.frombuffer(fit.steady_P).reshape(n, n))
+        steady = system.steady_of(fit.dt_s, np.frombuffer(fit.steady_P).reshape(n, n))
         old, before = self._heave, self.at(0.0)
         aided = None if old is None else old.filter.offset
         P = np.frombuffer(fit.P).reshape(n, n).copy() if fit.P else None
@@ -390,11 +390,3 @@ class SeaObserver:
         if steady is None:
             raise ValueError("the filter of the saved sea does not converge")
         self._install(system, steady, nan, np.zeros(len(system.H)), system.stationary.copy())
-
-
-def _steady(system: SeaSystem, dt_s: float, P: Array) -> Steady:
-    """The steady filter from its covariance before a sample."""
-    F, Q = system.transition(dt_s)
-    PH = P @ system.H
-    S = float(system.H @ PH) + measurement_variance(system.model.noise_psd, dt_s)
-    return Steady(dt_s=dt_s, F=F, Q=Q, P=P, K=PH / S, S=S)
