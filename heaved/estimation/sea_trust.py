@@ -12,6 +12,9 @@ CHANGED: Final = 3.0
 """Whiteness of the innovations above which the sea is changing: the next fit comes sooner."""
 CHANGED_NOW: Final = 9.0
 """The same in the last seconds, which are fewer."""
+STUBBORN: Final = 30.0
+"""Whiteness at two fits in a row above which it is not the sea that changes, but what is measured that is no sea (tilt
+that is not removed): fitting sooner helps nothing."""
 STILL_LIKELIHOOD: Final = 15.0
 """Waves must make the record that much likelier than noise alone (ten parameters give a third of it by chance)."""
 STILL_SHARE: Final = 0.5
@@ -42,12 +45,14 @@ class SeaTrust:
         self.divergence = Divergence(delayed_beats)
         self.surprise = self.factor = 1.0
         self._whiteness, self._waves, self._is_still = 1.0, inf, False
+        self._is_stubborn = False
         self._sea: SeaState | None = None
         self._is_recovering = False
         self._standing: tuple[str, ...] = ()
 
     def fitted(self, whiteness: float, waves: float, error_m: float, sea_std_m: float) -> None:
         """A fit: whiteness of its innovations, how much likelier it is than noise, error of its heave, that itself."""
+        self._is_stubborn = min(whiteness, self._whiteness) > STUBBORN
         self._whiteness, self._waves = whiteness, waves
         self._is_still = waves < STILL_LIKELIHOOD or error_m > STILL_SHARE * sea_std_m
 
@@ -68,8 +73,8 @@ class SeaTrust:
 
     @property
     def is_changing(self) -> bool:
-        """Whether the sea is not any more what was fitted."""
-        return self.surprise > CHANGED
+        """Whether the sea is not any more what was fitted, and another fit would help."""
+        return self.surprise > CHANGED and not self._is_stubborn
 
     @property
     def is_still(self) -> bool:

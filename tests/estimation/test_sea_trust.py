@@ -44,6 +44,18 @@ def test_doubts(name: str) -> None:
     assert trust.is_changing == (max(whiteness, surprise) > 3.0)
 
 
+def test_what_no_fit_explains_is_no_change() -> None:
+    """One look that is far off may be a sea that has just come; after a second one more of them help nothing."""
+    trust = SeaTrust(100)
+    seen = []
+    for whiteness in (1.0, 300.0, 40.0, 25.0, 300.0, 300.0):
+        trust.fitted(whiteness, 1e3, 0.01, 1.0)
+        trust.beat(1.0, True, None)
+        assert (trust.doubts(100.0) == (CHANGING,)) == (whiteness > 3.0)
+        seen.append(trust.is_changing)
+    assert seen == [False, True, False, True, True, False]
+
+
 @pytest.mark.parametrize(("surprise", "factor"), [(0.5, 1.0), (2.0, 1.0), (8.0, 2.0), (18.0, 3.0), (1e4, FACTOR_LIMIT)])
 def test_errors_grow_with_the_innovations(surprise: float, factor: float) -> None:
     trust = SeaTrust(100)
