@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
+from itertools import groupby
 from math import nan, pi
 from typing import Final, Self, TypeVar, overload
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -79,22 +81,109 @@ class HeaveForecasts(_Predictions[HeaveForecast]):
         return cls(horizons_s, [one.heave_m for one in records], [one.std_m for one in records])
 
 
+class BlockMaps(msgspec.Struct, frozen=True, eq=False):
+    """How predictions follow from an :class:`Outlook`: for S places, H horizons, n channels; nobody writes to it."""
+
+    weights: Array
+    """(n, S, H, nodes + S - 1): by places, of a channel's [curve | innovations]."""
+    slopes: Array
+    """(S, H, nodes): what a place more adds, of the curve."""
+    gates: Array
+    """(S - 1, n): largest innovation of each place but the first that is believed."""
+
+    def believed(self, innovations: Array) -> Array:
+        """(..., S - 1, n): those that are no spikes; what is not known (nan) is nothing."""
+        return np.where(np.abs(innovations) <= self.gates, innovations, 0.0)
+
+
+class Outlook:
+    """Where a block's predictions come from; they are linear in it, and worked out when somebody asks for them.
+
+    ``curve`` (nodes, n): predicted when the block began; nobody writes to it. ``innovations``: what was not expected of
+    the samples since, S - 1 times n; nan: not there. Each is put in once, and none but those up to its place matters to
+    a prediction: so it is the same whenever it is worked out.
+    """
+
+    __slots__ = ("curve", "innovations", "maps")
+
+    def __init__(self, curve: Array, innovations: list[float], maps: BlockMaps) -> None:
+        self.curve, self.innovations, self.maps = curve, innovations, maps
+
+    def at(self, place: int, off: float) -> Array:
+        """Predictions (H, n) of the sample at a place, which came ``off`` places later than it should."""
+        maps = self.maps
+        believed = maps.believed(np.array(self.innovations).reshape(maps.gates.shape))
+        state = np.concatenate((self.curve, believed))
+        found: Array = (maps.weights[:, place] @ state.T[:, :, None])[:, :, 0].T
+        return found + off * (maps.slopes[place] @ self.curve) if off else found
+
+
+Moment = tuple[Outlook, int, float]
+"""A sample of a block: which it is of those that it should have, and how many places later than that it came."""
+
+
+def worked_out(asked: Sequence[Moment | Array]) -> Array:
+    """Predictions (N, H, n) of N moments; those that are known (H, n) are taken as they are.
+
+    At once, which is much less work than one after the other.
+    """
+    found: list[Array] = []
+    for maps, alike in groupby(asked, key=lambda one: one[0].maps if isinstance(one, tuple) else None):
+        same = list(alike)
+        found.append(np.array(same) if maps is None else _mapped(maps, [one for one in same if isinstance(one, tuple)]))
+    return found[0] if len(found) == 1 else np.concatenate(found)
+
+
+def _mapped(maps: BlockMaps, moments: list[Moment]) -> Array:
+    """Of moments that have the same maps, (N, H, n)."""
+    samples, places, late = zip(*moments, strict=True)
+    outlooks = [outlook for outlook, _ in groupby(samples)]
+    index = {outlook: i for i, outlook in enumerate(outlooks)}
+    place, block = list(places), [index[outlook] for outlook in samples]
+    curves = np.array([outlook.curve for outlook in outlooks])  # (B, nodes, n)
+    innovations = np.array([outlook.innovations for outlook in outlooks])
+    believed = maps.believed(innovations.reshape(-1, *maps.gates.shape))
+    state = np.concatenate((curves, believed), axis=1).transpose(2, 1, 0)
+    n, count, horizons, width = maps.weights.shape
+    made = maps.weights.reshape(n, -1, width) @ state
+    found: Array = made.reshape(n, count, horizons, -1)[:, place, :, block].transpose(0, 2, 1)
+    if any(late):
+        nodes = curves.shape[1]
+        slopes = maps.slopes.reshape(-1, nodes) @ curves.transpose(1, 0, 2).reshape(nodes, -1)
+        found += np.array(late)[:, None, None] * slopes.reshape(count, horizons, -1, n)[place, :, block]
+    return found
+
+
 class RockPredictions(_Predictions[RockPrediction]):
     """Roll, pitch and yaw, their standard deviations and half-widths of their intervals, each (H, 3), for each horizon
     (H,). Yaw is counted from ``yaw_from_rad`` without jumps, as a regression sees it; records have the heading."""
 
-    __slots__ = ("angles_rad", "intervals_rad", "stds_rad", "yaw_from_rad")
+    __slots__ = ("_angles_rad", "intervals_rad", "stds_rad", "yaw_from_rad")
 
     def __init__(
         self,
         horizons_s: tuple[float, ...],
-        angles_rad: Array,
+        angles_rad: Array | Moment,
         yaw_from_rad: float,
         stds_rad: Array,
         intervals_rad: Array,
     ) -> None:
-        self.horizons_s, self.angles_rad, self.yaw_from_rad = horizons_s, angles_rad, yaw_from_rad
+        self.horizons_s, self._angles_rad, self.yaw_from_rad = horizons_s, angles_rad, yaw_from_rad
         self.stds_rad, self.intervals_rad = stds_rad, intervals_rad
+
+    @property
+    def angles_rad(self) -> Array:
+        """(H, 3)."""
+        angles_rad = self._angles_rad
+        if isinstance(angles_rad, tuple):
+            outlook, place, off = angles_rad
+            angles_rad = self._angles_rad = outlook.at(place, off)
+        return angles_rad
+
+    @staticmethod
+    def angles_of(several: Sequence[RockPredictions]) -> Array:
+        """Those of N with as many horizons, (N, H, 3): see :func:`worked_out`."""
+        return worked_out([one._angles_rad for one in several])
 
     def __iter__(self) -> Iterator[RockPrediction]:
         columns = self.angles_rad.tolist(), self.stds_rad.tolist(), self.intervals_rad.tolist()

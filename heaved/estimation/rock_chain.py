@@ -61,9 +61,9 @@ class DirectRockPredictor:
     ) -> RockPredictions:
         """Take one sample (nan: not known) and predict from it, one record per horizon, shortest first."""
         predictor = self.predictor
-        values = predictor.step(t_s, [roll_rad, pitch_rad, self._unwrapped(yaw_rad)], rates_radps)
+        latest = predictor.take(t_s, [roll_rad, pitch_rad, self._unwrapped(yaw_rad)], rates_radps)
         yaw_from_rad = self._yaw_reference_rad
-        return RockPredictions(self.horizons_s, values, yaw_from_rad, predictor.std, predictor.half_width)
+        return RockPredictions(self.horizons_s, latest, yaw_from_rad, predictor.std, predictor.half_width)
 
     def at(self, t_s: float) -> RockPredictions:
         """Predictions as seen from a moment without a sample, with the deviations of horizons that much longer."""

@@ -20,6 +20,7 @@ from heaved.estimation.rock_blocks import Blocks
 from heaved.estimation.rock_clock import usual_interval
 from heaved.estimation.rock_direct import BACKWARDS, DirectPredictor, Params
 from heaved.estimation.rock_experts import Switch
+from heaved.predictions import Moment
 
 Array = NDArray[np.float64]
 
@@ -61,7 +62,8 @@ class PacedPredictor:
         """Stamps of the last JUDGED_S."""
         self._check_s = inf
         """When the interval is judged again."""
-        self.values = self._unknown
+        self.latest: Moment | Array = self._unknown
+        """Predictions from the last sample, or what they are worked out from."""
         self.fed: DirectPredictor | None = None
         """What predicts; None until the rate is known."""
         self._blocks: Blocks | None = None
@@ -111,8 +113,19 @@ class PacedPredictor:
 
     # -- one sample ------------------------------------------------------------------------------------------------
 
+    @property
+    def values(self) -> Array:
+        """Predictions from the last sample."""
+        latest = self.latest
+        return latest if isinstance(latest, np.ndarray) else latest[0].at(*latest[1:])
+
     def step(self, t_s: float, values: list[float], rates: Sequence[float] | None = None) -> Array:
-        """Take one sample of all channels (nan: not known) and predict from it.
+        """Take one sample as :meth:`take` does and predict from it."""
+        self.take(t_s, values, rates)
+        return self.values
+
+    def take(self, t_s: float, values: list[float], rates: Sequence[float] | None = None) -> Moment | Array:
+        """Take one sample of all channels (nan: not known); what is predicted from it is worked out when needed.
 
         A sample that is not later than the last one is ignored; twenty of them in a row begin everything anew.
         """
@@ -120,22 +133,22 @@ class PacedPredictor:
             self._backwards += t_s == t_s
             if self._backwards >= BACKWARDS:
                 self._restart()
-            return self.values
+            return self.latest
         self._backwards = 0
         self.t_s = t_s
         if self._taking is None:
             self._pending.append((t_s, values, rates))
             if len(self._pending) >= FIRST and t_s - self._pending[0][0] >= FIRST_S:
                 self._begin()
-            return self.values
+            return self.latest
         self._recent.append(t_s)
         if t_s >= self._check_s and self._rate_changed():
             self._restart()
-            return self.values
+            return self.latest
         if not isfinite(sum(values)):
             values = [value if isfinite(value) else nan for value in values]
-        self.values = self._taking.step(t_s, values, rates)
-        return self.values
+        self.latest = self._taking.step(t_s, values, rates)
+        return self.latest
 
     def at(self, t_s: float) -> Array:
         """Predictions as seen from a moment without a sample, a little after the last one."""
@@ -178,5 +191,5 @@ class PacedPredictor:
         else:
             self._taking = self.fed = self._scored = DirectPredictor(self._n, self._params, rates=self._rates)
         for t, values, rates in self._pending:
-            self.values = self._taking.step(t, values, rates)
+            self.latest = self._taking.step(t, values, rates)
         self._pending = []
