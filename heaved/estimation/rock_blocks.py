@@ -312,7 +312,8 @@ class Blocks:
         phase = (self._blocks - back) // SCORED % samples
         h = np.arange(len(self._delay))
         error = _between(flat, samples * rows_shown + phase + self._ahead - 1.0) - self._shown[rows_shown, h]
-        self.switch.score(SCORED * self._block_s, error[:, :, None], error, self._shown_half[rows_shown, h])
+        errors = np.repeat(error[:, :, None], 2, axis=2)  # the only expert is what is published
+        self.switch.score(SCORED * self._block_s, errors, self._shown_half[rows_shown, h])
         self.switch.choose(np.ones((1, self._n), dtype=bool))
         self._map()
 

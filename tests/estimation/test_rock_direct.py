@@ -135,7 +135,7 @@ def test_the_switch_finds_the_better_expert_and_a_calibrated_interval():
         half = np.repeat(switch.half_width[None], 10, axis=0)
         shown = error[:, :, int(switch.best[0, 0])]
         inside.append(np.mean(np.abs(shown) <= half))
-        switch.score(0.05, error, shown, half)
+        switch.score(0.05, np.concatenate([error, shown[:, :, None]], axis=2), half)
         switch.choose(np.ones((3, 1), dtype=bool))
     assert switch.best[0, 0] == 1
     assert np.mean(inside[1000:]) == pytest.approx(0.95, abs=0.01)
