@@ -9,7 +9,6 @@ these (:class:`heaved.predictions.Outlook`): few of a hundred predictions a seco
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Iterable, Sequence
 from math import ceil, inf, isfinite, nan
 from operator import sub
@@ -20,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from heaved.estimation.rock_carry import CORRECTED_S, Carry
+from heaved.estimation.rock_block_learning import ON_TIME, BlockLearner
+from heaved.estimation.rock_carry import CORRECTED_S
 from heaved.estimation.rock_direct import DirectPredictor, Params
-from heaved.estimation.rock_experts import Switch
-from heaved.predictions import BlockMaps, Moment, Outlook, worked_out
+from heaved.predictions import BlockMaps, Moment, Outlook
 
 Array = NDArray[np.float64]
 
@@ -31,38 +30,8 @@ PHASE_GAIN, INTERVAL_GAIN = 0.1, 0.0025
 """Of the loop that follows phase and interval of the blocks: critically damped."""
 DRIFT: Final = 1e-3
 """Relative change of the interval after which the places on the curve are worked out anew."""
-ON_TIME: Final = 0.02
-"""Deviation of a stamp from its place, in samples, that makes no difference."""
-ROOM: Final = 1.25
-"""Most samples there may be in a time over those that there were in the first one: beyond it is another rate."""
 FINE_S: Final = 0.25
 """Up to here the curve has a node for each block: what is published soon lies between them at any phase."""
-BATCH_S: Final = 4.0
-SCORED: Final = 2
-"""Every second block is scored, one phase after the other: errors closer together are hardly different ones."""
-
-
-class _Closed:
-    """What is kept of blocks since the last batch: compact, and for what it costs to have it at hand."""
-
-    def __init__(self) -> None:
-        self.measured, self.innovations = array("d"), array("d")
-        self.curves: list[Array] = []
-        self.moments: list[Moment | None] = []
-        """What is published of them and will be scored."""
-
-    def append(self, measured: list[float], innovations: list[float], curve: Array, moment: Moment | None) -> None:
-        self.measured.extend(measured)
-        self.innovations.extend(innovations)
-        self.curves.append(curve)
-        self.moments.append(moment)
-
-    def lose(self, no_curve: Array) -> None:
-        """As many of which nothing is known."""
-        for known in self.measured, self.innovations:
-            known[:] = array("d", [nan]) * len(known)
-        self.curves[:] = [no_curve] * len(self.curves)
-        self.moments[:] = [None] * len(self.moments)
 
 
 class Blocks:
@@ -73,29 +42,24 @@ class Blocks:
         self._horizons = np.unique(params.horizons_s)
         self._samples, self._interval_s, self._n = samples, interval_s, channels
         self._max_gap_s = params.max_gap_s
-        block_s = self._block_s = samples * interval_s
+        self._block_s = samples * interval_s
         nodes_s = self._nodes()
         self.fed = DirectPredictor(channels, msgspec.structs.replace(params, horizons_s=nodes_s), rates=rates)
         """What predicts from the block means."""
-        horizons, nodes = len(self._horizons), len(nodes_s) + 1
-        self._short = short = int(np.count_nonzero(self._horizons <= CORRECTED_S))
-        self._carry = Carry(samples - 1, short, channels, block_s)
-        self.switch = Switch(self._horizons, 1, channels, np.zeros(horizons, dtype=np.intp))
+        self._aim()
+        self._learner = BlockLearner(self._horizons, samples, interval_s, self._weights, channels)
+        self.switch = self._learner.switch
+        """What knows the errors of what is published."""
+        self._map()
         self.gated = 0
         """Samples of blocks that were left out as spikes."""
-        self._unknown = np.full((horizons, channels), nan)
+        self._unknown = np.full((len(self._horizons), channels), nan)
         self.latest: Moment | Array = self._unknown
         """What is published."""
-
-        self._aim()
-        self._map()
         self._nothing = [nan] * channels
+        self._no_curve = np.full((len(nodes_s) + 1, channels), nan)
         self._slots = [slice(channels * (place - 1), channels * place) for place in range(samples + 1)]
         """Of the channels, among those of a block's samples, by their place from 1."""
-        self._no_curve = np.full((nodes, channels), nan)
-        self._build_rings(horizons, nodes)
-        self._blocks = 0
-        self._shown_phase = -1
         self._end_s = self.origin_s = -inf
         """When the last block ended, and its middle."""
         self._expected: list[list[float]]
@@ -104,21 +68,10 @@ class Blocks:
         self._phase: int
         self._values: list[float]
         self._rates: list[Sequence[float]]
+        self._shown_phase: int
         self._shown_now: Moment | None
-        """What is published of the block that will be scored."""
+        """What is published at that place, and will be scored."""
         self._lose()
-
-    def _build_rings(self, horizons: int, nodes: int) -> None:
-        """By blocks: what was measured, what of it had not been expected, from which curve; what was published."""
-        samples, channels = self._samples, self._n
-        self._per_batch = max(SCORED, SCORED * round(BATCH_S / self._block_s / SCORED))
-        self._kept = self._per_batch + ceil(ROOM * self._delay[-1]) + SCORED + 1
-        self._measured = np.full((self._kept, samples, channels), nan)
-        self._innovations = np.full((self._kept, samples - 1, channels), nan)
-        self._curves = np.full((self._kept, nodes, channels), nan)
-        self._shown = np.full((self._kept, horizons, channels), nan)
-        self._shown_half = np.full((self._kept, horizons, channels), nan)
-        self._closed = _Closed()
 
     def _nodes(self) -> tuple[float, ...]:
         """Horizons of what is fed with means, from which the curve is drawn."""
@@ -139,9 +92,6 @@ class Blocks:
         samples, interval_s = self._samples, self._interval_s
         self._aimed_s = interval_s
         self._lag_s = 0.5 * (samples - 1) * interval_s
-        self._ahead = self._horizons / interval_s
-        # Until what was predicted has come true, in blocks, even ones: those that are scored.
-        self._delay = SCORED * np.ceil((samples + self._ahead + 1.0) / samples / SCORED).astype(np.intp)
         nodes = np.append(0.0, self.fed.horizons_s)
         spline = CubicSpline(nodes, np.eye(len(nodes)), axis=0)
         # The curve at each horizon, for each sample of a block (0: when it is fed); what is expected of the samples of
@@ -155,10 +105,11 @@ class Blocks:
         samples, horizons, nodes = self._samples, len(self._horizons), self._weights.shape[2]
         weights = np.zeros((self._n, samples, horizons, nodes + samples - 1))
         weights[..., :nodes] = self._weights[:-1]
-        weights[:, 1:, : self._short, nodes:] = self._carry.gains.transpose(1, 0, 2, 3)
+        carry = self._learner.carry
+        weights[:, 1:, : self._learner.short, nodes:] = carry.gains.transpose(1, 0, 2, 3)
         slopes = np.diff(self._weights[:-1], axis=0, prepend=self._weights[:1])
-        self._maps = BlockMaps(weights=weights, slopes=slopes, gates=self._carry.gate)
-        self._gate: list[float] = self._carry.gate[-1].tolist()
+        self._maps = BlockMaps(weights=weights, slopes=slopes, gates=carry.gate)
+        self._gate: list[float] = carry.gate[-1].tolist()
 
     # -- one sample ------------------------------------------------------------------------------------------------
 
@@ -216,9 +167,7 @@ class Blocks:
             blocks = int((t_s - self._end_s) / self._block_s)
             self._end_s += blocks * self._block_s
             self.origin_s = self._end_s - self._lag_s
-            for ring in (self._measured, self._shown, self._curves, self._innovations):
-                ring[:] = nan
-            self._closed.lose(self._no_curve)
+            self._learner.lose()
             self._lose()
         while round((t_s - self._end_s) / self._interval_s) > self._samples:
             self._end_s += self._block_s
@@ -231,14 +180,16 @@ class Blocks:
         """Close a block that ends at ``_end_s``: feed its mean, begin the next. ``last``: its last innovation."""
         innovations = [*self._outlook.innovations, *last]
         mean = self._means(innovations)
-        self._closed.append(self._values, innovations, self._outlook.curve, self._shown_now)
+        is_due = self._learner.keep(self._values, innovations, self._outlook.curve, self._shown_now)
         rates = [sum(r) / len(r) for r in zip(*self._rates, strict=True)] or None
         self.origin_s = self._end_s - self._lag_s
         self.fed.step(self.origin_s, mean, rates)
-        if self._blocks and self._blocks % self._per_batch == 0:
-            self._batch()
-        self._blocks += 1
-        self._shown_phase = self._blocks // SCORED % self._samples if self._blocks % SCORED == 0 else -1
+        if is_due:
+            if abs(self._interval_s - self._aimed_s) > DRIFT * self._interval_s:
+                self._aim()
+                self._learner.aim(self._interval_s, self._weights)
+            self._learner.batch(self._block_s)
+            self._map()
         curve = self.fed.curve
         self._expected = (self._expectation @ curve).tolist()
         self._open(curve)
@@ -256,7 +207,7 @@ class Blocks:
         self._outlook = Outlook(curve, nothing * (samples - 1), self._maps)
         self._values = nothing * samples
         self._rates = []
-        self._shown_now = None
+        self._shown_phase, self._shown_now = self._learner.scored_place, None
 
     def _means(self, innovations: list[float]) -> list[float]:
         """Of a block, for its middle: about the curve, where there is one, and without what is far from it."""
@@ -288,63 +239,3 @@ class Blocks:
                     self._values[place] = innovations[place] = nan
         middle: float = self._expected[-1][channel]
         return middle + sum(known) / len(known)
-
-    # -- every few seconds -----------------------------------------------------------------------------------------
-
-    def _batch(self) -> None:
-        """Learn from what came true of the blocks whose targets are known, and score it."""
-        self._keep_closed()
-        if abs(self._interval_s - self._aimed_s) > DRIFT * self._interval_s:
-            self._aim()
-        samples, short, count = self._samples, self._short, self._per_batch
-        flat = self._measured.reshape(-1, self._n)
-        if short:
-            end = self._kept - int(self._delay[short - 1])
-            rows = slice(end - count, end)
-            ahead = np.arange(1, samples)[:, None] + self._ahead[:short]
-            # Row b holds the samples 1 ... n after its block was begun.
-            later = _between(flat, samples * np.arange(end - count, end)[:, None, None] + ahead - 1.0)
-            weights = self._weights[1:-1, :short]
-            planned = weights.reshape(-1, weights.shape[2]) @ self._curves[rows]
-            self._carry.learn(self._innovations[rows], later - planned.reshape(later.shape))
-        back = self._blocks % SCORED + self._delay + SCORED * np.arange(count // SCORED)[:, None]
-        rows_shown = self._kept - 1 - back
-        phase = (self._blocks - back) // SCORED % samples
-        h = np.arange(len(self._delay))
-        error = _between(flat, samples * rows_shown + phase + self._ahead - 1.0) - self._shown[rows_shown, h]
-        errors = np.repeat(error[:, :, None], 2, axis=2)  # the only expert is what is published
-        self.switch.score(SCORED * self._block_s, errors, self._shown_half[rows_shown, h])
-        self.switch.choose(np.ones((1, self._n), dtype=bool))
-        self._map()
-
-    def _keep_closed(self) -> None:
-        """The blocks that have been closed since go into the rings."""
-        closed, self._closed = self._closed, _Closed()
-        shape = len(closed.curves), self._samples, self._n
-        shown = np.full((len(closed.curves), *self._unknown.shape), nan)
-        if moments := {row: moment for row, moment in enumerate(closed.moments) if moment is not None}:
-            shown[list(moments)] = worked_out(list(moments.values()))
-        half = np.broadcast_to(self.switch.half_width, shown.shape)
-        self._measured, self._innovations, self._curves, self._shown, self._shown_half = (
-            np.concatenate((ring, new))[-self._kept :]
-            for ring, new in (
-                (self._measured, np.frombuffer(closed.measured).reshape(shape)),
-                (self._innovations, np.frombuffer(closed.innovations).reshape(shape)[:, :-1]),
-                (self._curves, np.array(closed.curves)),
-                (self._shown, shown),
-                (self._shown_half, half),
-            )
-        )
-
-
-def _between(samples: Array, place: Array) -> Array:
-    """Linear interpolation of ``samples`` (m, n) at fractional places; (..., n)."""
-    whole = np.rint(place)
-    place = np.where(np.abs(place - whole) < ON_TIME, whole, place)
-    low = np.floor(place).astype(np.intp)
-    share = (place - low)[..., None]
-    here: Array = samples[low]
-    if share.any():
-        there = samples[np.minimum(low + 1, len(samples) - 1)]
-        here = np.where(share > 0.0, here + share * (there - here), here)
-    return here
