@@ -5,8 +5,8 @@ Until then a block is kept as it came (:class:`_Closed`); then those that are ne
 
 from __future__ import annotations
 
-from array import array
 from math import ceil, nan
+from struct import Struct
 from typing import Final
 
 import numpy as np
@@ -32,7 +32,8 @@ class _Closed:
     """Blocks since the last batch; numbers packed as they come, for they are not looked at before."""
 
     def __init__(self) -> None:
-        self.measured, self.innovations = array("d"), array("d")
+        self.samples = bytearray()
+        """(blocks, 2, S, n): measured, and innovations."""
         self.curves: list[Array] = []
         self.moments: list[Moment | None] = []
         """What was published of those that are scored; None: there was no such sample."""
@@ -60,6 +61,7 @@ class BlockLearner:
         self._kept_shown = (self._per_batch + ceil(ROOM * self._delay[-1])) // SCORED + 1
         self._shown = np.full((self._kept_shown, 2, count, channels), nan)
         self._no_curve = np.full((nodes, channels), nan)
+        self._packed = Struct(f"{2 * samples * channels}d").pack
         self._closed = _Closed()
         self._blocks = 0
 
@@ -82,8 +84,7 @@ class BlockLearner:
         """A block is closed: S n samples and innovations (nan: not known), the curve (nodes, n) that it was begun with,
         and what was published at its scored place. True: a batch is due."""
         closed, block = self._closed, self._blocks
-        closed.measured.extend(measured)
-        closed.innovations.extend(innovations)
+        closed.samples += self._packed(*measured, *innovations)
         closed.curves.append(curve)
         if block % SCORED == 0:
             closed.moments.append(moment)
@@ -95,8 +96,7 @@ class BlockLearner:
         for ring in (self._measured, self._innovations, self._curves, self._shown):
             ring[:] = nan
         closed = self._closed
-        for known in (closed.measured, closed.innovations):
-            known[:] = array("d", [nan]) * len(known)
+        closed.samples[:] = np.full(len(closed.samples) // 8, nan).tobytes()
         closed.curves[:] = [self._no_curve] * len(closed.curves)
         closed.moments[:] = [None] * len(closed.moments)
 
@@ -126,11 +126,9 @@ class BlockLearner:
         shown[:, 1] = self.switch.half_width
         if moments := {row: moment for row, moment in enumerate(closed.moments) if moment is not None}:
             shown[list(moments), 0] = worked_out(list(moments.values()))
-        measured, innovations = (
-            np.frombuffer(known).reshape(-1, self._samples, self._n) for known in (closed.measured, closed.innovations)
-        )
-        self._measured = _latest(self._measured, measured)
-        self._innovations = _latest(self._innovations, innovations[:, :-1])
+        samples = np.frombuffer(closed.samples).reshape(-1, 2, self._samples, self._n)
+        self._measured = _latest(self._measured, samples[:, 0])
+        self._innovations = _latest(self._innovations, samples[:, 1, :-1])
         self._curves = _latest(self._curves, np.array(closed.curves))
         self._shown = _latest(self._shown, shown)
 

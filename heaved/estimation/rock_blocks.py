@@ -191,7 +191,7 @@ class Blocks:
             self._learner.batch(self._block_s)
             self._map()
         curve = self.fed.curve
-        self._expected = (self._expectation @ curve).tolist()
+        self._expected = self._expectation.dot(curve).tolist()
         self._open(curve)
 
     def _lose(self) -> None:

@@ -77,13 +77,17 @@ class Switch:
     def choose(self, available: NDArray[np.bool_]) -> None:
         """Choose among the ``available`` (E, n) experts."""
         mean_square = np.where(available & (self._seconds[:, :-1] >= ENOUGH_S), self._mean_square[:, :-1], np.inf)
-        h, n = self._horizon, self._channel
-        least = np.argmin(mean_square, axis=1)
-        best = np.where(mean_square[h, least, n] < BETTER * mean_square[h, self.best, n], least, self.best)
-        square = mean_square[h, best, n]
-        unknown = square == np.inf
-        self.best = np.where(unknown, self._first, best)
-        self.std = np.sqrt(np.where(unknown, np.nan, square))
+        square = mean_square[self._horizon, self.best, self._channel]
+        least = mean_square.min(axis=1)
+        better = least < BETTER * square
+        if better.any():
+            self.best = np.where(better, mean_square.argmin(axis=1), self.best)
+            square = np.where(better, least, square)
+        if not isfinite(square.sum()):
+            unknown = square == np.inf
+            self.best = np.where(unknown, self._first, self.best)
+            square = np.where(unknown, np.nan, square)
+        self.std = np.sqrt(square)
         self.half_width = self._quantile * self.std
 
     @property

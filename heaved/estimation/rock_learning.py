@@ -10,6 +10,7 @@ nothing changes but the samples, so what is published is one matrix (:attr:`Lear
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isfinite
 from typing import Final
 
 import numpy as np
@@ -183,7 +184,7 @@ class Learner:
         self._until_batch = self._rows
         before = self._switch.best
         self._switch.choose(np.array([channel.calm for channel in channels]) >= self._floor)
-        if not is_due and np.array_equal(before, self._switch.best):
+        if not is_due and (self._switch.best is before or np.array_equal(before, self._switch.best)):
             return False
         self.weights = self._weights()
         return True
@@ -234,10 +235,13 @@ class Learner:
         wanted = self._aims[rows, group].transpose(2, 0, 1) - seen[:, :, self._base[group, 0]]
         augmented = np.concatenate([wanted, seen[:, :, : self._p]], axis=2)
         targets, age = group.stop - group.start, self._age[rows]
-        used = np.isfinite(wanted).all(axis=2).T & (age >= self._spans[0])
+        youngest = age.min()
+        used = age >= self._spans[0]
+        if not isfinite(wanted.sum()):
+            used &= np.isfinite(wanted).all(axis=2).T
         moments = moments_of(augmented, used)
         for expert, span, size in zip(equations, self._spans, self._sizes, strict=True):
-            if not ((age >= span) | ~used).all():  # fewer equations than of the shorter lags
+            if youngest < span and not ((age >= span) | ~used).all():  # fewer equations than of the shorter lags
                 used &= age >= span
                 moments = moments_of(augmented, used)
             expert.add(moments[:, : targets + size, : targets + size], used.sum(axis=0))
