@@ -130,16 +130,16 @@ def worked_out(asked: Sequence[Moment | Array]) -> Array:
     found: list[Array] = []
     for maps, alike in groupby(asked, key=lambda one: one[0].maps if isinstance(one, tuple) else None):
         same = list(alike)
-        found.append(np.array(same) if maps is None else _mapped(maps, [one for one in same if isinstance(one, tuple)]))
+        found.append(np.array(same) if maps is None else _mapped(maps, same))
     return found[0] if len(found) == 1 else np.concatenate(found)
 
 
-def _mapped(maps: BlockMaps, moments: list[Moment]) -> Array:
+def _mapped(maps: BlockMaps, moments: Sequence[Moment | Array]) -> Array:
     """Of moments that have the same maps, (N, H, n)."""
-    samples, places, late = zip(*moments, strict=True)
-    outlooks = [outlook for outlook, _ in groupby(samples)]
-    index = {outlook: i for i, outlook in enumerate(outlooks)}
-    place, block = list(places), [index[outlook] for outlook in samples]
+    blocks, places, late = zip(*moments, strict=True)
+    outlooks = list(dict.fromkeys(blocks))
+    index = dict(zip(outlooks, range(len(outlooks)), strict=True))
+    place, block = list(places), [index[outlook] for outlook in blocks]
     curves = np.array([outlook.curve for outlook in outlooks])  # (B, nodes, n)
     innovations = np.array([outlook.innovations for outlook in outlooks])
     believed = maps.believed(innovations.reshape(-1, *maps.gates.shape))
