@@ -181,7 +181,8 @@ class Blocks:
         innovations = [*self._outlook.innovations, *last]
         mean = self._means(innovations)
         is_due = self._learner.keep(self._values, innovations, self._outlook.curve, self._shown_now)
-        rates = [sum(r) / len(r) for r in zip(*self._rates, strict=True)] or None
+        count = len(self._rates)
+        rates = [total / count for total in map(sum, zip(*self._rates, strict=True))] or None
         self.origin_s = self._end_s - self._lag_s
         self.fed.step(self.origin_s, mean, rates)
         if is_due:

@@ -48,7 +48,9 @@ class PacedPredictor:
         self._params = params if params is not None else Params()
         self._n, self._rates = channels, rates
         self.horizons_s = tuple(sorted(set(self._params.horizons_s)))
-        self._unknown = np.full((len(self.horizons_s), channels), nan)
+        count = len(self.horizons_s)
+        self._unknown = np.full((count, channels), nan)
+        self._nothing_scored = Switch(np.array(self.horizons_s), 1, channels, np.zeros(count, dtype=np.intp))
         self._restarts = 0
         self.reset()
 
@@ -70,7 +72,7 @@ class PacedPredictor:
         """What it is fed through; None if with every sample."""
         self._taking: Blocks | DirectPredictor | None = None
         """Which of them takes the samples."""
-        self._scored: Switch | DirectPredictor | None = None
+        self.scored: Switch | DirectPredictor = self._nothing_scored
         """What knows the errors of what is published."""
 
     # -- what is known of the errors -------------------------------------------------------------------------------
@@ -78,22 +80,22 @@ class PacedPredictor:
     @property
     def std(self) -> Array:
         """Standard deviation of the prediction errors."""
-        return self._unknown if self._scored is None else self._scored.std
+        return self.scored.std
 
     @property
     def half_width(self) -> Array:
         """Half-width of the 95 % interval."""
-        return self._unknown if self._scored is None else self._scored.half_width
+        return self.scored.half_width
 
     @property
     def rms_error(self) -> Array:
         """Rolling RMS of what was published against what was measured then."""
-        return self._unknown if self._scored is None else self._scored.rms_error
+        return self.scored.rms_error
 
     @property
     def coverage(self) -> Array:
         """Rolling share of measured values inside the published interval."""
-        return self._unknown if self._scored is None else self._scored.coverage
+        return self.scored.coverage
 
     @property
     def restarts(self) -> int:
@@ -187,9 +189,9 @@ class PacedPredictor:
         samples = max(1, int(1.0 / (PACE_HZ * interval_s) + SPARE))
         if samples > 1:
             blocks = self._taking = self._blocks = Blocks(self._params, samples, interval_s, self._n, rates=self._rates)
-            self.fed, self._scored = blocks.fed, blocks.switch
+            self.fed, self.scored = blocks.fed, blocks.switch
         else:
-            self._taking = self.fed = self._scored = DirectPredictor(self._n, self._params, rates=self._rates)
+            self._taking = self.fed = self.scored = DirectPredictor(self._n, self._params, rates=self._rates)
         for t, values, rates in self._pending:
             self.latest = self._taking.step(t, values, rates)
         self._pending = []
