@@ -15,6 +15,7 @@ from typing import Final, Self, TypeVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.block_outlook import Moment, worked_out
 from heaved.samples import HeaveForecast, RockPrediction
 
 Array = NDArray[np.float64]
@@ -109,18 +110,32 @@ class RockPredictions(_Predictions[RockPrediction]):
     """Roll, pitch and yaw, their standard deviations and half-widths of their intervals, each (H, 3), for each horizon
     (H,). Yaw is counted from ``yaw_from_rad`` without jumps, as a regression sees it; records have the heading."""
 
-    __slots__ = ("angles_rad", "intervals_rad", "stds_rad", "yaw_from_rad")
+    __slots__ = ("_angles_rad", "intervals_rad", "stds_rad", "yaw_from_rad")
 
     def __init__(
         self,
         horizons_s: tuple[float, ...],
-        angles_rad: Array,
+        angles_rad: Array | Moment,
         yaw_from_rad: float,
         stds_rad: Array,
         intervals_rad: Array,
     ) -> None:
-        self.horizons_s, self.angles_rad, self.yaw_from_rad = horizons_s, angles_rad, yaw_from_rad
+        self.horizons_s, self._angles_rad, self.yaw_from_rad = horizons_s, angles_rad, yaw_from_rad
         self.stds_rad, self.intervals_rad = stds_rad, intervals_rad
+
+    @property
+    def angles_rad(self) -> Array:
+        """(H, 3)."""
+        angles_rad = self._angles_rad
+        if isinstance(angles_rad, tuple):
+            outlook, place, off = angles_rad
+            angles_rad = self._angles_rad = outlook.at(place, off)
+        return angles_rad
+
+    @staticmethod
+    def angles_of(several: Sequence[RockPredictions]) -> Array:
+        """Those of N with as many horizons, (N, H, 3): see :func:`worked_out`."""
+        return worked_out([one._angles_rad for one in several])
 
     def __iter__(self) -> Iterator[RockPrediction]:
         columns = self.angles_rad.tolist(), self.stds_rad.tolist(), self.intervals_rad.tolist()

@@ -162,10 +162,14 @@ def _rock_numbers(frames: Sequence[MotionFrame], horizons_s: tuple[float, ...]) 
     """(n, 6 H): angle and its standard deviation in degrees, axis by axis and there horizon by horizon."""
     rocks = [RockPredictions.of(frame.rock, horizons_s) for frame in frames]
     numbers = np.empty((len(rocks), 3, len(horizons_s), 2))
-    angles, stds, shape = numbers[..., 0], numbers[..., 1], (len(rocks), len(horizons_s), 3)
-    angles[:] = np.concatenate([rock.angles_rad for rock in rocks]).reshape(shape).transpose(0, 2, 1)
-    stds[:] = np.concatenate([rock.stds_rad for rock in rocks]).reshape(shape).transpose(0, 2, 1)
-    angles[:, 2] = turned(angles[:, 2] + np.array([[rock.yaw_from_rad] for rock in rocks]))
+    angles, stds = numbers[..., 0], numbers[..., 1]
+    angles[:] = RockPredictions.angles_of(rocks).transpose(0, 2, 1)
+    angles[:, 2] = turned(angles[:, 2] + np.array([rock.yaw_from_rad for rock in rocks])[:, None])
+    end = 0
+    for _, alike in groupby([rock.stds_rad for rock in rocks], key=id):  # they change once every few seconds
+        same = list(alike)
+        stds[end : end + len(same)] = same[0].T
+        end += len(same)
     return numbers.reshape(len(rocks), -1) * _DEGREES
 
 

@@ -8,6 +8,7 @@ from math import isnan, nan, nextafter, pi
 import numpy as np
 import pytest
 
+from heaved.block_outlook import BlockMaps, BlockOutlook, worked_out
 from heaved.predictions import TURN, HeaveForecasts, PlainForecasts, RockPredictions, turned
 from heaved.samples import HeaveForecast, RockPrediction
 
@@ -101,3 +102,63 @@ def test_a_hair_below_north_is_north_and_never_a_whole_turn() -> None:
     assert hair % TURN == TURN  # what the remainder rounds to
     assert turned(hair) == 0.0
     assert turned(np.array([hair, -1.0, nan])).tolist()[:2] == [0.0, TURN - 1.0]
+
+
+# -- worked out when asked for -----------------------------------------------------------------------------------------
+
+PLACES, NODES, AXES = 4, 5, 3
+
+
+def block_maps(rng: np.random.Generator) -> BlockMaps:
+    """Any that depend on no later innovation than the block has had."""
+    weights = rng.standard_normal((AXES, PLACES, len(HORIZONS_S), NODES + PLACES - 1))
+    for place in range(PLACES):
+        weights[:, place, :, NODES + place :] = 0.0
+    return BlockMaps(
+        weights=weights,
+        slopes=rng.standard_normal((PLACES, len(HORIZONS_S), NODES)),
+        gates=rng.uniform(0.5, 2.0, (PLACES - 1, AXES)),
+    )
+
+
+def by_hand(outlook: BlockOutlook, place: int, off: float) -> list[list[float]]:
+    """The sums written out."""
+    maps, found = outlook.maps, []
+    for h in range(len(HORIZONS_S)):
+        row = []
+        for axis in range(AXES):
+            total = 0.0
+            for node in range(NODES):
+                weight = maps.weights[axis, place, h, node] + off * maps.slopes[place, h, node]
+                total += weight * outlook.curve[node, axis]
+            for k in range(place):
+                e = outlook.innovations[k * AXES + axis]
+                if abs(e) <= maps.gates[k, axis]:
+                    total += maps.weights[axis, place, h, NODES + k] * e
+            row.append(total)
+        found.append(row)
+    return found
+
+
+def test_predictions_worked_out_alone_or_together_are_the_sums() -> None:
+    """Over blocks with one maps or another, with spikes and samples that are not there, on time and late."""
+    rng = np.random.default_rng(1)
+    moments: list[tuple[BlockOutlook, int, float]] = []
+    for maps in (block_maps(rng), block_maps(rng)):
+        for block in range(3):
+            innovations = rng.standard_normal((PLACES - 1) * AXES)
+            innovations[rng.random(len(innovations)) < 0.2] = nan
+            outlook = BlockOutlook(rng.standard_normal((NODES, AXES)), innovations.tolist(), maps)
+            moments += [(outlook, place, 0.3 * rng.standard_normal() * (block == 1)) for place in range(PLACES)]
+    expected = np.array([by_hand(*moment) for moment in moments])
+    alone = np.array([outlook.at(place, off) for outlook, place, off in moments])
+    known = rng.standard_normal((len(HORIZONS_S), AXES))
+    together = worked_out([known, *moments, known, known])
+    np.testing.assert_allclose(alone, expected, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(together[1:-2], expected, rtol=0.0, atol=1e-12)
+    assert all(np.array_equal(together[i], known) for i in (0, -2, -1))
+    nothing = np.zeros((len(HORIZONS_S), AXES))
+    rock = [RockPredictions(HORIZONS_S, moment, 1.5, nothing, nothing) for moment in moments]
+    np.testing.assert_allclose(RockPredictions.angles_of(rock), expected, rtol=0.0, atol=1e-12)
+    assert [[p.roll_rad, p.pitch_rad] for p in rock[5]] == pytest.approx(expected[5, :, :2], abs=1e-12)
+    np.testing.assert_allclose(RockPredictions.angles_of(rock), expected, rtol=0.0, atol=1e-12)  # one is known

@@ -3,12 +3,13 @@
 A block of samples becomes one: their mean, taken about the curve that was predicted for them, so that missing samples,
 jitter and spikes leave no trace, and valid at the middle of the block. Predictions of the samples in between follow
 that curve over the horizons, corrected by what came since (:mod:`heaved.estimation.rock_carry`). Both are linear: one
-matrix for each place in the block leads from [curve | innovations] to what is published.
+matrix for each place in the block leads from [curve | innovations] to what is published, and what is handed out is just
+these (:class:`heaved.block_outlook.BlockOutlook`): few of a hundred predictions a second are looked at one by one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from math import ceil, inf, isfinite, nan
 from operator import sub
 from typing import Final
@@ -18,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from heaved.estimation.rock_carry import CORRECTED_S, Carry
+from heaved.block_outlook import BlockMaps, BlockOutlook, Moment
+from heaved.estimation.rock_block_learning import ON_TIME, BlockLearner
+from heaved.estimation.rock_carry import CORRECTED_S
 from heaved.estimation.rock_direct import DirectPredictor, Params
-from heaved.estimation.rock_experts import Switch
 
 Array = NDArray[np.float64]
 
@@ -28,13 +30,8 @@ PHASE_GAIN, INTERVAL_GAIN = 0.1, 0.0025
 """Of the loop that follows phase and interval of the blocks: critically damped."""
 DRIFT: Final = 1e-3
 """Relative change of the interval after which the places on the curve are worked out anew."""
-ON_TIME: Final = 0.02
-"""Deviation of a stamp from its place, in samples, that makes no difference."""
 FINE_S: Final = 0.25
 """Up to here the curve has a node for each block: what is published soon lies between them at any phase."""
-BATCH_S: Final = 4.0
-SCORED: Final = 2
-"""Every second block is scored, one phase after the other: errors closer together are hardly different ones."""
 
 
 class Blocks:
@@ -45,51 +42,36 @@ class Blocks:
         self._horizons = np.unique(params.horizons_s)
         self._samples, self._interval_s, self._n = samples, interval_s, channels
         self._max_gap_s = params.max_gap_s
-        block_s = self._block_s = samples * interval_s
+        self._block_s = samples * interval_s
         nodes_s = self._nodes()
         self.fed = DirectPredictor(channels, msgspec.structs.replace(params, horizons_s=nodes_s), rates=rates)
         """What predicts from the block means."""
-        horizons, nodes = len(self._horizons), len(nodes_s) + 1
-        self._short = short = int(np.count_nonzero(self._horizons <= CORRECTED_S))
-        self._carry = Carry(samples - 1, short, channels, block_s)
-        self.switch = Switch(self._horizons, 1, channels, np.zeros(horizons, dtype=np.intp))
+        self._aim()
+        self._learner = BlockLearner(self._horizons, samples, interval_s, self._weights, channels)
+        self.switch = self._learner.switch
+        """What knows the errors of what is published."""
+        self._map()
         self.gated = 0
         """Samples of blocks that were left out as spikes."""
-        self._unknown = np.full((horizons, channels), nan)
-        self.values: Array = self._unknown
+        self._unknown = np.full((len(self._horizons), channels), nan)
+        self.latest: Moment | Array = self._unknown
         """What is published."""
-
-        # Of a channel: the curve (latest mean and nodes), then the innovations since; maps by samples since.
-        self._state = np.zeros((channels, nodes + samples - 1, 1))
-        self._curve, self._e = self._state[:, :nodes, 0], self._state[:, nodes:, 0]
-        self._maps = np.zeros((samples, channels, horizons, nodes + samples - 1))
-        self._aim()
-        self._build_rings(horizons, nodes)
-        self._since_batch = 0
-        self._blocks = 0
-        self._shown_phase = -1
-        self._gates: list[list[float]] = self._carry.gate.tolist()
+        self._nothing = [nan] * channels
+        self._no_curve = np.full((len(nodes_s) + 1, channels), nan)
+        self._slots = [slice(channels * (place - 1), channels * place) for place in range(samples + 1)]
+        """Of the channels, among those of a block's samples, by their place from 1."""
         self._end_s = self.origin_s = -inf
         """When the last block ended, and its middle."""
-        self._nothing = [nan] * channels
-        self._values_in: list[list[float]]
-        self._e_in: list[list[float]]
-        self._rates_in: list[Sequence[float]] = []
+        self._expected: list[list[float]]
+        """Of its samples, and of its middle."""
+        self._outlook: BlockOutlook
+        self._phase: int
+        self._values: list[float]
+        self._rates: list[Sequence[float]]
+        self._shown_phase: int
+        self._shown_now: Moment | None
+        """What is published at that place, and will be scored."""
         self._lose()
-
-    def _build_rings(self, horizons: int, nodes: int) -> None:
-        """By blocks: what was measured, what of it had not been expected, from which curve; what was published."""
-        samples, channels = self._samples, self._n
-        self._per_batch = max(SCORED, SCORED * round(BATCH_S / self._block_s / SCORED))
-        # In blocks, even ones: those that are scored.
-        self._delay = SCORED * np.ceil((samples + self._ahead + 1.0) / samples / SCORED).astype(np.intp)
-        self._kept = self._per_batch + int(self._delay[-1]) + SCORED + 1
-        self._measured = np.full((2 * self._kept, samples, channels), nan)
-        self._innovations = np.full((2 * self._kept, samples - 1, channels), nan)
-        self._curves = np.full((2 * self._kept, nodes, channels), nan)
-        self._shown = np.full((2 * self._kept, horizons, channels), nan)
-        self._shown_half = np.full((2 * self._kept, horizons, channels), nan)
-        self._row = self._kept
 
     def _nodes(self) -> tuple[float, ...]:
         """Horizons of what is fed with means, from which the curve is drawn."""
@@ -110,7 +92,6 @@ class Blocks:
         samples, interval_s = self._samples, self._interval_s
         self._aimed_s = interval_s
         self._lag_s = 0.5 * (samples - 1) * interval_s
-        self._ahead = self._horizons / interval_s
         nodes = np.append(0.0, self.fed.horizons_s)
         spline = CubicSpline(nodes, np.eye(len(nodes)), axis=0)
         # The curve at each horizon, for each sample of a block (0: when it is fed); what is expected of the samples of
@@ -118,11 +99,21 @@ class Blocks:
         since_s = self._lag_s + interval_s * np.arange(samples + 1)
         self._weights = spline(np.minimum(since_s[:, None] + self._horizons, nodes[-1]))
         self._expectation = spline(np.minimum(np.append(since_s, samples * interval_s), nodes[-1]))
-        self._maps[..., : len(nodes)] = self._weights[:-1, None]
+
+    def _map(self) -> None:
+        """What is published of a block: along the curve, and corrected."""
+        samples, horizons, nodes = self._samples, len(self._horizons), self._weights.shape[2]
+        weights = np.zeros((self._n, samples, horizons, nodes + samples - 1))
+        weights[..., :nodes] = self._weights[:-1]
+        carry = self._learner.carry
+        weights[:, 1:, : self._learner.short, nodes:] = carry.gains.transpose(1, 0, 2, 3)
+        slopes = np.diff(self._weights[:-1], axis=0, prepend=self._weights[:1])
+        self._maps = BlockMaps(weights=weights, slopes=slopes, gates=carry.gate)
+        self._gate: list[float] = carry.gate[-1].tolist()
 
     # -- one sample ------------------------------------------------------------------------------------------------
 
-    def step(self, t_s: float, values: list[float], rates: Sequence[float] | None) -> Array:
+    def step(self, t_s: float, values: list[float], rates: Sequence[float] | None) -> Moment | Array:
         """Take a sample later than the one before and predict from it."""
         if self._end_s == -inf:
             self._end_s = t_s - self._interval_s
@@ -133,44 +124,42 @@ class Blocks:
             place = self._catch_up(t_s)
             phase = round(place)
         if phase < 1:
-            return self.values
+            return self.latest
         off = place - phase
         expected = self._expected[phase]
-        if is_off := not -ON_TIME <= off <= ON_TIME:
+        if -ON_TIME <= off <= ON_TIME:
+            off = 0.0
+        else:
             expected = [x + off * (x - y) for x, y in zip(expected, self._expected[phase - 1], strict=True)]
-        innovation = [*map(sub, values, expected)]
-        self._values_in[phase - 1] = values
-        self._e_in[phase - 1] = innovation
+        here = self._slots[phase]
+        self._values[here] = values
         if rates is not None:
-            self._rates_in.append(rates)
+            self._rates.append(rates)
         if phase == self._samples:
             self._end_s += self._block_s
             deviation_s = t_s - self._end_s
             self._end_s += PHASE_GAIN * deviation_s
             self._block_s += INTERVAL_GAIN * deviation_s
             self._interval_s = self._block_s / self._samples
-            self._feed()
-            phase, is_off = 0, False
+            self._feed(map(sub, values, expected))
+            phase, off = 0, 0.0
         else:
-            gates = self._gates[phase - 1]
-            self._e[:, phase - 1] = [
-                e if -gate <= e <= gate else 0.0 for e, gate in zip(innovation, gates, strict=True)
-            ]
+            if phase == self._phase:  # two for one place: what was predicted from the first stays
+                outlook = self._outlook
+                self._outlook = BlockOutlook(outlook.curve, outlook.innovations.copy(), outlook.maps)
+            self._outlook.innovations[here] = map(sub, values, expected)
         self._phase = phase
-        self.values = (self._maps[phase] @ self._state)[:, :, 0].T
-        if is_off:
-            self.values += off * ((self._weights[phase] - self._weights[phase - 1]) @ self._curve.T)
+        moment = self.latest = self._outlook, phase, off
         if phase == self._shown_phase:
-            self._shown[self._row] = self.values
-            self._shown_half[self._row] = self.switch.half_width
-        return self.values
+            self._shown_now = moment
+        return moment
 
     @property
     def correction(self) -> Array:
         """What is added to the curve for the samples since the last block, (H, n)."""
-        nodes = self._curve.shape[1]
-        added: Array = self._maps[self._phase, :, :, nodes:] @ self._state[:, nodes:]
-        return added[:, :, 0].T
+        outlook = self._outlook
+        nothing = BlockOutlook(outlook.curve, [nan] * len(outlook.innovations), outlook.maps)
+        return outlook.at(self._phase, 0.0) - nothing.at(self._phase, 0.0)
 
     def _catch_up(self, t_s: float) -> float:
         """Samples are missing at the end of a block: it is closed with what it has; the next ones have nothing."""
@@ -178,114 +167,76 @@ class Blocks:
             blocks = int((t_s - self._end_s) / self._block_s)
             self._end_s += blocks * self._block_s
             self.origin_s = self._end_s - self._lag_s
-            for ring in (self._measured, self._shown, self._curves, self._innovations):
-                ring[:] = nan
+            self._learner.lose()
             self._lose()
         while round((t_s - self._end_s) / self._interval_s) > self._samples:
             self._end_s += self._block_s
-            self._feed()
+            self._feed(self._nothing)
         return (t_s - self._end_s) / self._interval_s
 
     # -- one block -------------------------------------------------------------------------------------------------
 
-    def _feed(self) -> None:
-        """Close a block that ends at ``_end_s``: feed its mean, begin the next."""
-        row = self._row
-        self._measured[row] = self._values_in
-        self._innovations[row] = self._e_in[:-1]
-        mean = [self._mean(c, e) for c, e in enumerate(zip(*self._e_in, strict=True))]
-        rates = [sum(r) / len(r) for r in zip(*self._rates_in, strict=True)] or None
+    def _feed(self, last: Iterable[float]) -> None:
+        """Close a block that ends at ``_end_s``: feed its mean, begin the next. ``last``: its last innovation."""
+        innovations = [*self._outlook.innovations, *last]
+        mean = self._means(innovations)
+        is_due = self._learner.keep(self._values, innovations, self._outlook.curve, self._shown_now)
+        count = len(self._rates)
+        rates = [total / count for total in map(sum, zip(*self._rates, strict=True))] or None
         self.origin_s = self._end_s - self._lag_s
         self.fed.step(self.origin_s, mean, rates)
-        if self._since_batch >= self._per_batch:
-            self._batch()
-        self._blocks += 1
-        self._since_batch += 1
-        self._row += 1
-        if self._row == len(self._measured):
-            for ring in (self._measured, self._innovations, self._curves, self._shown, self._shown_half):
-                ring[: self._kept] = ring[self._row - self._kept :]
-            self._row = self._kept
-        self._shown[self._row] = nan
-        self._shown_phase = self._blocks // SCORED % self._samples if self._blocks % SCORED == 0 else -1
-        curve = self._curves[self._row] = self.fed.curve
-        self._curve[:] = curve.T
-        self._expected = (self._expectation @ curve).tolist()
-        self._empty()
+        if is_due:
+            if abs(self._interval_s - self._aimed_s) > DRIFT * self._interval_s:
+                self._aim()
+                self._learner.aim(self._interval_s, self._weights)
+            self._learner.batch(self._block_s)
+            self._map()
+        curve = self.fed.curve
+        self._expected = self._expectation.dot(curve).tolist()
+        self._open(curve)
 
     def _lose(self) -> None:
         """Nothing is expected."""
-        self.values = self._unknown
+        self.latest = self._unknown
         self._expected = [self._nothing] * (self._samples + 2)
-        self._curve[:] = nan
-        self._empty()
+        self._open(self._no_curve)
 
-    def _empty(self) -> None:
+    def _open(self, curve: Array) -> None:
         """A block without samples."""
+        samples, nothing = self._samples, self._nothing
         self._phase = 0
-        self._values_in = [self._nothing] * self._samples
-        self._e_in = [self._nothing] * self._samples
-        self._rates_in.clear()
-        self._e[:] = 0.0
+        self._outlook = BlockOutlook(curve, nothing * (samples - 1), self._maps)
+        self._values = nothing * samples
+        self._rates = []
+        self._shown_phase, self._shown_now = self._learner.scored_place, None
 
-    def _mean(self, channel: int, innovations: Sequence[float]) -> float:
+    def _means(self, innovations: list[float]) -> list[float]:
         """Of a block, for its middle: about the curve, where there is one, and without what is far from it."""
-        limit = self._gates[-1][channel]
-        if not (isfinite(sum(innovations)) and -limit <= min(innovations) and max(innovations) <= limit):
-            known = [e for e in innovations if isfinite(e)]
-            if not known:
-                plain = [v[channel] for v in self._values_in if isfinite(v[channel])]
-                return sum(plain) / len(plain) if plain else nan
-            near = [e for e in known if -limit <= e <= limit]
-            if len(near) < len(known) < 2 * len(near):
-                self.gated += len(known) - len(near)
-                known = near
-                for phase, e in enumerate(innovations):  # What is no measurement teaches nothing and judges nobody.
-                    if not -limit <= e <= limit:
-                        self._measured[self._row, phase, channel] = nan
-                        if phase < self._samples - 1:
-                            self._innovations[self._row, phase, channel] = nan
-            innovations = known
+        means = []
+        samples, n = self._samples, self._n
+        for channel, (limit, middle) in enumerate(zip(self._gate, self._expected[-1], strict=True)):
+            e = innovations[channel::n]
+            total = sum(e)
+            if isfinite(total) and -limit <= min(e) and max(e) <= limit:
+                means.append(middle + total / samples)
+            else:
+                means.append(self._mean_of_some(channel, innovations))
+        return means
+
+    def _mean_of_some(self, channel: int, innovations: list[float]) -> float:
+        """Of a channel with missing samples, spikes (which are taken out), or nothing to be expected."""
+        mine = slice(channel, None, self._n)
+        known = [e for e in innovations[mine] if isfinite(e)]
+        if not known:
+            plain = [value for value in self._values[mine] if isfinite(value)]
+            return sum(plain) / len(plain) if plain else nan
+        limit = self._gate[channel]
+        near = [e for e in known if -limit <= e <= limit]
+        if len(near) < len(known) < 2 * len(near):
+            self.gated += len(known) - len(near)
+            known = near
+            for place in range(channel, len(innovations), self._n):
+                if not -limit <= innovations[place] <= limit:  # No measurement: it teaches nothing and judges nobody.
+                    self._values[place] = innovations[place] = nan
         middle: float = self._expected[-1][channel]
-        return middle + sum(innovations) / len(innovations)
-
-    # -- every few seconds -----------------------------------------------------------------------------------------
-
-    def _batch(self) -> None:
-        """Learn from what came true of the blocks whose targets are known, and score it."""
-        self._since_batch = 0
-        if abs(self._interval_s - self._aimed_s) > DRIFT * self._interval_s:
-            self._aim()
-        samples, short, count = self._samples, self._short, self._per_batch
-        flat = self._measured.reshape(-1, self._n)
-        if short:
-            end = self._row - int(self._delay[short - 1]) + 1
-            rows = slice(end - count, end)
-            ahead = np.arange(1, samples)[:, None] + self._ahead[:short]
-            # Row b holds the samples 1 ... n after its block was begun.
-            later = _between(flat, samples * np.arange(end - count, end)[:, None, None] + ahead - 1.0)
-            weights = self._weights[1:-1, :short]
-            planned = weights.reshape(-1, weights.shape[2]) @ self._curves[rows]
-            self._carry.learn(self._innovations[rows], later - planned.reshape(later.shape))
-            self._maps[1:, :, :short, self._curve.shape[1] :] = self._carry.gains
-            self._gates = self._carry.gate.tolist()
-        back = self._blocks % SCORED + self._delay + SCORED * np.arange(count // SCORED)[:, None]
-        rows_shown = self._row - back
-        phase = (self._blocks - back) // SCORED % samples
-        h = np.arange(len(self._delay))
-        error = _between(flat, samples * rows_shown + phase + self._ahead - 1.0) - self._shown[rows_shown, h]
-        self.switch.score(SCORED * self._block_s, error[:, :, None], error, self._shown_half[rows_shown, h])
-        self.switch.choose(np.ones((1, self._n), dtype=bool))
-
-
-def _between(samples: Array, place: Array) -> Array:
-    """Linear interpolation of ``samples`` (m, n) at fractional places; (..., n)."""
-    whole = np.rint(place)
-    place = np.where(np.abs(place - whole) < ON_TIME, whole, place)
-    low = np.floor(place).astype(np.intp)
-    share = (place - low)[..., None]
-    here: Array = samples[low]
-    if share.any():
-        there = samples[np.minimum(low + 1, len(samples) - 1)]
-        here = np.where(share > 0.0, here + share * (there - here), here)
-    return here
+        return middle + sum(known) / len(known)

@@ -8,7 +8,7 @@ an extrapolation. Without it a prediction for 50 ms, made 40 ms ago, has the err
 
 from __future__ import annotations
 
-from math import exp
+from math import exp, isfinite
 from typing import Final
 
 import numpy as np
@@ -50,26 +50,32 @@ class Carry:
 
     def learn(self, innovations: Array, missing: Array) -> None:
         """Blocks (B, k, n), and what was later missing from their predictions (B, k, H, n); nan: not known."""
-        self._follow_scale(innovations)
-        innovations = np.where(np.abs(innovations) <= self.gate, innovations, np.nan)
-        used = np.logical_and(np.isfinite(innovations).all(axis=1), np.isfinite(missing).all(axis=(1, 2)))  # (B, n)
-        if not used.all():
+        size = np.abs(innovations)
+        self._follow_scale(size)
+        believed = size <= self.gate
+        count: Array | float = float(len(innovations))
+        if not (believed.all() and isfinite(missing.sum())):
+            used = np.logical_and(believed.all(axis=1), np.isfinite(missing).all(axis=(1, 2)))  # (B, n)
             innovations = np.where(used[:, None], innovations, 0.0)
             missing = np.where(used[:, None, None], missing, 0.0)
+            count = used.sum(axis=0, dtype=np.float64)
         keep = exp(-len(innovations) * self._block_s / MEMORY_S)
         e = np.ascontiguousarray(innovations.transpose(2, 1, 0))  # (n, k, B)
         self._gram = keep * self._gram + e @ e.transpose(0, 2, 1)
         self._cross = keep * self._cross + e @ missing.transpose(1, 3, 0, 2)
-        self._equations = keep * self._equations + used.sum(axis=0)
+        self._equations = keep * self._equations + count
         enough = self._equations * self._block_s >= LEARNED_S
         if enough.any():
             self._solve(enough)
 
-    def _follow_scale(self, innovations: Array) -> None:
-        size = np.sort(np.abs(innovations), axis=0)  # what is not known is last
-        half = np.maximum(np.isfinite(size).sum(axis=0) - 1, 0) // 2
-        scale = DEVIATION * np.take_along_axis(size, half[None], axis=0)[0]  # nan: nothing is known
-        share = min(len(innovations) * self._block_s / SCALE_MEMORY_S, 1.0)
+    def _follow_scale(self, size: Array) -> None:
+        size = np.sort(size, axis=0)  # what is not known is last
+        middle = size[(len(size) - 1) // 2]
+        if not isfinite(size[-1].sum()):
+            half = np.maximum(np.isfinite(size).sum(axis=0) - 1, 0) // 2
+            middle = np.take_along_axis(size, half[None], axis=0)[0]  # nan: nothing is known
+        scale = DEVIATION * middle
+        share = min(len(size) * self._block_s / SCALE_MEMORY_S, 1.0)
         followed = np.where(np.isnan(self._scale), scale, self._scale + share * (scale - self._scale))
         self._scale = np.where(np.isnan(followed), self._scale, followed)
         self.gate = np.where(np.isnan(self._scale), np.inf, GATE * self._scale)
@@ -78,6 +84,7 @@ class Carry:
         squares = np.einsum("njj->jn", self._gram)
         ridge = RIDGE * squares.mean(axis=0)[:, None, None] + 1e-300
         # All at once: for k samples the leading k equations, the others made to say nothing.
-        gram = np.where(self._among, self._gram + ridge * np.eye(self._samples), np.eye(self._samples))
+        one = np.eye(self._samples)
+        gram = np.where(self._among, self._gram + ridge * one, one)
         found = np.linalg.solve(gram, np.where(self._there, self._cross, 0.0))
         self.gains = np.where(enough[:, None, None], found, 0.0).transpose(0, 1, 3, 2)

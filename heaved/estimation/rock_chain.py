@@ -27,7 +27,7 @@ def angle_rates(sample: ImuSample) -> tuple[float, float, float]:
     The z-y-x Euler rates, with pitch and yaw turned round as :mod:`heaved.samples` counts them (bow up, clockwise).
     """
     roll, pitch = sample.roll_rad, sample.pitch_rad
-    if not (isfinite(roll) and isfinite(pitch) and abs(pitch) < 1.5):
+    if not (abs(pitch) < 1.5 and isfinite(roll)):
         return nan, nan, nan
     s, c = sin(roll), cos(roll)
     across = sample.gy_radps * s + sample.gz_radps * c
@@ -60,10 +60,9 @@ class DirectRockPredictor:
         rates_radps: tuple[float, float, float] | None = None,
     ) -> RockPredictions:
         """Take one sample (nan: not known) and predict from it, one record per horizon, shortest first."""
-        predictor = self.predictor
-        values = predictor.step(t_s, [roll_rad, pitch_rad, self._unwrapped(yaw_rad)], rates_radps)
-        yaw_from_rad = self._yaw_reference_rad
-        return RockPredictions(self.horizons_s, values, yaw_from_rad, predictor.std, predictor.half_width)
+        latest = self.predictor.take(t_s, [roll_rad, pitch_rad, self._unwrapped(yaw_rad)], rates_radps)
+        known = self.predictor.scored
+        return RockPredictions(self.horizons_s, latest, self._yaw_reference_rad, known.std, known.half_width)
 
     def at(self, t_s: float) -> RockPredictions:
         """Predictions as seen from a moment without a sample, with the deviations of horizons that much longer."""

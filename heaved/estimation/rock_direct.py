@@ -214,6 +214,7 @@ class DirectPredictor:
         self._seen = np.zeros((n, count + 3, 1))
         self._curves, self._near = self._seen[:, :-2, 0], self._seen[:, -2:, 0]
         self._map = self._mapped()
+        self._levels: list[float] = []
         timing = Timing(interval_s=interval_s, settling=settling, longest_gap=self._longest_gap, judged=judged)
         self._channels = [Channel(timing, gap_weights, curve) for curve in self._curves]
 
@@ -260,7 +261,9 @@ class DirectPredictor:
     def _publish(self, late_s: float) -> None:
         """The latest predictions as seen from ``late_s`` after their grid time."""
         levels = [channel.level if channel.ready else nan for channel in self._channels]
-        self.curve = self._curves.T + levels
+        if levels != self._levels:
+            self._levels, self._level = levels, np.array(levels)
+        self.curve = self._curves.T + self._level
         self.values = self.curve[1:]
         if abs(late_s) > 1e-5:
             self.values += late_s * (self._slopes @ self._curves.T)

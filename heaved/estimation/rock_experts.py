@@ -7,6 +7,7 @@ down after a hit (Gibbs and Candes 2021, adaptive conformal inference), so cover
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import Final
 
 import numpy as np
@@ -33,80 +34,80 @@ BETTER: Final = 0.97
 
 
 class Switch:
-    """Arrays are (H, E, n): horizons, experts, channels; what is published (H, n). Errors not known are nan."""
+    """For H horizons, E experts, n channels; what is published is (H, n). Errors not known are nan."""
 
     def __init__(self, horizons_s: Array, experts: int, channels: int, first: NDArray[np.intp]) -> None:
         """``first`` (H,): the expert in office while no error of an available one is known."""
-        shape = (len(horizons_s), experts, channels)
-        self._memory_s = (MEMORY_S + PER_HORIZON * horizons_s)[:, None, None]
-        self._seconds = np.zeros(shape)
-        self._mean_square = np.zeros(shape)
-        self._quantile = np.full((shape[0], channels), GAUSSIAN_QUANTILE)
-        self._report = np.zeros((3, shape[0], channels))  # seconds, mean square, coverage of what was published
-        self._horizon, self._channel = np.ogrid[: shape[0], :channels]
+        count = len(horizons_s)
+        # Last what was published, of which nothing is hastened and which is reported over another time.
+        self._memory_s = np.repeat((MEMORY_S + PER_HORIZON * horizons_s)[:, None, None], experts + 1, axis=1)
+        self._memory_s[:, -1] = REPORT_MEMORY_S
+        self._early = np.array([[EARLY]] * experts + [[1.0]])
+        self._seconds = np.zeros((count, experts + 1, channels))
+        self._mean_square = np.zeros((count, experts + 1, channels))
+        self._coverage = np.zeros((count, channels))
+        self._quantile = np.full((count, channels), GAUSSIAN_QUANTILE)
+        self._horizon, self._channel = np.ogrid[:count, :channels]
         self._first = first[:, None]
         self.best: NDArray[np.intp] = np.repeat(self._first, channels, axis=1)
         """The chosen expert, (H, n)."""
-        self.std = np.full((shape[0], channels), np.nan)
-        self.half_width = np.full((shape[0], channels), np.nan)
+        self.std = np.full((count, channels), np.nan)
+        self.half_width = np.full((count, channels), np.nan)
         """Deviation of the chosen expert's errors and half-width of the 95 % interval, (H, n)."""
 
-    def score(self, spacing_s: float, error: Array, published: Array, half_width: Array) -> None:
-        """Take the errors of R predictions made ``spacing_s`` apart: of the experts (R, H, E, n), of what was published
-        (R, H, n), and the half-widths published with it."""
+    def score(self, spacing_s: float, error: Array, half_width: Array) -> None:
+        """Take the errors (R, H, E + 1, n) of R predictions made ``spacing_s`` apart, of the experts and last of what
+        was published (which is overwritten where it had no interval), and the half-widths published with it."""
+        published = error[:, :, -1]
+        if not isfinite(half_width.sum()):
+            published[np.isnan(half_width)] = np.nan
+        misses = (np.abs(published) > half_width).sum(axis=0)
         mean, count = _mean_square(error)
         elapsed_s = spacing_s * count
         self._seconds += elapsed_s
-        memory_s = np.minimum(self._seconds / EARLY, self._memory_s)
-        self._mean_square += _share(elapsed_s, memory_s) * (mean - self._mean_square)
+        memory_s = np.minimum(self._seconds / self._early, self._memory_s)
+        share = np.minimum(elapsed_s / np.maximum(memory_s, 1e-9), 1.0)
+        self._mean_square += share * (mean - self._mean_square)
 
-        size = np.abs(published)
-        misses = (size > half_width).sum(axis=0)
-        mean, count = _mean_square(np.where(half_width == half_width, size, np.nan))
-        quantile = self._quantile + QUANTILE_STEP * (misses - MISS_SHARE * count)
+        scored = count if isinstance(count, float) else count[:, -1]
+        quantile = self._quantile + QUANTILE_STEP * (misses - MISS_SHARE * scored)
         self._quantile = np.minimum(np.maximum(quantile, QUANTILE_RANGE[0]), QUANTILE_RANGE[1])
-        seconds, square, coverage = self._report
-        elapsed_s = spacing_s * count
-        seconds += elapsed_s
-        share = _share(elapsed_s, np.minimum(seconds, REPORT_MEMORY_S))
-        square += share * (mean - square)
-        coverage += share * (1.0 - misses / np.maximum(count, 1) - coverage)
+        self._coverage += share[:, -1] * (1.0 - misses / np.maximum(scored, 1.0) - self._coverage)
 
     def choose(self, available: NDArray[np.bool_]) -> None:
         """Choose among the ``available`` (E, n) experts."""
-        mean_square = np.where(available & (self._seconds >= ENOUGH_S), self._mean_square, np.inf)
-        h, n = self._horizon, self._channel
-        least = np.argmin(mean_square, axis=1)
-        best = np.where(mean_square[h, least, n] < BETTER * mean_square[h, self.best, n], least, self.best)
-        square = mean_square[h, best, n]
-        unknown = square == np.inf
-        self.best = np.where(unknown, self._first, best)
-        self.std = np.sqrt(np.where(unknown, np.nan, square))
+        mean_square = np.where(available & (self._seconds[:, :-1] >= ENOUGH_S), self._mean_square[:, :-1], np.inf)
+        square = mean_square[self._horizon, self.best, self._channel]
+        least = mean_square.min(axis=1)
+        better = least < BETTER * square
+        if better.any():
+            self.best = np.where(better, mean_square.argmin(axis=1), self.best)
+            square = np.where(better, least, square)
+        if not isfinite(square.sum()):
+            unknown = square == np.inf
+            self.best = np.where(unknown, self._first, self.best)
+            square = np.where(unknown, np.nan, square)
+        self.std = np.sqrt(square)
         self.half_width = self._quantile * self.std
 
     @property
     def rms_error(self) -> Array:
         """Rolling RMS of the published predictions' errors, (H, n); nan until one is known."""
-        return np.where(self._report[0] > 0.0, np.sqrt(self._report[1]), np.nan)
+        return np.where(self._seconds[:, -1] > 0.0, np.sqrt(self._mean_square[:, -1]), np.nan)
 
     @property
     def coverage(self) -> Array:
         """Rolling share of measured values inside the published 95 % interval, (H, n); nan until one is known."""
-        return np.where(self._report[0] > 0.0, self._report[2], np.nan)
+        return np.where(self._seconds[:, -1] > 0.0, self._coverage, np.nan)
 
 
 def _mean_square(error: Array) -> tuple[Array, Array | float]:
     """Of those (R, ...) that are known, and how many they are."""
     square = error * error
     total: Array = square.sum(axis=0)
-    if np.isfinite(total).all():
+    if isfinite(total.sum()):
         return total / len(error), float(len(error))
     known = np.isfinite(square)
     count: Array = known.sum(axis=0, dtype=np.float64)
     mean: Array = np.where(known, square, 0.0).sum(axis=0) / np.maximum(count, 1)
     return mean, count
-
-
-def _share(elapsed_s: Array | float, memory_s: Array) -> Array:
-    """Weight of what has been seen for ``elapsed_s`` in an average over ``memory_s``."""
-    return np.minimum(elapsed_s / np.maximum(memory_s, 1e-9), 1.0)

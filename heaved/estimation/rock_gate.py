@@ -57,7 +57,7 @@ class Channel:
         """
         self._timing = timing
         self._armed = ARMED_S / timing.interval_s
-        self._step_memory = STEP_ERROR_MEMORY_S / timing.interval_s
+        self._step_share = 1.0 / (STEP_ERROR_MEMORY_S / timing.interval_s)
         self._mean_memory = MEAN_MEMORY_S / timing.interval_s
         self._gap_weights, self._curve = gap_weights, curve
         self._anchor = np.zeros(gap_weights.shape[1])
@@ -84,6 +84,8 @@ class Channel:
         self._mean_count = 0.0
         self._square = 0.0
         self._manoeuvre = 0
+        self._steady = False
+        """Nothing is held back, missing or young, and there is no manoeuvre."""
 
     @property
     def ready(self) -> bool:
@@ -101,6 +103,21 @@ class Channel:
         how it changes. After the first sample ``since`` is 1.
         """
         change = abs(value - self._reading)
+        if self._steady and change >= self.quantum:
+            # As below, where nothing of it can come otherwise.
+            x = value - self.level - slope * late_s
+            error, deviation = x - one_step, x - self.mean
+            error_square, square = error * error, deviation * deviation
+            if error_square <= GATE**2 * self.step_square and square <= MANOEUVRE**2 * self._square:
+                self._reading = value
+                self._repeats = 0
+                self.since += 1
+                self.calm += 1
+                self.step_square += self._step_share * (error_square - self.step_square)
+                self.mean += deviation / self._mean_memory
+                self._square += (square - self._square) / self._mean_memory
+                return x, True
+        self._steady = False
         self._repeats = self._repeats + 1 if change == 0.0 else 0
         if 0.0 < change < self.quantum:
             self.quantum = change
@@ -136,6 +153,7 @@ class Channel:
     def lose(self) -> None:
         """After a gap too long to fill: the past is gone, what was learned from it stays."""
         self.since = 0
+        self._steady = False
 
     def judge(self) -> Array | None:
         """Once samples have been held back for long enough: what should replace the latest of them (nan: nothing)."""
@@ -189,9 +207,11 @@ class Channel:
         self._absent = 0
         if settled and not absent:
             self._step_count = count + 1
-            share = 1.0 / min(count // 2 + 1, self._step_memory)
+            share = max(1.0 / (count // 2 + 1), self._step_share)
             self.step_square += share * (error * error - self.step_square)
         self._follow(x)
+        is_old = self._mean_count >= self._mean_memory and self._step_count * self._step_share > 2.0
+        self._steady = settled and is_old and not self._manoeuvre
         return True
 
     def _follow(self, x: float) -> None:

@@ -113,14 +113,15 @@ class SampleWindow:
 
     def __init__(self, knots: Indices, columns: int, keep: int) -> None:
         """``knots`` of :func:`lag_knots`; ``keep``: samples to keep at least, more than the last knot."""
-        self._keep, self._columns, self._width = keep, columns, 3 * columns
+        self._keep, self._columns, self.width = keep, columns, 3 * columns
         capacity = 2 * keep + 1024
         # Row k: sample k, the sum of those before it, the sum of the sums before that. So the last two of a row are
         # those of the row before plus the first two of it.
-        self._rows = np.zeros((capacity + 1, self._width))
+        self._rows = np.zeros((capacity + 1, self.width))
         self._flat = self._rows.ravel()
         self.x = self._rows[:capacity, :columns]
         self.known = np.zeros((capacity, columns), dtype=bool)
+        self.known[keep:] = True  # until one comes that is not
         self._knots = knots
         # The mean of the running sum between two knots is what all samples up to there add, those in between in part: a
         # ramp. The difference of two ramps is the mean about a knot. All of it on [sum at the end, sum2 at the knots].
@@ -145,13 +146,15 @@ class SampleWindow:
             start = self.end - self._keep
             self.x[: self._keep] = self.x[start:]
             self.known[: self._keep] = self.known[start:]
+            self.known[self._keep :] = True
             self.moved += start
             self.end = self._keep
             self._sum_from(0)
         end, columns = self.end, self._columns
         row = self._rows[end]
         row[:columns] = values
-        self.known[end, : len(known)] = known
+        if not all(known):
+            self.known[end, : len(known)] = known
         np.add(row[columns:], row[:-columns], out=self._rows[end + 1, columns:])
         self.end = end + 1
 
@@ -171,16 +174,20 @@ class SampleWindow:
 
     def samples_at(self, column: int, count: int) -> Indices:
         """Places of the latest samples of a column, latest first."""
-        return column - self._width * np.arange(1, count + 1)
+        return column - self.width * np.arange(1, count + 1)
 
     def sums_at(self, column: int) -> Indices:
         """Places of what :attr:`weights` apply to."""
-        back = 2 * self._columns + column - self._width * self._knots
+        back = 2 * self._columns + column - self.width * self._knots
         return np.concatenate([[self._columns + column], back])
 
     def gather(self, places: Indices, ends: int | Indices) -> Array:
-        """What is at ``places``, as seen from before the row ``ends``: :attr:`end`, or others that broadcast."""
-        return self._flat.take(places + self._width * ends)
+        """What is at ``places``, as seen from before the rows ``ends``, which broadcast."""
+        return self._flat.take(places + self.width * ends)
+
+    def latest(self, places: Indices, reach: int) -> Array:
+        """What is at ``places``, counted from ``reach`` rows before the end of the window."""
+        return self._flat[self.width * (self.end - reach) :].take(places)
 
     def means(self) -> Array:
         """Means about the knots but the last, latest first, (knots - 1, n)."""

@@ -10,6 +10,7 @@ nothing changes but the samples, so what is published is one matrix (:attr:`Lear
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isfinite
 from typing import Final
 
 import numpy as np
@@ -30,6 +31,8 @@ EXPERT_MEMORY: Final = (0.4, 0.7, 1.0)
 FADING, HOLD, MEAN = 3, 4, 5
 """The experts that are not regressions."""
 EXPERTS: Final = 6
+SHOWN, HALF_WIDTH = EXPERTS, EXPERTS + 1
+"""Beside what the experts made of a row: what was published, and the half-width of its interval."""
 EXTRAPOLATED_S: Final = 0.5
 """Up to this horizon the residual to the fading-memory extrapolation is fitted."""
 RIDGE: Final = 0.1
@@ -74,6 +77,7 @@ class Learner:
         spacing_s = self._spacing_s = every * interval_s
         self._most_rows = max(1, round(BATCH_S / spacing_s))
         self._spans = np.array([round(s / interval_s) for s in EXPERT_SPANS_S])
+        self._longest = int(self._spans[-1])
         self._floor = np.concatenate([self._spans, np.zeros(EXPERTS - FADING, dtype=np.intp)])[:, None]
         features = len(regressors.features)
         fronts = features - (len(knots) - 2)
@@ -126,9 +130,7 @@ class Learner:
         self._kept = int(self._delay[-1]) + self._most_rows + self._most_choice + 2
         capacity = 3 * self._kept
         self._seen = np.zeros((capacity, n, len(self._parts)))
-        self._made = np.full((capacity, count, EXPERTS, n), np.nan)
-        self._shown = np.full((capacity, count, n), np.nan)
-        self._shown_half = np.full((capacity, count, n), np.nan)
+        self._made = np.full((capacity, count, EXPERTS + 2, n), np.nan)
         self._aims = np.full((capacity, count, n), np.nan)
         self._age = np.full((capacity, n), UNUSABLE, dtype=np.intp)
         self._row_end = self._kept  # as if there had been rows that predicted nothing
@@ -149,12 +151,11 @@ class Learner:
         """A row as of the latest sample: what was published (H, n). True: a batch is due."""
         if self._row_end == len(self._age):
             start = self._row_end - self._kept
-            rings = (self._seen, self._made, self._shown, self._shown_half, self._aims)
-            for ring in (*rings, self._age):
+            for ring in (self._seen, self._made, self._aims, self._age):
                 ring[: self._kept] = ring[start:]
             self._row_end = self._kept
         row = self._row_end
-        self._shown[row] = shown
+        self._made[row, :, SHOWN] = shown
         ages = []
         for channel in channels:
             if channel.unsettled > 0:
@@ -169,7 +170,7 @@ class Learner:
     def forget(self, channel: int | slice) -> None:
         """What was predicted of a channel is not to be compared with what comes."""
         self._age[:, channel] = UNUSABLE
-        self._shown[:, :, channel] = np.nan
+        self._made[:, :, SHOWN, channel] = np.nan
 
     # -- once a second, and every few ----------------------------------------------------------------------------
 
@@ -183,7 +184,7 @@ class Learner:
         self._until_batch = self._rows
         before = self._switch.best
         self._switch.choose(np.array([channel.calm for channel in channels]) >= self._floor)
-        if not is_due and np.array_equal(before, self._switch.best):
+        if not is_due and (self._switch.best is before or np.array_equal(before, self._switch.best)):
             return False
         self.weights = self._weights()
         return True
@@ -194,8 +195,8 @@ class Learner:
         seen = self._seen[rows] = self._regressors.at(self._window.end + self._ends) @ self._row_map
         n, count, experts, parts = self._coefficients.shape
         made = self._coefficients.reshape(n, count * experts, parts) @ seen.transpose(1, 2, 0)
-        self._made[rows] = made.reshape(n, count, experts, -1).transpose(3, 1, 2, 0)
-        self._shown_half[rows] = self._switch.half_width
+        self._made[rows, :, :experts] = made.reshape(n, count, experts, -1).transpose(3, 1, 2, 0)
+        self._made[rows, :, HALF_WIDTH] = self._switch.half_width
 
     def _score(self) -> None:
         rows, h = self._row_end + self._scored, self._h
@@ -211,12 +212,11 @@ class Learner:
         if not known.all():
             measured[~known] = np.nan
         self._aims[rows, h] = measured
-        error = measured[:, :, None, :] - self._made[rows, h]
-        filled = self._age[rows][:, :, None, :] >= self._floor
-        if not filled.all():
-            error[~filled] = np.nan
-        shown = measured - self._shown[rows, h]
-        self._switch.score(self._spacing_s, error, shown, self._shown_half[rows, h])
+        made, age = self._made[rows, h], self._age[rows]
+        error = measured[:, :, None] - made[:, :, :HALF_WIDTH]
+        if age.min() < self._longest:
+            error[:, :, :EXPERTS][age[:, :, None] < self._floor] = np.nan
+        self._switch.score(self._spacing_s, error, made[:, :, HALF_WIDTH])
 
     def _learn(self, channels: Sequence[Channel]) -> None:
         for equations, group in zip(self._equations, self._groups, strict=True):
@@ -235,10 +235,13 @@ class Learner:
         wanted = self._aims[rows, group].transpose(2, 0, 1) - seen[:, :, self._base[group, 0]]
         augmented = np.concatenate([wanted, seen[:, :, : self._p]], axis=2)
         targets, age = group.stop - group.start, self._age[rows]
-        used = np.isfinite(wanted).all(axis=2).T & (age >= self._spans[0])
+        youngest = age.min()
+        used = age >= self._spans[0]
+        if not isfinite(wanted.sum()):
+            used &= np.isfinite(wanted).all(axis=2).T
         moments = moments_of(augmented, used)
         for expert, span, size in zip(equations, self._spans, self._sizes, strict=True):
-            if not ((age >= span) | ~used).all():  # fewer equations than of the shorter lags
+            if youngest < span and not ((age >= span) | ~used).all():  # fewer equations than of the shorter lags
                 used &= age >= span
                 moments = moments_of(augmented, used)
             expert.add(moments[:, : targets + size, : targets + size], used.sum(axis=0))

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from heaved.block_outlook import Moment
 from heaved.estimation.rock_blocks import Blocks
 from heaved.estimation.rock_clock import usual_interval
 from heaved.estimation.rock_direct import BACKWARDS, DirectPredictor, Params
@@ -47,7 +48,9 @@ class PacedPredictor:
         self._params = params if params is not None else Params()
         self._n, self._rates = channels, rates
         self.horizons_s = tuple(sorted(set(self._params.horizons_s)))
-        self._unknown = np.full((len(self.horizons_s), channels), nan)
+        count = len(self.horizons_s)
+        self._unknown = np.full((count, channels), nan)
+        self._nothing_scored = Switch(np.array(self.horizons_s), 1, channels, np.zeros(count, dtype=np.intp))
         self._restarts = 0
         self.reset()
 
@@ -61,14 +64,15 @@ class PacedPredictor:
         """Stamps of the last JUDGED_S."""
         self._check_s = inf
         """When the interval is judged again."""
-        self.values = self._unknown
+        self.latest: Moment | Array = self._unknown
+        """Predictions from the last sample, or what they are worked out from."""
         self.fed: DirectPredictor | None = None
         """What predicts; None until the rate is known."""
         self._blocks: Blocks | None = None
         """What it is fed through; None if with every sample."""
         self._taking: Blocks | DirectPredictor | None = None
         """Which of them takes the samples."""
-        self._scored: Switch | DirectPredictor | None = None
+        self.scored: Switch | DirectPredictor = self._nothing_scored
         """What knows the errors of what is published."""
 
     # -- what is known of the errors -------------------------------------------------------------------------------
@@ -76,22 +80,22 @@ class PacedPredictor:
     @property
     def std(self) -> Array:
         """Standard deviation of the prediction errors."""
-        return self._unknown if self._scored is None else self._scored.std
+        return self.scored.std
 
     @property
     def half_width(self) -> Array:
         """Half-width of the 95 % interval."""
-        return self._unknown if self._scored is None else self._scored.half_width
+        return self.scored.half_width
 
     @property
     def rms_error(self) -> Array:
         """Rolling RMS of what was published against what was measured then."""
-        return self._unknown if self._scored is None else self._scored.rms_error
+        return self.scored.rms_error
 
     @property
     def coverage(self) -> Array:
         """Rolling share of measured values inside the published interval."""
-        return self._unknown if self._scored is None else self._scored.coverage
+        return self.scored.coverage
 
     @property
     def restarts(self) -> int:
@@ -111,8 +115,19 @@ class PacedPredictor:
 
     # -- one sample ------------------------------------------------------------------------------------------------
 
+    @property
+    def values(self) -> Array:
+        """Predictions from the last sample."""
+        latest = self.latest
+        return latest if isinstance(latest, np.ndarray) else latest[0].at(*latest[1:])
+
     def step(self, t_s: float, values: list[float], rates: Sequence[float] | None = None) -> Array:
-        """Take one sample of all channels (nan: not known) and predict from it.
+        """Take one sample as :meth:`take` does and predict from it."""
+        self.take(t_s, values, rates)
+        return self.values
+
+    def take(self, t_s: float, values: list[float], rates: Sequence[float] | None = None) -> Moment | Array:
+        """Take one sample of all channels (nan: not known); what is predicted from it is worked out when needed.
 
         A sample that is not later than the last one is ignored; twenty of them in a row begin everything anew.
         """
@@ -120,22 +135,22 @@ class PacedPredictor:
             self._backwards += t_s == t_s
             if self._backwards >= BACKWARDS:
                 self._restart()
-            return self.values
+            return self.latest
         self._backwards = 0
         self.t_s = t_s
         if self._taking is None:
             self._pending.append((t_s, values, rates))
             if len(self._pending) >= FIRST and t_s - self._pending[0][0] >= FIRST_S:
                 self._begin()
-            return self.values
+            return self.latest
         self._recent.append(t_s)
         if t_s >= self._check_s and self._rate_changed():
             self._restart()
-            return self.values
+            return self.latest
         if not isfinite(sum(values)):
             values = [value if isfinite(value) else nan for value in values]
-        self.values = self._taking.step(t_s, values, rates)
-        return self.values
+        self.latest = self._taking.step(t_s, values, rates)
+        return self.latest
 
     def at(self, t_s: float) -> Array:
         """Predictions as seen from a moment without a sample, a little after the last one."""
@@ -174,9 +189,9 @@ class PacedPredictor:
         samples = max(1, int(1.0 / (PACE_HZ * interval_s) + SPARE))
         if samples > 1:
             blocks = self._taking = self._blocks = Blocks(self._params, samples, interval_s, self._n, rates=self._rates)
-            self.fed, self._scored = blocks.fed, blocks.switch
+            self.fed, self.scored = blocks.fed, blocks.switch
         else:
-            self._taking = self.fed = self._scored = DirectPredictor(self._n, self._params, rates=self._rates)
+            self._taking = self.fed = self.scored = DirectPredictor(self._n, self._params, rates=self._rates)
         for t, values, rates in self._pending:
-            self.values = self._taking.step(t, values, rates)
+            self.latest = self._taking.step(t, values, rates)
         self._pending = []

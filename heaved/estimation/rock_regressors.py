@@ -48,6 +48,8 @@ class Regressors:
             ],
             dtype=np.intp,
         )
+        self._reach = -(int(self._places.min()) // window.width)
+        self._recent = self._places + self._reach * window.width
         self.sample = np.zeros(self.width)
         """The latest sample itself."""
         self.sample[sample] = 1.0
@@ -67,7 +69,7 @@ class Regressors:
 
     def now(self) -> Array:
         """The vectors, (n, width)."""
-        return self._window.gather(self._places, self._window.end)
+        return self._window.latest(self._recent, self._reach)
 
     def at(self, ends: Indices) -> Array:
         """The vectors as they were before the rows ``ends`` (R,), (R, n, width)."""

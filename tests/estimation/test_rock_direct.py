@@ -15,6 +15,7 @@ from heaved.estimation.rock_clock import SampleClock
 from heaved.estimation.rock_direct import DirectPredictor, Params
 from heaved.estimation.rock_equations import NormalEquations, moments_of
 from heaved.estimation.rock_experts import Switch
+from heaved.estimation.rock_gate import Channel, Timing
 from heaved.estimation.rock_lags import SampleWindow, between, fading_taps, lag_knots
 
 TURN = 2 * pi
@@ -135,13 +136,47 @@ def test_the_switch_finds_the_better_expert_and_a_calibrated_interval():
         half = np.repeat(switch.half_width[None], 10, axis=0)
         shown = error[:, :, int(switch.best[0, 0])]
         inside.append(np.mean(np.abs(shown) <= half))
-        switch.score(0.05, error, shown, half)
+        switch.score(0.05, np.concatenate([error, shown[:, :, None]], axis=2), half)
         switch.choose(np.ones((3, 1), dtype=bool))
     assert switch.best[0, 0] == 1
     assert np.mean(inside[1000:]) == pytest.approx(0.95, abs=0.01)
     assert switch.coverage[0, 0] == pytest.approx(0.95, abs=0.02)
     switch.choose(np.array([[True], [False], [True]]))
     assert switch.best[0, 0] == 0
+
+
+def test_a_steady_channel_takes_what_any_channel_takes():
+    """With spikes, gaps, a stuck reading, a step of the level and a manoeuvre, against one never taken for steady."""
+    rng = np.random.default_rng(11)
+    n = 9000
+    x = waves(np.arange(n) / 20) + 1e-4 * rng.standard_normal(n)
+    x[rng.random(n) < 0.003] += 0.5
+    x[rng.random(n) < 0.01] = nan
+    x[4000:] += 0.3
+    x[5000:5030] = x[5000]
+    x[5600:5620] = nan
+    x[6000:6400] += 4.0 * np.sin(np.linspace(0.0, pi, 400))
+    late = 0.005 * rng.standard_normal(n)
+    timing = Timing(interval_s=0.05, settling=40, longest_gap=40, judged=10)
+    gap_weights = np.ones((60, 1))
+    channels = [Channel(timing, gap_weights, np.zeros(1)) for _ in range(2)]
+    steady = 0
+    for k in range(n):
+        channels[1]._steady = False
+        steady += channels[0]._steady
+        expected = x[max(k - 1, 0)] - channels[0].level if np.isfinite(x[max(k - 1, 0)]) else 0.0
+        taken = [channel.take(x[k], late[k], expected, 0.01) for channel in channels]
+        assert taken[0] == taken[1], k
+        judged = [channel.judge() for channel in channels]
+        assert (judged[0] is None) == (judged[1] is None)
+        states = [{name: value for name, value in vars(c).items() if isinstance(value, int | float)} for c in channels]
+        for state in states:
+            for name in ("_steady", "_step_count", "_reading"):
+                state.pop(name)
+        assert states[0] == states[1], k
+    assert 0.5 * n < steady < 0.75 * n
+    assert channels[0].spikes > 10
+    assert channels[0].level_steps > 0
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.1])

@@ -339,6 +339,37 @@ def test_the_published_method_can_still_be_had():
     assert abs(chain.at(599 / 20 + 0.02)[0].roll_rad - attitude(599 / 20 + 0.07)[0][0]) < 1e-2
 
 
+def test_what_is_scored_has_come_true_though_the_rate_was_first_taken_for_another():
+    """The first second comes 3 % too slowly: later on more samples lie within a horizon than there seemed to."""
+    gaps_s = np.where(np.arange(20_000) < 100, 0.0103, 0.01)
+    t = np.cumsum(gaps_s)
+    rng = np.random.default_rng(8)
+    x = np.sin(TURN * t / 7.3) + 0.5 * np.sin(TURN * t / 9.1) + 1e-3 * rng.standard_normal(len(t))
+    paced = PacedPredictor(1)
+    predicted = predict(paced, t, x[:, None])
+    assert paced.restarts == 0
+    for horizon in range(len(HORIZONS)):
+        steady = rms(x[:, None], predicted, horizon, 14_000)[0]
+        assert 0.75 * steady < paced.std[horizon, 0] < 1.3 * steady, horizon
+
+
+def test_what_is_asked_for_later_is_what_was_predicted():
+    """Whatever has come since: also where two samples fall on one place of a block."""
+    x = measured("under way, MEMS", 60.0)
+    rng = np.random.default_rng(3)
+    x[rng.random(len(x)) < 0.02] += 1.0
+    twice = np.arange(0, len(x), 37)
+    t = np.insert(np.arange(len(x)) / RATE_HZ, twice + 1, twice / RATE_HZ + 0.003)
+    x = np.insert(x, twice + 1, x[twice] + 1e-3, axis=0)
+    at_once, later = DirectRockPredictor(), DirectRockPredictor()
+    rows = list(zip(t.tolist(), x.tolist(), strict=True))
+    expected = [at_once.step(moment, *sample).angles_rad for moment, sample in rows]
+    found = [later.step(moment, *sample) for moment, sample in rows]
+    for k in range(len(rows) - 2000, len(rows)):
+        assert np.array_equal(found[k].angles_rad, expected[k]), k
+    assert np.isfinite(expected[-2000:]).all()
+
+
 def test_before_anything_is_known_nothing_is_claimed():
     chain = RockChain(rock.Params())
     for k in range(100):
