@@ -40,9 +40,10 @@ class Blocks:
     def __init__(self, params: Params, samples: int, interval_s: float, channels: int, *, rates: bool = False) -> None:
         """``interval_s``: of the samples; ``rates``: the first derivative of every channel is given with each."""
         self._horizons = np.unique(params.horizons_s)
-        self._samples, self._interval_s, self._n = samples, interval_s, channels
+        self._samples, self._n = samples, channels
+        self.interval_s = interval_s
+        """Of the samples, as they come."""
         self._max_gap_s = params.max_gap_s
-        self._block_s = samples * interval_s
         nodes_s = self._nodes()
         self.fed = DirectPredictor(channels, msgspec.structs.replace(params, horizons_s=nodes_s), rates=rates)
         """What predicts from the block means."""
@@ -66,6 +67,9 @@ class Blocks:
         """Of its samples, and of its middle."""
         self._outlook: BlockOutlook
         self._phase: int
+        self._late: float
+        """Of all samples of the block together, in samples."""
+        self._came: int
         self._values: list[float]
         self._rates: list[Sequence[float]]
         self._shown_phase: int
@@ -73,9 +77,13 @@ class Blocks:
         """What is published at that place, and will be scored."""
         self._lose()
 
+    @property
+    def _block_s(self) -> float:
+        return self._samples * self.interval_s
+
     def _nodes(self) -> tuple[float, ...]:
         """Horizons of what is fed with means, from which the curve is drawn."""
-        samples, interval_s, block_s = self._samples, self._interval_s, self._block_s
+        samples, interval_s, block_s = self._samples, self.interval_s, self._block_s
         lag_s = 0.5 * (samples - 1) * interval_s
         late_s = lag_s + block_s - interval_s
         horizons_s = self._horizons.tolist()
@@ -89,7 +97,7 @@ class Blocks:
 
     def _aim(self) -> None:
         """What follows from the interval, which the first stamps tell within some percent only."""
-        samples, interval_s = self._samples, self._interval_s
+        samples, interval_s = self._samples, self.interval_s
         self._aimed_s = interval_s
         self._lag_s = 0.5 * (samples - 1) * interval_s
         nodes = np.append(0.0, self.fed.horizons_s)
@@ -116,16 +124,18 @@ class Blocks:
     def step(self, t_s: float, values: list[float], rates: Sequence[float] | None) -> Moment | Array:
         """Take a sample later than the one before and predict from it."""
         if self._end_s == -inf:
-            self._end_s = t_s - self._interval_s
+            self._end_s = t_s - self.interval_s
             self.origin_s = self._end_s - self._lag_s
-        place = (t_s - self._end_s) / self._interval_s
+        place = (t_s - self._end_s) / self.interval_s
         phase = round(place)
         if phase > self._samples:
             place = self._catch_up(t_s)
             phase = round(place)
+        off = place - phase
+        self._late += off
+        self._came += 1
         if phase < 1:
             return self.latest
-        off = place - phase
         expected = self._expected[phase]
         if -ON_TIME <= off <= ON_TIME:
             off = 0.0
@@ -136,11 +146,6 @@ class Blocks:
         if rates is not None:
             self._rates.append(rates)
         if phase == self._samples:
-            self._end_s += self._block_s
-            deviation_s = t_s - self._end_s
-            self._end_s += PHASE_GAIN * deviation_s
-            self._block_s += INTERVAL_GAIN * deviation_s
-            self._interval_s = self._block_s / self._samples
             self._feed(map(sub, values, expected))
             phase, off = 0, 0.0
         else:
@@ -169,15 +174,20 @@ class Blocks:
             self.origin_s = self._end_s - self._lag_s
             self._learner.lose()
             self._lose()
-        while round((t_s - self._end_s) / self._interval_s) > self._samples:
-            self._end_s += self._block_s
+        while round((t_s - self._end_s) / self.interval_s) > self._samples:
             self._feed(self._nothing)
-        return (t_s - self._end_s) / self._interval_s
+        return (t_s - self._end_s) / self.interval_s
 
     # -- one block -------------------------------------------------------------------------------------------------
 
     def _feed(self, last: Iterable[float]) -> None:
-        """Close a block that ends at ``_end_s``: feed its mean, begin the next. ``last``: its last innovation."""
+        """Close a block: feed its mean, begin the next. ``last``: its last innovation."""
+        self._end_s += self._block_s
+        if self._came:
+            # Of all samples: those that fall on one place are not the ones that tell how late they come in the mean.
+            deviation_s = self._late / self._came * self.interval_s
+            self._end_s += PHASE_GAIN * deviation_s
+            self.interval_s += INTERVAL_GAIN * deviation_s / self._samples
         innovations = [*self._outlook.innovations, *last]
         mean = self._means(innovations)
         is_due = self._learner.keep(self._values, innovations, self._outlook.curve, self._shown_now)
@@ -186,9 +196,9 @@ class Blocks:
         self.origin_s = self._end_s - self._lag_s
         self.fed.step(self.origin_s, mean, rates)
         if is_due:
-            if abs(self._interval_s - self._aimed_s) > DRIFT * self._interval_s:
+            if abs(self.interval_s - self._aimed_s) > DRIFT * self.interval_s:
                 self._aim()
-                self._learner.aim(self._interval_s, self._weights)
+                self._learner.aim(self.interval_s, self._weights)
             self._learner.batch(self._block_s)
             self._map()
         curve = self.fed.curve
@@ -204,7 +214,8 @@ class Blocks:
     def _open(self, curve: Array) -> None:
         """A block without samples."""
         samples, nothing = self._samples, self._nothing
-        self._phase = 0
+        self._phase = self._came = 0
+        self._late = 0.0
         self._outlook = BlockOutlook(curve, nothing * (samples - 1), self._maps)
         self._values = nothing * samples
         self._rates = []

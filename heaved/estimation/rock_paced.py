@@ -29,9 +29,9 @@ SPARE: Final = 0.05
 """A rate of 99.9 Hz is one of 100 Hz."""
 FIRST: Final = 11
 """Stamps before the interval is known, and those by which it is judged later, at least."""
-FIRST_S: Final = 0.75
-"""And so much time: the polls of a start are held up by 20-50 ms now and then. Nothing is lost, for nothing is
-published before 2 s are there."""
+FIRST_S: Final = 2.0
+"""And so much time: the polls of a start are held up by 20-50 ms now and then, and jitter has to average out. Nothing
+is lost, for nothing is published before 2 s are there."""
 JUDGED_S: Final = 2.0
 """The recent past by which the interval is judged."""
 CHECKED_S: Final = 1.0
