@@ -269,6 +269,15 @@ def test_a_sample_older_than_the_last_is_counted_and_changes_nothing(short: Reco
     assert clean.summary().out_of_order == 0
 
 
+def test_jitter_is_not_taken_for_lost_samples(longer: Recording) -> None:
+    """Polls of a busy machine, up to 0.4 of an interval early or late."""
+    rng = np.random.default_rng(9)
+    jittered = [changed(s, t_s=s.t_s + 0.02 * rng.uniform(-1.0, 1.0)) for s in imu_only(longer.samples())]
+    frames = run(pipeline(has_laser=False), jittered)
+    assert not [f for f in frames if any("missing" in reason for reason in f.quality.reasons)]
+    assert frames[-1].quality.heave is HeaveState.VALID
+
+
 # --- coasting --------------------------------------------------------------------------------------------------------
 
 

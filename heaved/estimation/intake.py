@@ -10,10 +10,10 @@ from __future__ import annotations
 from math import isfinite, nan
 from typing import Final
 
+from heaved.estimation.arrivals import Arrivals
 from heaved.estimation.chain import HeaveChain
 from heaved.estimation.frames import up_acceleration
 from heaved.estimation.level_bias import LevelBias
-from heaved.estimation.quality import COAST_S
 from heaved.estimation.spikes import PLAUSIBLE_MPS2
 from heaved.estimation.trail import Trail
 from heaved.samples import GRAVITY_MPS2, Fault, ImuSample
@@ -24,8 +24,6 @@ TILT_LASTS_S: Final = 5.0
 """With the tilt removed for that long, or not removed, the record is of one kind."""
 LAG_S: Final = 0.005
 """A smaller lag of the accelerometers than this is not worth going back for."""
-MISSING_MEMORY_S: Final = 60.0
-"""Of the share of lost samples."""
 UNKNOWN: Final = (nan, nan, nan)
 
 
@@ -34,15 +32,13 @@ class Intake:
 
     Attributes:
         fault: of the last sample; OUT_OF_RANGE, STUCK or NOT_FINITE where the chain has found that out.
-        period_s: usual interval of good samples; nan: not known yet.
-        missing: share of the samples that were lost in the last minute.
+        arrivals: of good samples: how often they come, and how many are lost.
     """
 
     def __init__(self, chain: HeaveChain, max_rate_hz: float) -> None:
         self._chain = chain
         self.fault = Fault.NONE
-        self.period_s = nan
-        self.missing = 0.0
+        self.arrivals = Arrivals()
         self._attitude, self._attitude_t_s = UNKNOWN, nan
         self._attitudes = Trail(int(max_rate_hz))
         self._tilt_removed, self._tilt_since_s = False, nan
@@ -58,14 +54,14 @@ class Intake:
             self._attitude, self._attitude_t_s = (roll_rad, pitch_rad, sample.yaw_rad), t_s
             self._attitudes.push((t_s, roll_rad, pitch_rad))
         ax, ay, az = sample.ax_mps2, sample.ay_mps2, sample.az_mps2
-        up, before_s = az - GRAVITY_MPS2, self._chain.good_t_s
+        up = az - GRAVITY_MPS2
         self._note_tilt(t_s, t_s - self._attitude_t_s <= ATTITUDE_HOLD_S and isfinite(ax + ay))
         bias, tilt = self._level_bias, None
         if self._tilt_removed:
             tilt = self._attitude_of_acceleration(t_s)
             up = up_acceleration(ax - bias.x_mps2, ay - bias.y_mps2, az, *tilt)
         if isfinite(self._chain.observe(t_s, up, az)):
-            self._note_interval(t_s - before_s)
+            self.arrivals.take(t_s)
             if tilt is not None:
                 bias.take(t_s, ax, ay, az, *tilt)
         elif self._chain.stuck.is_stuck and abs(up) <= PLAUSIBLE_MPS2:
@@ -97,21 +93,3 @@ class Intake:
             if t_s - self._tilt_since_s > TILT_LASTS_S:
                 self._chain.interrupt()
             self._tilt_removed, self._tilt_since_s = is_removed, t_s
-
-    def _note_interval(self, interval_s: float) -> None:
-        """The usual interval of good samples, and the share of those that are missing."""
-        if not isfinite(interval_s):
-            return
-        # Without min and max: this is done for every sample, and calls are most of it.
-        step = interval_s if interval_s < COAST_S else COAST_S
-        period_s = self.period_s
-        if not isfinite(period_s) or step < 0.5 * period_s:
-            period_s = step
-        else:
-            # What is lost must not become what is usual, but for a sensor that has become slower for good.
-            period_s += (0.02 if step < 1.5 * period_s else 0.002) * (step - period_s)
-        self.period_s = period_s
-        lost = interval_s - 1.5 * (step if step < period_s else period_s)
-        weight = interval_s / MISSING_MEMORY_S
-        share = lost / interval_s if lost > 0.0 else 0.0
-        self.missing += (weight if weight < 1.0 else 1.0) * (share - self.missing)

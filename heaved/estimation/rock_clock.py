@@ -15,6 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.estimation.arrivals import usual_interval
+
 Array = NDArray[np.float64]
 
 FIRST: Final = 11
@@ -31,40 +33,6 @@ GAP: Final = 4
 """Steps at once that are a gap, and say little about phase, interval or rate."""
 RATIO: Final = (0.6, 1.6)
 """Samples per grid step outside of which the rate is another, however much they scatter."""
-PAIRS: Final = 0.4
-"""Quantile of the length of two intervals together to begin with: below the median, for polls get lost and none are
-added."""
-SPAN: Final = 3
-"""Intervals whose steps are counted together."""
-HIDDEN: Final = 0.1
-"""Median deviation of the intervals, relative, from which jitter hides how many steps they are."""
-LONG: Final = 0.02
-"""Share of intervals longer than two in the mean from which stamps are missing."""
-
-
-def usual_interval(stamps_s: Array) -> float:
-    """Interval at which increasing stamps (n,), n > 3, are meant to come, whatever befell some of them.
-
-    On a busy machine a poll comes up to an interval late and the next one soon after: the single intervals then lie in
-    two heaps beside the true one, and their median in either. Lateness cancels in the sum of neighbours, and a lost
-    poll shows in every sum across it. So the steps in spans of three intervals are counted, rounded to whole ones, and
-    time is divided by steps, as often as it takes to agree with itself. Jitter of half an interval makes anything agree
-    with itself; then, if none are missing, the stamps themselves are counted.
-    """
-    pairs = stamps_s[2:] - stamps_s[:-2]
-    interval_s = 0.5 * float(np.quantile(pairs, PAIRS))
-    spans = stamps_s[SPAN:] - stamps_s[:-SPAN]
-    total_s = float(spans.sum())
-    for _ in range(5):
-        steps = float(np.rint(spans / interval_s).sum())
-        if steps <= 0.0 or total_s / steps == interval_s:
-            break
-        interval_s = total_s / steps
-    gaps = np.diff(stamps_s)
-    mean_s = float(gaps.mean())
-    if float(np.median(np.abs(gaps - interval_s))) > HIDDEN * interval_s and np.mean(gaps > 2.0 * mean_s) < LONG:
-        return mean_s
-    return interval_s
 
 
 class SampleClock:

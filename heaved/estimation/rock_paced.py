@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from heaved.block_outlook import Moment
+from heaved.estimation.arrivals import usual_interval
 from heaved.estimation.rock_blocks import Blocks
-from heaved.estimation.rock_clock import usual_interval
 from heaved.estimation.rock_direct import BACKWARDS, DirectPredictor, Params
 from heaved.estimation.rock_experts import Switch
 
