@@ -74,9 +74,12 @@ class HeaveForecasts(_Predictions[HeaveForecast]):
         try:
             return iter(self._records)
         except AttributeError:
-            rows = zip(self.horizons_s, self.numbers([self])[0].tolist(), strict=True)
-            self._records = tuple([HeaveForecast(horizon_s=h, heave_m=m, std_m=std_m) for h, (m, std_m) in rows])
+            self._records = self._made()
             return iter(self._records)
+
+    def _made(self) -> tuple[HeaveForecast, ...]:
+        rows = zip(self.horizons_s, self.numbers([self])[0].tolist(), strict=True)
+        return tuple([HeaveForecast(horizon_s=h, heave_m=heave_m, std_m=std_m) for h, (heave_m, std_m) in rows])
 
     @classmethod
     def of(cls, found: Sequence[HeaveForecast], horizons_s: tuple[float, ...]) -> HeaveForecasts:

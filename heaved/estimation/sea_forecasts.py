@@ -8,6 +8,7 @@ is left of the model before (:mod:`splice`). Most samples' forecasts are never l
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import exp, hypot
 from typing import Final, Self
 
 import msgspec
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from heaved.estimation.outlook import ORDER
 from heaved.estimation.splice import TIME_S
 from heaved.predictions import HeaveForecasts
+from heaved.samples import HeaveForecast
 
 Array = NDArray[np.float64]
 
@@ -73,3 +75,18 @@ class SeaForecasts(HeaveForecasts):
         heaves *= gain
         stds *= whole
         return found
+
+    def _made(self) -> tuple[HeaveForecast, ...]:
+        """The same of a single one, for which arrays are four times as slow."""
+        d, gain, modelled, whole, left_m, slope_mps, elapsed_s = self._own
+        is_left = left_m != 0.0 or slope_mps != 0.0
+        found = []
+        columns = zip(self.horizons_s, self._ahead.series.tolist(), self._ahead.stds_m.tolist(), strict=True)
+        for h, (c0, c1, c2, c3, c4, c5), std_m in columns:
+            heave_m = ((((c5 * d + c4) * d + c3) * d + c2) * d + c1) * d + c0
+            std_m *= modelled
+            if is_left:
+                left = (left_m + slope_mps * h) * exp(-(elapsed_s + h) / TIME_S)
+                heave_m, std_m = heave_m + left, hypot(std_m, left)
+            found.append(HeaveForecast(horizon_s=h, heave_m=gain * heave_m, std_m=whole * std_m))
+        return tuple(found)
