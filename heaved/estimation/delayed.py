@@ -15,7 +15,7 @@ from heaved.samples import DelayedHeave
 
 OVERCONFIDENCE: Final = 2.0
 """Published over modelled standard deviation: the smoothed value is so good that what the model leaves out shows, the
-fit's own error first (1.5 covers that) and, on a vessel that rolls, the attitude's (1.5 covers 0.88, 2 covers 0.97 of
+fit's own error first (1.5 covers that) and, on a vessel that rolls, the attitude's (1.5 covers 0.88, 2 covers 0.96 of
 the errors on S6: tools/accuracy.py headline)."""
 EVERY_S: Final = 0.1
 """Readings closer together than this are left out."""
