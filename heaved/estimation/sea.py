@@ -13,7 +13,7 @@ of the sensor, and every sample gets its own output, moved from the last beat.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from math import isfinite, nan, pi
 from typing import Annotated, Final
 
@@ -105,6 +105,8 @@ class SeaObserver:
         self.delayed: DelayedHeave | None = None
         self._trust = SeaTrust(int((self._params.delay_s + 5.0) / BEAT_MIN_S))
         self._smoother: FixedLagSmoother | None = None
+        self._ripening: deque[DelayedHeave] = deque()
+        """Delayed heave of a past with holes, not yet as old as it shall be."""
         self._aided_s, self._unaided = nan, None
         if self._heave is not None:
             kept = self._heave.filter
@@ -169,6 +171,9 @@ class SeaObserver:
         said_m = float(heave.filter.system.heave.dot(heave.filter.x)) + heave.splice.at(t_s)[0]
         self._trust.divergence.say(t_s, said_m, heave.state_std_m)
         delayed = smoother.value()
+        while self._ripening and self._ripening[0].t_s <= t_s - self._params.delay_s:
+            ripe = self._ripening.popleft()
+            delayed = delayed or ripe
         if delayed is not None and (self.delayed is None or delayed.t_s > self.delayed.t_s):
             self.delayed = delayed
             self._trust.divergence.check(delayed)
@@ -191,7 +196,7 @@ class SeaObserver:
         """The state has changed: what follows from it."""
         self._bias_mps2 = float(heave.filter.x[-1])
         heave.moved()
-        self._trust.beat(heave.filter.surprise, heave.is_converged, self.sea)
+        self._trust.beat(heave.filter.surprise, heave.is_recovering, self.sea)
         heave.scale = OVERCONFIDENCE * self._trust.factor
 
     @property
@@ -252,6 +257,8 @@ class SeaObserver:
         self.refreshes += 1
         self._smoother = FixedLagSmoother(system, steady, self._params.delay_s)
         self._smoother.fill(fit.t_s, np.frombuffer(fit.predicted_m), np.frombuffer(fit.innovation))
+        rows = np.frombuffer(fit.delayed).reshape(-1, 3).tolist()
+        self._ripening = deque([DelayedHeave(t_s=t, heave_m=h, std_m=std) for t, h, std in rows])
         self._catch_up(heave, self._smoother, fit.t_s)
         if old is not None and aided is not None:
             # The laser's knowledge of the heave itself comes over; the rest of the state it teaches again.

@@ -38,6 +38,8 @@ SURPRISE_S: Final = 5.0
 """Memory of how far they were off."""
 EXACT_DELTA_S: Final = 1e-7
 """A shorter rest of the interval than this changes nothing."""
+LONGEST_STEPS: Final = 40
+"""Gaps of up to so many intervals are whole steps and the same rest; the matrices of each are kept."""
 NUDGE_TERMS: Final = 5
 """Of the Taylor series of a longer one: at 25 ms and 0.6 Hz the next one is 1e-7."""
 
@@ -64,6 +66,7 @@ class SeaFilter:
         P: (n, n) its covariance; None: the steady one.
         rejected: samples that the gate has kept out.
         steady_covariance: (n, n) of the state while samples come as usual.
+        innovation_variance: of the last sample, as the model has it, (m/s2)2.
         surprise: variance of averaged innovations over that of the model, in the last seconds; 1 when it is right.
     """
 
@@ -80,7 +83,8 @@ class SeaFilter:
         for i in range(1, NUDGE_TERMS):
             rows.append(system.A.dot(rows[-1]) / i)
         self._taylor = np.concatenate(rows)  # One product gives all terms.
-        self._seen = steady.S
+        self._steps = [(steady.F, steady.Q)]
+        self._seen = self.innovation_variance = steady.S
         self._outside = 0
         self.offset: Offset | None = None
 
@@ -119,23 +123,28 @@ class SeaFilter:
         """Take a sample at ``t_s`` > the last one; (heave in m before it was taken in, innovation in m/s2 or 0)."""
         dt = t_s - self.t_s
         steady, H = self.steady, self.system.H
-        delta = dt - steady.dt_s
-        is_usual = abs(delta) <= 0.5 * steady.dt_s
+        steps = round(dt / steady.dt_s) if dt < (LONGEST_STEPS + 0.5) * steady.dt_s else 0
         x = self.x
-        if is_usual:
-            x = self._moved(x, delta) if abs(delta) > EXACT_DELTA_S else steady.F.dot(x)
-            P = self.P if self.P is None else _symmetric(steady.F.dot(self.P).dot(steady.F.T) + steady.Q)
+        if steps > 0:
+            F, Q = self.moves(steps)
+            delta = dt - steps * steady.dt_s
+            if abs(delta) <= EXACT_DELTA_S:
+                x = F.dot(x)
+            else:
+                x = self._moved(x if steps == 1 else self._steps[steps - 2][0].dot(x), delta)
         else:
             F, Q = self.system.transition(dt)
             x = F.dot(x)
-            P = _symmetric(F.dot(self.covariance).dot(F.T) + Q)
+        is_usual = steps == 1
+        P = self.P if is_usual and self.P is None else _symmetric(F.dot(self.covariance).dot(F.T) + Q)
         if self.offset is not None:
-            self.offset.c = (steady.F if is_usual else F).dot(self.offset.c)
+            self.offset.c = F.dot(self.offset.c)
         self.t_s = t_s
         predicted_m = float(self.system.heave.dot(x))
         y = a_mps2 - float(H.dot(x))
         PH = None if P is None else P.dot(H)
         S = steady.S if PH is None else float(H.dot(PH)) + self._R
+        self.innovation_variance = S
         self._compare(y, S)
         if self._is_outlier(y, S):
             self.rejected += 1
@@ -162,6 +171,14 @@ class SeaFilter:
     def is_sound(self) -> bool:
         """Whether state and covariance are still finite numbers and variances positive."""
         return isfinite(float(self.x.dot(self.x))) and (self.P is None or bool(np.all(np.diag(self.P) > 0.0)))
+
+    def moves(self, steps: int) -> tuple[Array, Array]:
+        """F and Q of so many usual intervals, at least one."""
+        F, Q = self._steps[0]
+        while len(self._steps) < steps:
+            before, added = self._steps[-1]
+            self._steps.append((F.dot(before), _symmetric(F.dot(added).dot(F.T) + Q)))
+        return self._steps[steps - 1]
 
     def _moved(self, x: Array, delta_s: float) -> Array:
         """expm(A (dt + delta)) x, for a delta far below the periods of the model: F x and its Taylor series."""
