@@ -255,7 +255,7 @@ def test_packaged_files_are_sound(name: str, roles: list[str]) -> None:
 )
 def test_a_role_makes_samples_of_its_own_kind(text: str, values: dict, expected: dict) -> None:
     (spec,) = read(text).device
-    contact = Contact(numbered=True, resync_counts=(), alone=True, timeout_s=0.05, opened_s=0.0)
+    contact = Contact(numbered=True, lengths=(), alone=True, timeout_s=0.05, opened_s=0.0)
     station = Station(spec, TcpLink("h", 1), contact, 0.0)
     decoded = station.codecs[0].decode(encode(spec.profile.blocks[0], values))
     result = station.result(Reading(5.0, decoded.values), 5.0, 5.0, 5.001, 1)

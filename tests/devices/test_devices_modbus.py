@@ -8,6 +8,7 @@ import errno
 import logging
 import os
 import random
+from collections.abc import Callable
 from math import isnan
 from pathlib import Path
 
@@ -137,48 +138,51 @@ async def test_sample_is_dated_by_the_block_with_the_vertical_acceleration() -> 
 
 
 class LateSlave:
-    """Keeps the answer to one request back until it hears another, then sends both: the worst moment for it."""
+    """Keeps the answer to one request back until it hears another, then sends both: the worst moment for it. Every
+    register carries the number of the request that it answers."""
 
     def __init__(self, keep_back: set[int]) -> None:
         self.keep_back = keep_back
-        self.data_reads = 0
+        self.asked = 0
         self.kept = b""
-        self.last_value = 0
 
     def __call__(self, request: bytes) -> bytes:
-        count = count_of(request)
-        if count != 3:
-            answer = rtu_answer(request, [0xEEEE] * count)
-        else:
-            self.data_reads += 1
-            self.last_value = self.data_reads
-            answer = rtu_answer(request, [self.data_reads] * count)
-            if self.data_reads in self.keep_back:
-                self.kept += answer
-                return b""
+        self.asked += 1
+        answer = rtu_answer(request, [self.asked] * count_of(request))
+        if self.asked in self.keep_back:
+            self.kept += answer
+            return b""
         late, self.kept = self.kept, b""
         return late + answer
+
+
+class Fresh(Results):
+    """Collects results, and the good ones with a value that does not answer a request of their own poll."""
+
+    def __init__(self, asked: Callable[[], int]) -> None:
+        super().__init__()
+        self.stale: list[tuple[float, int]] = []
+        self._asked = asked
+        self._asked_before = 0
+
+    def __call__(self, result: PollResult) -> None:
+        asked = self._asked()
+        if well(result):
+            sample = result.sample
+            numbers = (sample.az_mps2, sample.ax_mps2, sample.ay_mps2)  # type: ignore[union-attr]
+            self.stale += [(n, asked) for n in numbers if not isnan(n) and not self._asked_before < n <= asked]
+        self._asked_before = asked
+        super().__call__(result)
 
 
 async def test_late_rtu_answer_is_never_taken_for_the_next_one() -> None:
     late = LateSlave({5, 9, 10, 14})
     slave = RtuSlave(late)
-    results = Results()
-    ages: list[int] = []
-
-    def note(result: object) -> None:
-        results(result)  # type: ignore[arg-type]
-        if well(result):
-            # Nothing was asked since: the value must be that of the very last data request.
-            ages.append(late.last_value - round(result.sample.az_mps2))  # type: ignore[attr-defined]
-
-    task = asyncio.create_task(Bus([device(f"rtu://{slave.path}?baudrate=115200", timeout_ms=30.0)], note).run())
-    await results.until(lambda result: well(result) and result.sample.az_mps2 >= 25)  # type: ignore[union-attr]
-    task.cancel()
-    with contextlib.suppress(asyncio.CancelledError):
-        await task
+    results = Fresh(lambda: late.asked)
+    async with running([device(f"rtu://{slave.path}?baudrate=115200", timeout_ms=30.0)], results):
+        await results.until(lambda result: well(result) and result.sample.az_mps2 >= 25)  # type: ignore[union-attr]
     slave.close()
-    assert set(ages) == {0}
+    assert results.stale == []
     assert [result.fault for result in results.all].count(Fault.TIMEOUT) >= 4
 
 
@@ -217,9 +221,10 @@ async def test_one_register_device_rests_until_no_late_answer_can_come() -> None
 
     def answer(request: bytes) -> bytes:
         nonlocal count
+        if count_of(request) > 1:
+            return rtu(bytes((request[0], 0x83, 2)))
         count += 1
         times.append(asyncio.get_running_loop().time())
-        assert count_of(request) == 1
         return b"" if count in silent else rtu_answer(request, [count])
 
     slave = RtuSlave(answer)
@@ -260,49 +265,80 @@ async def test_device_that_refuses_other_lengths_is_read_after_a_rest() -> None:
     slave.close()
     # The refusal is of our own making: it is not reported as one of the profile's registers.
     assert {result.fault for result in results.all} == {Fault.TIMEOUT, Fault.NONE}
-    assert [count_of(request) for request in slave.requests[:2]][1] == 3
+    longer, part, plain = [count_of(request) for request in slave.requests[:3]]
+    assert longer > plain == 3 > part
 
 
-@pytest.mark.parametrize(("seed", "registers", "latest_s"), [(1, 3, 0.1), (2, 3, 0.4), (3, 1, 0.3)])
-async def test_no_late_answer_is_taken_from_an_erratic_slave(seed: int, registers: int, latest_s: float) -> None:
-    """Answers come in order, but up to twenty timeouts late, and some never."""
-    chance, loop = random.Random(seed), asyncio.get_running_loop()
+ERRATIC = {
+    "in order": {"latest_s": 0.1},
+    "in order, very late": {"latest_s": 0.4},
+    "in order, one register": {"latest_s": 0.3, "registers": 1},
+    "out of order": {"latest_s": 0.1, "in_order": False},
+    "out of order, very late": {"latest_s": 0.4, "in_order": False},
+    "out of order, no longer reads": {"latest_s": 0.3, "in_order": False, "most": 3},
+    "out of order, one register alone": {"latest_s": 0.3, "in_order": False, "registers": 1, "most": 1},
+    "each answer twice": {"latest_s": 0.0, "twice": True},
+}
+"""Slaves that answer up to twenty timeouts late, and sometimes never."""
+
+
+@pytest.mark.parametrize("name", ERRATIC)
+async def test_no_late_answer_is_taken_from_an_erratic_slave(name: str) -> None:
+    kind: dict[str, object] = {"registers": 3, "most": 125, "in_order": True, "twice": False, **ERRATIC[name]}
+    chance, loop = random.Random(name), asyncio.get_running_loop()
     asked, busy_until_s = 0, 0.0
-    wrong: list[tuple[float, int]] = []
     underway: list[asyncio.TimerHandle] = []
 
     def answer(request: bytes) -> bytes:
         nonlocal asked, busy_until_s
-        data = rtu_answer(request, [0xEEEE] * count_of(request))
-        if count_of(request) == registers:
-            asked += 1
-            data = rtu_answer(request, [asked] * registers)
+        asked += 1
+        if count_of(request) > kind["most"]:  # type: ignore[operator]
+            return rtu(bytes((request[0], 0x83, 2)))
+        data = rtu_answer(request, [asked] * count_of(request))
         if chance.random() < 0.05:
             return b""
-        thinking_s = chance.random() * latest_s if chance.random() < 0.2 else 0.0
+        thinking_s = chance.random() * kind["latest_s"] if chance.random() < 0.2 else 0.0  # type: ignore[operator]
         busy_until_s = max(busy_until_s, loop.time()) + thinking_s
-        underway.append(loop.call_at(busy_until_s, slave.say, data))
+        at_s = busy_until_s if kind["in_order"] else loop.time() + thinking_s
+        underway.append(loop.call_at(at_s, slave.say, data * (2 if kind["twice"] else 1)))
         return b""
 
     slave = RtuSlave(answer)
-    results = Results()
-
-    def note(result: PollResult) -> None:
-        if well(result) and result.sample.az_mps2 != asked:  # type: ignore[union-attr]
-            wrong.append((result.sample.az_mps2, asked))  # type: ignore[union-attr]
-        results(result)
-
-    spec = device(f"rtu://{slave.path}", timeout_ms=20.0, rate_hz=100.0, profile=counter_profile(registers))
-    task = asyncio.create_task(Bus([spec], note).run())
-    await results.number(120)
-    await results.until(lambda result: sum(map(well, results.all)) >= 5)  # Or the test shows nothing.
-    task.cancel()
-    with contextlib.suppress(asyncio.CancelledError):
-        await task
+    results = Fresh(lambda: asked)
+    profile = counter_profile(kind["registers"])  # type: ignore[arg-type]
+    async with running([device(f"rtu://{slave.path}", timeout_ms=20.0, rate_hz=100.0, profile=profile)], results):
+        await results.number(120)
+        await results.until(lambda result: sum(map(well, results.all)) >= 5)  # Or the test shows nothing.
     for handle in underway:
         handle.cancel()
     slave.close()
-    assert wrong == []
+    assert results.stale == []
+
+
+@pytest.mark.parametrize(("most", "lost"), [(125, 3), (3, 1)], ids=["longer reads", "in parts"])
+async def test_a_lost_answer_costs_one_poll_and_no_more(most: int, lost: int) -> None:
+    """The next ones are told from it by their length, in whatever order answers come: no need for a rest."""
+    plain = missing = 0
+
+    def answer(request: bytes) -> bytes:
+        nonlocal plain, missing
+        if count_of(request) > most:
+            return rtu(bytes((request[0], 0x83, 2)))
+        plain += count_of(request) == 3
+        if plain >= 5 and missing < lost:
+            missing += 1
+            return b""
+        return rtu_answer(request, [plain] * count_of(request))
+
+    slave = RtuSlave(answer)
+    results = Results()
+    async with running([device(f"rtu://{slave.path}?baudrate=115200", timeout_ms=60.0)], results):
+        first = await results.until(well)
+        await results.until(lambda result: well(result) and result.sample.az_mps2 >= 8)  # type: ignore[union-attr]
+    slave.close()
+    after = results.all[results.all.index(first) :]
+    # One more for the refusal of a longer read.
+    assert sum(result.fault is not Fault.NONE for result in after) <= lost + (most == 3)
 
 
 async def test_late_tcp_answers_are_told_apart_by_their_number() -> None:
