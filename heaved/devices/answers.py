@@ -121,6 +121,13 @@ def explain_rtu_silence(heard: bytes, request: Request, *, sent: bytes = b"", la
                 f"an answer of {frame[2] // 2} registers instead of {request.count}: "
                 "it came too late (raise timeout_ms), or the device has another map",
             )
+    for frame in frames:
+        if frame[0] == request.device_id and frame[1] & 0x7F != request.function:
+            return Explanation(
+                Fault.TIMEOUT,
+                f"no answer, but one to another function ({frame[1] & 0x7F}) than asked ({request.function}): "
+                "check device_id (does another program use the line?) and timeout_ms",
+            )
     if frames:
         others = ", ".join(sorted({str(frame[0]) for frame in frames}))
         return Explanation(Fault.TIMEOUT, f"no answer, but one from device id {others}: check device_id and timeout_ms")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
+import itertools
 import logging
 import os
 import random
@@ -393,6 +394,13 @@ RTU_FAULTS = [
     ("too short", lambda request: rtu_answer(request, [1] * 2), Fault.LENGTH, "2 registers instead of 3"),
     ("busy", lambda request: rtu(bytes((request[0], request[1] | 0x80, 6))), Fault.EXCEPTION, "device busy"),
     ("bad map", lambda request: rtu(bytes((request[0], 0x83, 2))), Fault.EXCEPTION, "illegal data address"),
+    ("echo", lambda request: request, Fault.TIMEOUT, "only the own request came back"),
+    ("echo of another id", lambda request: rtu(b"\x07" + request[1:6]), Fault.CRC, "no valid frame"),
+    ("begun", lambda request: rtu_answer(request, [1] * 3)[:7], Fault.TIMEOUT, "7 of 11 bytes): raise timeout_ms"),
+    ("echo, begun", lambda request: request + request[:2], Fault.TIMEOUT, "begun (2 of 11 bytes): raise timeout_ms"),
+    ("noise, begun", lambda request: b"\0\xff" + request[:2] + b"\x06\0", Fault.TIMEOUT, "begun (4 of 11 bytes)"),
+    ("wrong byte count", lambda request: rtu(request[:2] + b"\x08" + bytes(6)), Fault.CRC, "no valid frame"),
+    ("other function", lambda request: rtu_answer(request[:1] + b"\4", [1] * 3), Fault.TIMEOUT, "another function (4)"),
 ]
 
 
@@ -416,6 +424,36 @@ async def test_rtu_fault_is_named_and_passes(name, bad, fault, words) -> None:  
     assert "id 80" in faulty.detail
 
 
+async def test_an_answer_that_comes_after_its_time_names_the_timeout() -> None:
+    """It comes while nobody waits: nothing is heard during the poll, but why is known."""
+    loop = asyncio.get_running_loop()
+    underway: list[asyncio.TimerHandle] = []
+
+    def answer(request: bytes) -> bytes:
+        underway.append(loop.call_later(0.06, slave.say, rtu_answer(request, [1] * count_of(request))))
+        return b""
+
+    slave = RtuSlave(answer)
+    results = Results()
+    async with running([device(f"rtu://{slave.path}", timeout_ms=20.0, rate_hz=5.0)], results):
+        late = await results.until(lambda result: "in time" in result.detail)
+    for handle in underway:
+        handle.cancel()
+    slave.close()
+    assert late.fault is Fault.TIMEOUT
+    assert float(late.detail.split("the latest came ")[1].split(" ms after its request: raise timeout_ms")[0]) >= 60
+
+
+async def test_an_echo_before_the_answer_does_no_harm() -> None:
+    count = CountingSlave()
+    slave = RtuSlave(lambda request: request + count(request))
+    results = Results()
+    async with running([device(f"rtu://{slave.path}?baudrate=115200")], results):
+        await results.number(20)
+    slave.close()
+    assert all(map(well, results.all))
+
+
 async def test_answer_is_found_between_noise() -> None:
     count = CountingSlave()
     slave = RtuSlave(lambda request: b"\x00\x50\x03" + count(request) + b"\xff")
@@ -437,7 +475,18 @@ TCP_FAULTS = [
     ("not Modbus", lambda request: b"SSH-2.0-OpenSSH_9.6\r\n", Fault.CRC, "check the port"),
     ("other function", lambda request: mbap(request, b"\x63\x06"), Fault.EXCEPTION, "function"),
     ("half a frame", lambda request: tcp_answer(request, [1] * 3)[:10], Fault.CRC, "no whole Modbus TCP frame"),
+    ("half a header", lambda request: request[:5], Fault.CRC, "no whole Modbus TCP frame"),
+    ("byte count too great", lambda request: mbap(request, b"\x03\x08" + bytes(6)), Fault.LENGTH, "byte count says 8"),
+    ("byte count too small", lambda request: mbap(request, b"\x03\x04" + bytes(6)), Fault.LENGTH, "byte count says 4"),
+    ("odd byte count", lambda request: mbap(request, b"\x03\x05" + bytes(5)), Fault.LENGTH, "byte count says 5"),
+    ("no registers", lambda request: mbap(request, b"\x03\x00"), Fault.LENGTH, "0 registers instead of 3"),
+    ("too long", lambda request: tcp_answer(request, [1] * 4), Fault.LENGTH, "4 registers instead of 3"),
+    ("other unit", lambda request: tcp_answer(request[:6] + b"\x07" + request[7:], [1] * 3), Fault.EXCEPTION, "(7, 3)"),
+    ("own number", lambda request: tcp_answer(b"\x00\x00" + request[2:], [1] * 3), Fault.EXCEPTION, "number (0)"),
+    ("other protocol", lambda request: request[:2] + b"\0\1" + tcp_answer(request, [1] * 3)[4:], Fault.CRC, "the port"),
 ]
+KEPT = {"too short", "busy", "too long", "no registers"}
+"""Faults over which a connection is kept: the slave answers, however badly."""
 
 
 @pytest.mark.parametrize(("name", "bad", "fault", "words"), TCP_FAULTS, ids=[row[0] for row in TCP_FAULTS])
@@ -453,8 +502,8 @@ async def test_tcp_fault_is_named_and_passes(name, bad, fault, words) -> None:  
     await slave.stop()
     assert faulty.fault is fault
     assert words in faulty.detail
-    # A connection that is mute or out of step is made anew; one that answers, however badly, is kept.
-    assert (slave.connections > 1) == (name not in ("too short", "busy"))
+    # A connection that is mute or out of step is made anew.
+    assert (slave.connections > 1) == (name not in KEPT)
     # Even while the connection is made anew, the fault stays what it is: one transition, one line in the log.
     assert {result.fault for result in results.all} == {fault, Fault.NONE}
 
@@ -522,6 +571,56 @@ async def test_tcp_server_goes_away_and_returns() -> None:
             assert f"127.0.0.1:{port}" in away.detail
     await slave.stop()
     assert not first.reconnected
+
+
+async def test_slave_that_closes_after_each_answer_is_read_at_every_poll() -> None:
+    slave = TcpSlave(lambda request: tcp_answer(request, [len(slave.requests)] * 3), idle_s=0.0)
+    await slave.start()
+    results = Results()
+    async with running([device(f"tcp://127.0.0.1:{slave.port}", rate_hz=50.0)], results):
+        await results.number(25)
+    await slave.stop()
+    assert all(map(well, results.all))
+    assert slave.connections >= 25
+
+
+async def test_slave_that_closes_on_the_next_request_is_asked_once_more() -> None:
+    """As one does that gives up idle connections just when the request is under way."""
+
+    def answer(request: bytes) -> bytes | None:
+        return None if len(slave.requests) % 2 == 0 else tcp_answer(request, [len(slave.requests)] * 3)
+
+    slave = TcpSlave(answer)
+    await slave.start()
+    results = Results()
+    # Did each cost its timeout, the test would not end.
+    async with running([device(f"tcp://127.0.0.1:{slave.port}", rate_hz=50.0, timeout_ms=10_000.0)], results):
+        await results.number(20)
+    await slave.stop()
+    assert all(map(well, results.all))
+
+
+async def test_slave_that_closes_idle_connections_is_read_at_every_poll() -> None:
+    slave = TcpSlave(lambda request: tcp_answer(request, [len(slave.requests)] * 3), idle_s=0.02)
+    await slave.start()
+    results = Results()
+    async with running([device(f"tcp://127.0.0.1:{slave.port}", rate_hz=10.0)], results):
+        await results.number(8)
+    await slave.stop()
+    assert all(map(well, results.all))
+    assert slave.connections <= 2 * 8 + 1  # And not again and again while nobody asks.
+
+
+async def test_slave_that_closes_without_an_answer_is_not_stormed() -> None:
+    slave = TcpSlave(lambda request: None)
+    await slave.start()
+    results = Results()
+    async with running([device(f"tcp://127.0.0.1:{slave.port}", rate_hz=200.0)], results):
+        last = (await results.number(150))[-1]
+    await slave.stop()
+    assert {result.fault for result in results.all} == {Fault.DISCONNECTED}
+    span_s = last.due_s - results.all[0].due_s
+    assert slave.connections <= span_s / RETRY_S + 2
 
 
 async def test_tcp_server_that_is_not_there_at_first() -> None:
@@ -593,7 +692,8 @@ async def test_nothing_floods_the_log(caplog: pytest.LogCaptureFixture) -> None:
     know: what is wrong stands in the results."""
     caplog.set_level(logging.INFO)
     serial_slave = RtuSlave(lambda request: b"\x50\x08\x00")
-    tcp_slave = TcpSlave(lambda request: mbap(request, b"\x63\x06"))
+    bad = itertools.cycle((b"\x63\x06", b"\x03\x08" + bytes(6), b"\x03\x05" + bytes(5), b"\x03\x02", b"\x83\x02\x02"))
+    tcp_slave = TcpSlave(lambda request: mbap(request, next(bad)))
     await tcp_slave.start()
     results = Results()
     async with running([device(f"rtu://{serial_slave.path}", timeout_ms=10.0)], results):
