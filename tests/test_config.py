@@ -128,7 +128,7 @@ FAULTS: dict[str, tuple[str, str]] = {
         "device[1].name: 'imu' is already the name of device[0]",
     ),
     "two of one role": (
-        IMU + IMU_PROFILE + IMU.replace('"imu"', '"imu2"', 1) + IMU_PROFILE,
+        IMU + IMU_PROFILE + IMU.replace('"imu"', '"imu2"', 1) + "device_id = 2" + IMU_PROFILE,
         "device[1].role: 'imu' is already the role of device[0]",
     ),
     "fields overlap": (

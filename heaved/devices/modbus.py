@@ -41,6 +41,7 @@ from heaved.devices.answers import (
     tcp_stream_is_whole,
 )
 from heaved.devices.line import Link, RtuLink, TcpLink, bus_key, explain_open_failure, parse_link, silence_s
+from heaved.devices.names import Name
 from heaved.devices.polling import PollResult, Reading, Station
 from heaved.devices.profile import Block, DeviceSpec, Quantity, block_registers
 from heaved.devices.timer import DeadlineTimer, Pace
@@ -77,8 +78,17 @@ class Answer(msgspec.Struct, frozen=True):
 class Connection:
     """One open socket or serial port; one read at a time, never cancelled by its caller."""
 
-    def __init__(self, link: Link, timer: DeadlineTimer, clock: Callable[[], float], lost: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        link: Link,
+        timer: DeadlineTimer,
+        clock: Callable[[], float],
+        lost: Callable[[], None],
+        name: Name | None = None,
+    ) -> None:
+        """``lost`` is called when the other side closes; ``name`` is the host's, if others look it up, too."""
         self.link = link
+        self._name = name or Name(link.host if isinstance(link, TcpLink) else "")
         self._timer = timer
         self._clock = clock
         self._lost = lost
@@ -106,7 +116,20 @@ class Connection:
     async def open(self) -> str:
         """Returns why it failed and what to do; empty when open. Opening a serial port keeps the loop for a moment."""
         _quieten_pymodbus()
-        client = self._client = self._make_client()
+        if isinstance(self.link, RtuLink):
+            return await self._open(self.link.path)
+        failure = ""
+        try:
+            for address in await self._name.addresses(CONNECT_TIMEOUT_S):
+                failure = await self._open(address)
+                if not failure:
+                    break
+        except OSError as error:
+            failure = explain_open_failure(self.link, error)
+        return failure
+
+    async def _open(self, place: str) -> str:
+        client = self._client = self._make_client(place)
         create = client.ctx.call_create
         cause: list[BaseException] = []
 
@@ -132,7 +155,7 @@ class Connection:
         self._heard_s = self._clock()
         return ""
 
-    def _make_client(self) -> AsyncModbusTcpClient | AsyncModbusSerialClient:
+    def _make_client(self, place: str) -> AsyncModbusTcpClient | AsyncModbusSerialClient:
         common: dict[str, Any] = {
             "timeout": CONNECT_TIMEOUT_S,
             "retries": 0,
@@ -142,10 +165,11 @@ class Connection:
         }
         client: AsyncModbusTcpClient | AsyncModbusSerialClient
         if isinstance(self.link, TcpLink):
-            client = AsyncModbusTcpClient(self.link.host, port=self.link.port, **common)
+            client = AsyncModbusTcpClient(place, port=self.link.port, **common)
         else:
-            line = msgspec.structs.asdict(self.link)
-            client = AsyncModbusSerialClient(line.pop("path"), **line, **common)
+            settings = msgspec.structs.asdict(self.link)
+            del settings["path"]
+            client = AsyncModbusSerialClient(place, **settings, **common)
         client.set_max_no_responses(2**31)
         return client
 
@@ -351,9 +375,10 @@ class Bus:
     # ---- connection --------------------------------------------------------------------------------------------------
 
     async def _keep_open(self, timer: DeadlineTimer) -> None:
+        name = Name(self.link.host if isinstance(self.link, TcpLink) else "")
         while True:
             self._lost.clear()
-            connection = Connection(self.link, timer, self._clock, self._on_loss)
+            connection = Connection(self.link, timer, self._clock, self._on_loss, name)
             try:
                 failure = await connection.open()
                 detail = failure or "the connection was lost: trying to reconnect"
@@ -362,6 +387,8 @@ class Bus:
                     self._is_good = False
                     self._tried.set()
                 else:
+                    if isinstance(self.link, RtuLink):  # Somebody else's answers may be under way.
+                        await asyncio.sleep(max(contact.quiet_s for contact in self._contacts.values()))
                     self._opened(connection)
                     await self._lost.wait()
             finally:
@@ -384,6 +411,8 @@ class Bus:
         self._unanswered = 0
         for contact in self._contacts.values():
             contact.reopened(self._clock())
+        for station in self._stations:
+            station.reopened()
         self._connection = connection
         self._tried.set()
 

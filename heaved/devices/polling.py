@@ -34,6 +34,12 @@ _KINDS: Final[dict[Role, Callable[..., Sample]]] = {
 }
 
 
+_NOT_ASKED_YET: Final = (
+    Fault.TIMEOUT,
+    "not asked yet: waiting until no answer to an earlier request can be under way",
+)
+
+
 class PollResult(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     """What came of one deadline of one device."""
 
@@ -88,8 +94,11 @@ class Station:
         self._skipped = 0
         self._connection_number = 0
         """Of the last good answer."""
-        self.last_fault = Fault.TIMEOUT
-        self.last_detail = "not asked yet: waiting until no answer to an earlier request can be under way"
+        self.last_fault, self.last_detail = _NOT_ASKED_YET
+
+    def reopened(self) -> None:
+        """The line is new: what was said of the device is of the past."""
+        self.last_fault, self.last_detail = _NOT_ASKED_YET
 
     def failed(self, sent_s: float, fault: Fault, detail: str) -> Reading:
         """The reading after a read that failed; while the device is left alone, the same is said of it."""

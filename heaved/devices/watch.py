@@ -103,12 +103,13 @@ class Contact:
     """Whether an answer of this slave can be told from a late one, and whether asking it is worth the line's time.
 
     On a serial line nothing but id, function and length ties an answer to its request. After a request that was not
-    answered (and on a line just opened, where somebody else may have asked) an answer may still be under way; it would
-    be taken for that of the next request of the same length. So no length is asked for again while an answer of that
-    length may come: a block is meanwhile read with a few registers more, or, from a slave that refuses those, in
-    parts. No order of the answers is assumed. What a slave must keep to: one answer to a request, with the
-    number of registers asked for, within ``quiet_s``, or before those to later requests, or never. When no length is
-    left, the slave is left alone.
+    answered an answer may still be under way; it would be taken for that of the next request of the same length. So no
+    length is asked for again while an answer of that length may come: a block is meanwhile read with a few registers
+    more, or, from a slave that refuses those, in parts. No order of the answers is assumed. On a line just opened,
+    where somebody else may have asked, the first read is such a one. When no length is left, the slave is left alone.
+
+    What a slave must keep to: one answer to a request, with the number of registers asked for, within ``quiet_s`` or
+    before those to later requests, or never.
 
     A silent slave would take the time of its neighbours with its timeouts, so it is asked rarely until it answers.
 
@@ -123,9 +124,7 @@ class Contact:
     def __init__(
         self, *, numbered: bool, lengths: Collection[int], alone: bool, timeout_s: float, opened_s: float
     ) -> None:
-        self._lengths = frozenset(lengths)
-        # Not always the same first: the answer to a longer read of an earlier run may be under way.
-        self._turn = int(opened_s * 1e3)
+        self._lengths = tuple(lengths)
         self._numbered = numbered
         self._rests = not (numbered and alone)
         self.quiet_s = max(PROBE_S, 2.0 * timeout_s)
@@ -134,7 +133,7 @@ class Contact:
         self._way = _Way.PLAIN
         self._refused: set[_Way] = set()
         self._misses = 0
-        self._asked_s = self._answered_s = self._served_s = opened_s
+        self._answered_s = opened_s
         self.reopened(opened_s)
 
     @property
@@ -156,10 +155,10 @@ class Contact:
         if count not in self._pending:
             return (count,)
         longer = range(count + 1, min(count + MOST_LONGER, most) + 1)
-        if _Way.LONGER not in self._refused and (free := [n for n in longer if n not in self._pending]):
+        free = next((length for length in longer if length not in self._pending), None)
+        if free is not None and _Way.LONGER not in self._refused:
             self._way = _Way.LONGER
-            self._turn += 1
-            return (free[self._turn % len(free)],)
+            return (free,)
         if _Way.PARTS not in self._refused and (parts := _divided(count, cuts, self._pending)):
             self._way = _Way.PARTS
             return parts
@@ -207,10 +206,11 @@ class Contact:
             self._pending[count] = now_s
 
     def reopened(self, now_s: float) -> None:
-        """The line is new: somebody else's answer may be under way."""
+        """The line is new, and has been silent for ``quiet_s``: only what is held back till the next request may come,
+        and comes before its answer."""
         self._misses = 0
         self._refused.clear()
         self._pending.clear()
         for count in self._lengths:
-            self._expect(now_s, count)
-        self._asked_s = now_s
+            self._expect(now_s - self.quiet_s, count)
+        self._asked_s, self._served_s = now_s, -inf

@@ -230,18 +230,19 @@ def test_numbered_answers_need_no_care() -> None:
 
 def test_no_length_is_asked_for_while_an_answer_of_it_may_come() -> None:
     slave = contact()
-    (length,) = slave.plan(0.0, 12)  # opened just now: somebody else may have asked
+    (length,) = slave.plan(0.01, 12)  # opened just now: somebody else may have asked, whose answer would come first
     assert length > 12
-    slave.answered(0.01)
-    assert slave.plan(0.49, 12) != (12,)  # it answers, but not necessarily in order
-    assert slave.plan(0.51, 12) == (12,)
-    slave.answered(0.52)
+    slave.answered(0.02)
+    assert slave.plan(0.03, 12) == (12,)
+    slave.answered(0.04)
     slave.missed(1.0, 12)
     (length,) = slave.plan(1.01, 12)
     assert length > 12
     slave.answered(1.02)
-    assert slave.plan(1.49, 12) != (12,)
+    assert slave.plan(1.49, 12) != (12,)  # it answers, but not necessarily in order
     assert slave.plan(1.51, 12) == (12,)
+    slave.reopened(1.52)
+    assert slave.plan(1.53, 12) != (12,)
 
 
 def test_no_two_requests_under_way_look_the_same() -> None:
@@ -309,13 +310,15 @@ def test_an_exception_proves_nothing_of_what_is_under_way() -> None:
 
 def test_slave_without_another_length_rests_half_a_second_or_two_timeouts() -> None:
     for timeout_s, rest_s in ((0.05, 0.5), (1.0, 2.0)):
-        slave = contact(lengths=(1,), timeout_s=timeout_s, opened_s=0.0)
-        slave.answered(5.0)
-        (longer,) = slave.plan(0.0, 1)
-        slave.refused(5.1, longer, 2)
-        slave.missed(8.0, 1)
-        assert slave.plan(8.0 + 0.99 * rest_s, 1) == ()
-        assert slave.plan(8.0 + 1.01 * rest_s, 1) == (1,)
+        slave = settled(timeout_s=timeout_s)
+        slave.missed(15.0, 1)
+        (longer,) = slave.plan(15.1, 1)
+        slave.refused(15.1, longer, 2)
+        slave.answered(18.0)
+        assert slave.plan(18.0, 1) == (1,)
+        slave.missed(18.0, 1)
+        assert slave.plan(18.0 + 0.99 * rest_s, 1) == ()
+        assert slave.plan(18.0 + 1.01 * rest_s, 1) == (1,)
 
 
 @pytest.mark.parametrize("numbered", [True, False])
