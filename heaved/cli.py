@@ -256,10 +256,16 @@ def probe(
         _fail(f"{link}: {error}", EX_UNAVAILABLE)
     if sys.stderr.isatty():
         typer.echo("\r\x1b[K", err=True, nl=False)
-    if not report:
-        _fail(f"{link}: nobody answers; check id, baud rate, parity and wiring (A and B swapped?)", EX_UNAVAILABLE)
-    for line in report:
+    for line in report.lines:
         typer.echo(line)
+    for hint in report.hints:
+        typer.echo(f"{link}: {hint}", err=True)
+    if not report.lines:
+        _fail(
+            f"{link}: nobody answers within {timeout:g} s; check id, baud rate, parity and wiring (A and B swapped?), "
+            "and raise --timeout for a slow device",
+            EX_UNAVAILABLE,
+        )
 
 
 # ---- recordings ------------------------------------------------------------------------------------------------------

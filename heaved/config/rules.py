@@ -25,7 +25,6 @@ GOOD_IMU_RATE_HZ: Final = 4.0
 """
 LONG_TIMEOUT_S: Final = 1.0
 """Twice what a silent device is left alone for."""
-STUCK_POLLS: Final = 3
 
 
 class Written(msgspec.Struct, frozen=True, kw_only=True):
@@ -130,10 +129,10 @@ def cautions(config: Config) -> list[str]:
                 f"{path}.timeout_ms: {device.timeout_ms:g} ms of waiting for each lost answer, and nothing else is "
                 "asked on the line meanwhile: set it little above the device's slowest answer"
             )
-        if 0.0 < device.stuck_after_s * 1e3 < STUCK_POLLS * period_ms:
+        if 0.0 < device.stuck_after_s * 1e3 < period_ms:
             found.append(
-                f"{path}.stuck_after_s: {device.stuck_after_s:g} s is less than {STUCK_POLLS} polls: two alike would "
-                "be a fault; raise it"
+                f"{path}.stuck_after_s: {device.stuck_after_s:g} s is less than the period ({period_ms:.3g} ms): two "
+                "equal readings would be a fault; raise it"
             )
     for members in buses(config.device).values():
         for device in members:

@@ -115,6 +115,10 @@ class TcpSlave:
         self._writers.discard(writer)
         writer.close()
 
+    def say_to_all(self, data: bytes) -> None:
+        for writer in self._writers:
+            writer.write(data)
+
     async def stop(self) -> None:
         """Resets the connections and stops listening."""
         if self._server is not None:
