@@ -9,6 +9,8 @@ import itertools
 import logging
 import os
 import random
+import resource
+import socket
 from collections.abc import Callable
 from math import isnan
 from pathlib import Path
@@ -32,6 +34,7 @@ from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.pdu.register_message import ReadHoldingRegistersResponse
 
 from heaved.devices.modbus import CONNECT_TIMEOUT_S, RETRY_S, Bus, PollResult
+from heaved.devices.names import Name
 from heaved.devices.profile import Block, Field, Profile
 from heaved.devices.watch import PROBE_S
 from heaved.samples import Fault, ImuSample, LaserSample
@@ -674,6 +677,56 @@ async def test_no_permission_on_the_port_says_what_to_do(monkeypatch: pytest.Mon
     assert first.fault is Fault.DISCONNECTED
     assert "no permission to open /dev/ttyUSB7" in first.detail
     assert "dialout" in first.detail
+
+
+async def test_out_of_descriptors_is_a_fault_and_no_flood(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    slave = TcpSlave(lambda request: tcp_answer(request, [1, 2, 3]))
+    await slave.start()
+    pty = RtuSlave(CountingSlave())
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    for link in (f"tcp://127.0.0.1:{slave.port}", f"rtu://{pty.path}"):
+        results = Results()
+        async with running([device(link)], results):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (3, limits[1]))
+            try:
+                first = await results.until(lambda result: True)
+            finally:
+                resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+            back = await results.until(well)
+        assert first.fault is Fault.DISCONNECTED
+        assert "no file descriptor is left for the line" in first.detail
+        assert back.device == "imu"
+    pty.close()
+    await slave.stop()
+    assert [record.getMessage() for record in caplog.records] == []
+
+
+async def test_a_name_with_several_addresses_is_tried_at_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    slave = TcpSlave(lambda request: tcp_answer(request, [1, 2, 3]))
+    await slave.start()
+
+    async def addresses(name: Name, timeout_s: float) -> list[str]:
+        return ["127.0.0.9", "127.0.0.1"]  # Nobody listens at the first.
+
+    monkeypatch.setattr(Name, "addresses", addresses)
+    results = Results()
+    async with running([device(f"tcp://plc.ship:{slave.port}")], results):
+        first = (await results.number(1))[0]
+    await slave.stop()
+    assert well(first)
+
+
+async def test_a_name_that_is_not_known_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def addresses(name: Name, timeout_s: float) -> list[str]:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(Name, "addresses", addresses)
+    results = Results()
+    async with running([device("tcp://plc.ship:502")], results):
+        first = (await results.number(1))[0]
+    assert first.fault is Fault.DISCONNECTED
+    assert "host name plc.ship is unknown (Name or service not known): check it, or write the IP" in first.detail
 
 
 async def test_port_is_opened_for_us_alone() -> None:
