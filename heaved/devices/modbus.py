@@ -55,10 +55,12 @@ RETRY_S = 0.25
 """Between attempts to open a line; with the timeout, a device is back within a second of its return."""
 _MOST_SPARE_BYTES: Final = 512
 """Of what nobody asked for: two frames of the greatest length."""
+_MOST_HEARD_BYTES: Final = 2**18
+"""Of one packet: as many as the event loop takes from a socket at a time."""
 _MOST_IN_VAIN: Final = 64
 """Unanswered requests that are remembered, to tell how late their answers come."""
 HANGING_AFTER_POLLS = 4
-"""Unanswered requests in a row after which a TCP connection is made anew: over a cable that was pulled, the old one
+"""Requests in a row without a byte after which a TCP connection is made anew: over a cable that was pulled, the old one
 would recover only when TCP resends, which it does ever more rarely."""
 
 
@@ -171,6 +173,7 @@ class Connection:
             del settings["path"]
             client = AsyncModbusSerialClient(place, **settings, **common)
         client.set_max_no_responses(2**31)
+        client.ctx.max_buffer_size = _MOST_HEARD_BYTES  # What exceeds it is thrown away unseen.
         return client
 
     def close(self) -> None:
@@ -226,7 +229,13 @@ class Connection:
         else:
             why = explain_tcp_silence(self._heard, self._transaction, request, late_s=late_s)
             self.whole = tcp_stream_is_whole(self._heard)
-        return Answer(sent_s, [], why.fault, f"{why.detail} (waited {timeout_s * 1e3:g} ms)", False)
+        waited = f" (waited {timeout_s * 1e3:g} ms)" if why.fault is Fault.TIMEOUT else ""
+        return Answer(sent_s, [], why.fault, why.detail + waited, False)
+
+    @property
+    def has_heard(self) -> bool:
+        """Whether anything came since the latest request was sent."""
+        return bool(self._heard)
 
     def unasked(self) -> list[Sender]:
         """Who has sent something beside the last answer, or since; each is told once. The same answer once more is
@@ -506,7 +515,7 @@ class Bus:
                 station.contact.answered(now_s)
             return answer
         station.contact.missed(now_s, count)
-        self._unanswered += 1
+        self._unanswered = 0 if connection.has_heard else self._unanswered + 1
         hanging = isinstance(self.link, TcpLink) and self._unanswered >= HANGING_AFTER_POLLS
         if hanging or not connection.whole:
             # Meanwhile the device has the fault that it had: a device that is merely mute does not flicker.

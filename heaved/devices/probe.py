@@ -19,7 +19,7 @@ from typing import Final, Protocol, get_args
 import msgspec
 
 from heaved.devices.answers import explain_exception
-from heaved.devices.line import Link
+from heaved.devices.line import Link, TcpLink
 from heaved.devices.modbus import Answer, Connection
 from heaved.devices.profile import Block, ByteOrder, Field, Profile, Quantity, block_registers, decode
 from heaved.devices.timer import DeadlineTimer
@@ -257,9 +257,12 @@ async def probe(
                 for device_id, late_s in sorted(line.late_s.items())
                 if device_id not in found
             ]
-            hints += [f"heard of id {device_id}: {detail}" for device_id, detail in odd[:MOST_SHOWN]]
+            hints += _odd_hints(odd)
             for device_id in found:
-                lines += _device_lines(device_id, await examine(line, device_id, profiles, timeout_s))
+                findings = await examine(
+                    line, device_id, profiles, timeout_s, rest_s=0.0 if isinstance(link, TcpLink) else timeout_s
+                )
+                lines += _device_lines(device_id, findings)
         except ConnectionError as error:
             if not lines and not hints:
                 raise
@@ -281,6 +284,15 @@ def _device_lines(device_id: int, findings: Sequence[Finding]) -> Iterator[str]:
             yield f"        {finding.doubt}"
 
 
+def _odd_hints(odd: Sequence[tuple[int, str]]) -> Iterator[str]:
+    ids: dict[str, list[int]] = {}
+    for device_id, detail in odd:
+        ids.setdefault(detail.replace("timeout_ms", "--timeout"), []).append(device_id)
+    for detail, same in list(ids.items())[:MOST_SHOWN]:
+        more = f" and {len(same) - MOST_SHOWN} more" if len(same) > MOST_SHOWN else ""
+        yield f"heard of id {', '.join(map(str, same[:MOST_SHOWN]))}{more}: {detail}"
+
+
 async def find_ids(
     line: Reader, ids: Sequence[int], timeout_s: float, progress: Progress
 ) -> tuple[list[int], list[tuple[int, str]]]:
@@ -297,13 +309,18 @@ async def find_ids(
     return found, odd
 
 
-async def examine(line: Reader, device_id: int, profiles: Sequence[Profile], timeout_s: float) -> list[Finding]:
+async def examine(
+    line: Reader, device_id: int, profiles: Sequence[Profile], timeout_s: float, *, rest_s: float
+) -> list[Finding]:
     """What fits the device, best first: what is proved, then the simulator's profiles after the others, the least
-    changed profile before its variants, the richer before the poorer."""
+    changed profile before its variants, the richer before the poorer.
+
+    ``rest_s``: after a lost answer, so that it is not taken for the next one (on a serial line).
+    """
     cache: dict[tuple[str, int, int], Answer] = {}
     findings: dict[tuple[object, ...], list[Finding]] = {}
     for variant in _variants(profiles):
-        finding = await _try(line, device_id, variant, timeout_s, cache)
+        finding = await _try(line, device_id, variant, timeout_s, rest_s, cache)
         if finding is not None and finding.score >= FITS:
             # Variants that read the same values from the same registers say nothing new.
             findings.setdefault((variant.profile.name, variant.shift, *finding.values.values()), [finding])
@@ -312,7 +329,7 @@ async def examine(line: Reader, device_id: int, profiles: Sequence[Profile], tim
         await asyncio.sleep(READ_PAUSE_S)
         cache.clear()
         for series in kept.copy():
-            finding = await _try(line, device_id, series[0].variant, timeout_s, cache)
+            finding = await _try(line, device_id, series[0].variant, timeout_s, rest_s, cache)
             if finding is None or finding.score < FITS or leaps(series[-1], finding):
                 kept.remove(series)
             else:
@@ -351,6 +368,7 @@ async def _try(
     device_id: int,
     variant: Variant,
     timeout_s: float,
+    rest_s: float,
     cache: dict[tuple[str, int, int], Answer],
 ) -> Finding | None:
     values: dict[Quantity, float] = {}
@@ -362,7 +380,7 @@ async def _try(
         if key not in cache:
             cache[key] = await line.read(device_id, asked, key[2], timeout_s)
             if not cache[key].answered:
-                await asyncio.sleep(timeout_s)  # A late answer must not be taken for the next.
+                await asyncio.sleep(rest_s)
         if cache[key].fault is not Fault.NONE:
             return None
         decoded = decode(asked, cache[key].registers)

@@ -345,6 +345,27 @@ async def test_a_lost_answer_costs_one_poll_and_no_more(most: int, lost: int) ->
     assert sum(result.fault is not Fault.NONE for result in after) <= lost + (most == 3)
 
 
+async def test_a_tcp_slave_that_is_always_late_keeps_its_connection_and_is_told_the_timeout() -> None:
+    loop = asyncio.get_running_loop()
+    underway: list[asyncio.TimerHandle] = []
+
+    def answer(request: bytes) -> bytes:
+        underway.append(loop.call_later(0.03, slave.say_to_all, tcp_answer(request, [1] * 3)))
+        return b""
+
+    slave = TcpSlave(answer)
+    await slave.start()
+    results = Results()
+    async with running([device(f"tcp://127.0.0.1:{slave.port}", timeout_ms=20.0, rate_hz=50.0)], results):
+        await results.number(20)
+    for handle in underway:
+        handle.cancel()
+    await slave.stop()
+    assert slave.connections == 1
+    assert {result.fault for result in results.all} == {Fault.TIMEOUT}
+    assert all("raise timeout_ms" in result.detail for result in results.all[2:])
+
+
 async def test_late_tcp_answers_are_told_apart_by_their_number() -> None:
     count = 0
     kept = b""
@@ -478,6 +499,7 @@ TCP_FAULTS = [
     ("not Modbus", lambda request: b"SSH-2.0-OpenSSH_9.6\r\n", Fault.CRC, "check the port"),
     ("other function", lambda request: mbap(request, b"\x63\x06"), Fault.EXCEPTION, "function"),
     ("half a frame", lambda request: tcp_answer(request, [1] * 3)[:10], Fault.CRC, "no whole Modbus TCP frame"),
+    ("a whole page", lambda request: b"HTTP/1.1 400 Bad Request\r\n" * 100, Fault.CRC, "check the port"),
     ("half a header", lambda request: request[:5], Fault.CRC, "no whole Modbus TCP frame"),
     ("byte count too great", lambda request: mbap(request, b"\x03\x08" + bytes(6)), Fault.LENGTH, "byte count says 8"),
     ("byte count too small", lambda request: mbap(request, b"\x03\x04" + bytes(6)), Fault.LENGTH, "byte count says 4"),
@@ -488,8 +510,8 @@ TCP_FAULTS = [
     ("own number", lambda request: tcp_answer(b"\x00\x00" + request[2:], [1] * 3), Fault.EXCEPTION, "number (0)"),
     ("other protocol", lambda request: request[:2] + b"\0\1" + tcp_answer(request, [1] * 3)[4:], Fault.CRC, "the port"),
 ]
-KEPT = {"too short", "busy", "too long", "no registers"}
-"""Faults over which a connection is kept: the slave answers, however badly."""
+MADE_ANEW = {"mute", "not Modbus", "a whole page", "half a frame", "half a header", "other protocol"}
+"""Faults over which a connection is made anew: it may hang, or what follows cannot be read."""
 
 
 @pytest.mark.parametrize(("name", "bad", "fault", "words"), TCP_FAULTS, ids=[row[0] for row in TCP_FAULTS])
@@ -505,8 +527,7 @@ async def test_tcp_fault_is_named_and_passes(name, bad, fault, words) -> None:  
     await slave.stop()
     assert faulty.fault is fault
     assert words in faulty.detail
-    # A connection that is mute or out of step is made anew.
-    assert (slave.connections > 1) == (name not in KEPT)
+    assert (slave.connections > 1) == (name in MADE_ANEW)
     # Even while the connection is made anew, the fault stays what it is: one transition, one line in the log.
     assert {result.fault for result in results.all} == {fault, Fault.NONE}
 
