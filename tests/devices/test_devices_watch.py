@@ -7,6 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from modbus_slaves import counter_profile, crc, device, mbap_answer, rtu, rtu_answer
+from pymodbus.framer import FramerSocket
+from pymodbus.pdu import DecodePDU
 
 from heaved.devices.answers import (
     Request,
@@ -71,6 +73,17 @@ def test_no_noise_is_an_answer_unless_it_is_one(noise: bytes) -> None:
     find_tcp_answer(noise, 1, ASKED)
 
 
+SENT = rtu(b"\x50\x03\x00\x34\x00\x02")
+
+
+@pytest.mark.parametrize("heard", [b"", SENT])
+def test_a_late_answer_explains_a_silence(heard: bytes) -> None:
+    explanation = explain_rtu_silence(heard, ASKED, sent=SENT, late_s=0.0614)
+    assert explanation.fault is Fault.TIMEOUT
+    assert "the latest came 61 ms after its request: raise timeout_ms" in explanation.detail
+    assert "61 ms after its request" in explain_tcp_silence(b"", 9, ASKED, late_s=0.0614).detail
+
+
 @pytest.mark.parametrize(
     ("heard", "fault", "words"),
     [
@@ -78,10 +91,15 @@ def test_no_noise_is_an_answer_unless_it_is_one(noise: bytes) -> None:
         (LATE, Fault.LENGTH, "3 registers instead of 2"),
         (OTHER, Fault.TIMEOUT, "device id 7"),
         (b"\x00\x01\x02", Fault.CRC, "00 01 02"),
+        (SENT, Fault.TIMEOUT, "only the own request came back"),
+        (SENT + b"\x00\x01\x02", Fault.CRC, "3 bytes that are no valid frame (00 01 02)"),
+        (SENT + GOOD[:5], Fault.TIMEOUT, "only begun (5 of 9 bytes): raise timeout_ms"),
+        (GOOD[:1], Fault.TIMEOUT, "only begun (1 of 9 bytes): raise timeout_ms"),
+        (GOOD[4:], Fault.CRC, "the rest of a late answer, raise timeout_ms"),
     ],
 )
 def test_rtu_silence_is_explained(heard: bytes, fault: Fault, words: str) -> None:
-    explanation = explain_rtu_silence(heard, ASKED)
+    explanation = explain_rtu_silence(heard, ASKED, sent=SENT)
     assert explanation.fault is fault
     assert words in explanation.detail
 
@@ -115,6 +133,22 @@ def test_tcp_silence_is_explained(heard: bytes, fault: Fault, words: str, whole:
     assert explanation.fault is fault
     assert words in explanation.detail
     assert tcp_stream_is_whole(heard) is whole
+
+
+@given(st.binary(min_size=2, max_size=60), st.integers(0, 12), st.booleans())
+def test_what_is_let_through_can_be_read(pdu: bytes, number: int, is_read: bool) -> None:
+    """Whatever stands behind a right header: pymodbus, which gets the answer, must not fail over it."""
+    body = b"\x03" + pdu[1:] if is_read else pdu
+    frame = mbap_answer(number, 80, body)
+    if found := find_tcp_answer(frame, 9, ASKED):
+        assert found == frame
+        _, response = FramerSocket(DecodePDU(False)).handleFrame(found, 80, 9)
+        assert response is not None
+        if not response.isError():
+            assert 2 * len(response.registers) == body[1] == len(body) - 2
+    elif number == 9 and body[0] == 3:
+        assert body[1] != len(body) - 2 or body[1] % 2
+        assert explain_tcp_silence(frame, 9, ASKED).fault is Fault.LENGTH
 
 
 def test_exceptions_have_names() -> None:
