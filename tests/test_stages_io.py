@@ -59,7 +59,7 @@ def device(role: str, fields: str) -> str:
 [[device]]
 name = "{role}"
 role = "{role}"
-link = "tcp://127.0.0.1:15020"
+link = "tcp://{role.replace("_", "-")}:502"
 rate_hz = 100
 [device.profile]
 name = "inline"
