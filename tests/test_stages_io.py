@@ -137,7 +137,7 @@ def faults_to_run(text: str, path: Path, capsys: pytest.CaptureFixture[str]) -> 
 def test_what_stages_and_devices_lack_is_named_beside_every_other_fault(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    serial = device("imu", one("az_mps2", "m/s2")).replace("tcp://127.0.0.1:15020", "rtu:///dev/ttyS0?baudrate=1200")
+    serial = device("imu", one("az_mps2", "m/s2")).replace("tcp://imu:502", "rtu:///dev/ttyS0?baudrate=1200")
     text = (
         '[hull]\nenabled = true\nmethod = "ekf"\n[attitude]\nenabled = true\nmode = "best"\n'
         "[stream]\nport = 70000\n[haeve]\n" + serial
