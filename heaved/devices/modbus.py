@@ -185,8 +185,8 @@ class Connection:
         client = self._client
         if client is None or not client.connected:
             return Answer(nan, [], Fault.DISCONNECTED, "the connection is lost", False)
-        if isinstance(self.link, RtuLink) and (free_s := self._heard_s + silence_s(self.link)) > self._clock():
-            await self._timer.wait_until(free_s)
+        if isinstance(self.link, RtuLink):
+            await self._wait_for_silence(self.link, timeout_s)
         request = Request(device_id, 3 if block.function == "holding" else 4, count)
         self._heard, self._found = b"", b""
         client.ctx.comm_params.timeout_connect = timeout_s
@@ -213,6 +213,12 @@ class Connection:
             detail = f"{len(registers)} registers instead of {count}: the profile's block does not fit the device"
             return Answer(sent_s, [], Fault.LENGTH, detail)
         return Answer(sent_s, registers)
+
+    async def _wait_for_silence(self, link: RtuLink, most_s: float) -> None:
+        """A late answer that is coming in would collide with the request."""
+        latest_s = self._clock() + most_s
+        while self._clock() < (free_s := min(self._heard_s + silence_s(link), latest_s)):
+            await self._timer.wait_until(free_s)
 
     def _unanswered(self, connected: bool, sent_s: float, request: Request, timeout_s: float) -> Answer:
         if not connected:

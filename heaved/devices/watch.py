@@ -132,6 +132,8 @@ class Contact:
         """Lengths of which an answer may be under way, with the time of the request."""
         self._way = _Way.PLAIN
         self._refused: set[_Way] = set()
+        self._failed: _Way | None = None
+        """The way that got no answer last, until a plain read has one."""
         self._misses = 0
         self._answered_s = opened_s
         self.reopened(opened_s)
@@ -154,15 +156,18 @@ class Contact:
             self._forget_what_cannot_come(now_s, is_quiet)
         if count not in self._pending:
             return (count,)
-        longer = range(count + 1, min(count + MOST_LONGER, most) + 1)
-        free = next((length for length in longer if length not in self._pending), None)
-        if free is not None and _Way.LONGER not in self._refused:
-            self._way = _Way.LONGER
-            return (free,)
-        if _Way.PARTS not in self._refused and (parts := _divided(count, cuts, self._pending)):
-            self._way = _Way.PARTS
-            return parts
+        # Some devices do not answer at all what they would have to refuse: then the other way comes first.
+        for way in sorted((_Way.LONGER, _Way.PARTS), key=lambda way: way is self._failed):
+            if way in self._refused:
+                continue
+            if lengths := self._longer(count, most) if way is _Way.LONGER else _divided(count, cuts, self._pending):
+                self._way = way
+                return lengths
         return ()
+
+    def _longer(self, count: int, most: int) -> tuple[int, ...]:
+        lengths = range(count + 1, min(count + MOST_LONGER, most) + 1)
+        return tuple(length for length in lengths if length not in self._pending)[:1]
 
     def _forget_what_cannot_come(self, now_s: float, is_quiet: bool) -> None:
         """An answer that is overdue and has been overtaken by later ones, or for which everything has waited."""
@@ -178,6 +183,8 @@ class Contact:
     def answered(self, now_s: float) -> None:
         """The registers came that were asked for last."""
         self._misses = 0
+        if self._way is _Way.PLAIN:
+            self._failed = None
         self._answered_s = self._served_s = now_s
 
     def refused(self, now_s: float, count: int, code: int) -> None:
@@ -192,6 +199,7 @@ class Contact:
     def missed(self, now_s: float, count: int) -> None:
         """It was asked for ``count`` registers, and no valid answer came in time."""
         self._misses += 1
+        self._failed = self._way
         self._expect(now_s, count)
 
     def heard(self, now_s: float, count: int) -> None:
