@@ -166,7 +166,7 @@ class Contact:
         return ()
 
     def _longer(self, count: int, most: int) -> tuple[int, ...]:
-        lengths = range(count + 1, min(count + MOST_LONGER, most) + 1)
+        lengths = range(count + 1, min(count + MOST_LONGER, most, MAX_REGISTERS) + 1)
         return tuple(length for length in lengths if length not in self._pending)[:1]
 
     def _forget_what_cannot_come(self, now_s: float, is_quiet: bool) -> None:

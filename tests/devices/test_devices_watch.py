@@ -321,6 +321,17 @@ def test_a_slave_that_refuses_longer_reads_is_read_in_parts() -> None:
     assert slave.plan(10.16, 12, (2, 4, 6, 8)) == (8, 4)
 
 
+def test_no_read_goes_beyond_what_may_be_asked_for() -> None:
+    """125 registers (Modbus application protocol, 6.3), and register 65535."""
+    slave = settled()
+    slave.missed(10.1, 125)
+    assert slave.plan(10.11, 125, (60,), most=1000) == (60, 65)
+    slave = settled()
+    slave.missed(10.1, 12)
+    assert slave.plan(10.11, 12, (6,), most=12) == (6, 6)
+    assert slave.plan(10.11, 12, (6,), most=13) == (13,)
+
+
 def test_what_comes_unasked_may_come_again() -> None:
     slave = settled()
     slave.heard(10.1, 12)
