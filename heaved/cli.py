@@ -121,7 +121,7 @@ def run(
 def check_config(file: Annotated[Path, typer.Argument(metavar="FILE")]) -> None:
     """Check a configuration file: names every fault, and rates that a serial line cannot carry (exit code 78)."""
     config = _load_to_run(file)
-    from heaved.config.rules import rate_faults
+    from heaved.config.rules import cautions, rate_faults
 
     if faults := rate_faults(config):
         _fail("\n".join(f"{file}: {fault}" for fault in faults), EX_CONFIG)
@@ -130,6 +130,8 @@ def check_config(file: Annotated[Path, typer.Argument(metavar="FILE")]) -> None:
         typer.echo(f"  {_device_line(device)}, {device.profile.name} at {device.rate_hz:g} Hz")
     if not any(device.role == "imu" for device in config.device):
         typer.echo('  no device of role "imu": enough for a replay, but the daemon would have no heave')
+    for caution in cautions(config):
+        typer.echo(f"  caution: {caution}")
 
 
 def _load_to_run(path: Path) -> Config:
@@ -254,10 +256,16 @@ def probe(
         _fail(f"{link}: {error}", EX_UNAVAILABLE)
     if sys.stderr.isatty():
         typer.echo("\r\x1b[K", err=True, nl=False)
-    if not report:
-        _fail(f"{link}: nobody answers; check id, baud rate, parity and wiring (A and B swapped?)", EX_UNAVAILABLE)
-    for line in report:
+    for line in report.lines:
         typer.echo(line)
+    for hint in report.hints:
+        typer.echo(f"{link}: {hint}", err=True)
+    if not report.lines:
+        _fail(
+            f"{link}: nobody answers within {timeout:g} s; check id, baud rate, parity and wiring (A and B swapped?), "
+            "and raise --timeout for a slow device",
+            EX_UNAVAILABLE,
+        )
 
 
 # ---- recordings ------------------------------------------------------------------------------------------------------
