@@ -19,6 +19,7 @@ from heaved.estimation.stages import Stages
 from heaved.predictions import PlainForecasts
 from heaved.samples import (
     CorrectionState,
+    HeaveState,
     LaserState,
     MotionFrame,
     PointMotion,
@@ -76,8 +77,8 @@ class Framer:
         fresh = self._has_laser and reference.fresh(t_s)
         quality = self._quality(t_s, heave, fresh, doubts)
         crane_roll, crane_pitch, crane_yaw = stages.crane_attitude(roll, pitch, yaw)
-        if heave is None:
-            # No number without its uncertainty: before the first look at the sea, and after too long a gap.
+        if heave is None or quality.heave is HeaveState.INVALID:
+            # No number without its uncertainty, and none that is not worth sending.
             heave = NOTHING
         return MotionFrame(
             t_s=t_s,

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from heaved.estimation.beat import BEAT_MIN_S, BEAT_S, Beat
 from heaved.estimation.outlook import Motion
 from heaved.estimation.sea_filter import Offset, SeaFilter
+from heaved.estimation.sea_guard import Guard
 from heaved.estimation.sea_heave import SeaHeave
 from heaved.estimation.sea_model import SeaModel, SeaSystem, Steady, heave_std
 from heaved.estimation.sea_record import SeaRecord
@@ -38,6 +39,8 @@ Array = NDArray[np.float64]
 
 OVERCONFIDENCE: Final = 1.12
 """Published over modelled standard deviation: the fitted spectrum is an estimate too (see tools/accuracy.py heave)."""
+CUT_S: Final = 0.2
+"""Where what is measured changes, a few beats are of both kinds."""
 AIDING_LATE_S: Final = 1.0
 """An aiding laser that comes later than this is not worth the process noise that it would miss."""
 AIDING_WALK_M2PS: Final = (0.01**2) / 60.0
@@ -107,6 +110,7 @@ class SeaObserver:
         self._smoother: FixedLagSmoother | None = None
         self._ripening: deque[DelayedHeave] = deque()
         """Delayed heave of a past with holes, not yet as old as it shall be."""
+        self._guard = Guard()
         self._aided_s, self._unaided = nan, None
         if self._heave is not None:
             kept = self._heave.filter
@@ -140,8 +144,11 @@ class SeaObserver:
             f.t_s = t_s - f.steady.dt_s
         missed = t_s - f.t_s - f.steady.dt_s
         rejected = f.rejected
-        predicted_m, innovation = f.step(t_s, a_mps2)
-        if f.rejected == rejected:
+        predicted_m, innovation = self._guard.step(f, t_s, a_mps2)
+        if self._guard.step_s is not None:
+            self._record.cut(*self._guard.step_s)
+            self.resets["step of the level"] += 1
+        if f.rejected == rejected and not self._guard.is_burst:
             # What the gate has kept out is missing for the fits too: half a second of it would spoil minutes.
             self._record.push(t_s, a_mps2)
         if self._unaided is not None:
@@ -206,7 +213,10 @@ class SeaObserver:
 
     def cut(self) -> None:
         """What comes is measured otherwise than what was: no spectrum is taken across."""
-        self._record.cut()
+        if isfinite(self.t_s):
+            self._record.cut(self.t_s, self.t_s + CUT_S)
+            if self._heave is not None:
+                self._heave.filter.open_bias()
 
     def _reset(self, reason: str) -> None:
         self.resets[reason] += 1
@@ -231,6 +241,7 @@ class SeaObserver:
             delay_s=p.delay_s,
             looked_s=self._looked_s,
             candidates=self._candidates,
+            cuts_s=self._record.cuts_s,
         )
 
     def accept(self, fit: SeaFit) -> str:
@@ -252,6 +263,7 @@ class SeaObserver:
             heave.filter.P = heave.filter.covariance.copy()
             unaided_P = None if P is None else P.copy()
             self._unaided = SeaFilter(system, steady, fit.t_s, np.frombuffer(fit.x).copy(), unaided_P)
+        self._guard.restart()
         self._candidates, self._looked_s = fit.candidates, fit.t_s
         self._trust.fitted(fit.whiteness, fit.waves, heave.steady_std_m, heave.sea_std_m)
         self.refreshes += 1
@@ -280,8 +292,12 @@ class SeaObserver:
 
     def _catch_up(self, heave: SeaHeave, smoother: FixedLagSmoother, from_s: float) -> None:
         """Through the beats that came while the fit was under way."""
+        cuts = [cut[1] for cut in self._record.cuts_s if cut[1] > from_s]
         for t_s, a_mps2 in self._record.since(from_s).tolist():
             if t_s > heave.filter.t_s:
+                while cuts and cuts[0] <= t_s:
+                    heave.filter.open_bias()
+                    del cuts[0]
                 said = heave.filter.step(t_s, a_mps2)
                 smoother.push(t_s, *(said if self._unaided is None else self._unaided.step(t_s, a_mps2)))
         heave.moved()

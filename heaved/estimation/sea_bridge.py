@@ -35,11 +35,11 @@ LOWEST_HZ: Final = 1.0 / 400.0
 """The covariance is summed from here: slower parts of the bias are a constant to a hole."""
 
 
-def closed(is_known: NDArray[np.bool_], dt_s: float) -> NDArray[np.bool_]:
-    """What is known (n,) of an even record once its short holes are bridged."""
+def closed(is_known: NDArray[np.bool_], dt_s: float, longest_s: float = LONGEST_S) -> NDArray[np.bool_]:
+    """What is known (n,) of an even record once its holes of up to ``longest_s`` between two samples are bridged."""
     found = is_known.copy()
     for first, end in np.flatnonzero(np.diff(is_known.astype(np.int8), prepend=1, append=1)).reshape(-1, 2).tolist():
-        found[first:end] |= (end - first) * dt_s <= LONGEST_S
+        found[first:end] |= (end - first) * dt_s <= longest_s and first > 0 and end < len(is_known)
     return found
 
 

@@ -13,12 +13,12 @@ below what is not known anyway.
 from __future__ import annotations
 
 from math import isfinite, sqrt
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.sea_model import SeaSystem, Steady, measurement_variance
+from heaved.estimation.sea_model import BIAS_SPREAD_MPS2, SeaSystem, Steady, measurement_variance
 
 Array = NDArray[np.float64]
 
@@ -44,6 +44,21 @@ NUDGE_TERMS: Final = 5
 """Of the Taylor series of a longer one: at 25 ms and 0.6 Hz the next one is 1e-7."""
 
 
+class State(NamedTuple):
+    """A filter at one moment; its arrays are never written to."""
+
+    t_s: float
+    x: Array
+    P: Array | None
+    rejected: int
+    surprise: float
+    drift: float
+    seen: float
+    withheld: int
+    burst_variance: float
+    offset: tuple[float, float, Array] | None
+
+
 class Offset:
     """The constant of an aiding laser (mounting, tide), one more state of the filter.
 
@@ -66,7 +81,10 @@ class SeaFilter:
         P: (n, n) its covariance; None: the steady one.
         rejected: samples that the gate has kept out.
         steady_covariance: (n, n) of the state while samples come as usual.
-        innovation_variance: of the last sample, as the model has it, (m/s2)2.
+        innovation: of the last sample, withheld or not, m/s2.
+        innovation_variance: of that, as the model has it, (m/s2)2.
+        withheld: samples on end, up to the last one, that the gate has kept out.
+        burst_variance: of noise beside that of the model, for now, (m/s2)2.
         surprise: variance of averaged innovations over that of the model, in the last seconds; 1 when it is right.
     """
 
@@ -85,7 +103,8 @@ class SeaFilter:
         self._taylor = np.concatenate(rows)  # One product gives all terms.
         self._steps = [(steady.F, steady.Q)]
         self._seen = self.innovation_variance = steady.S
-        self._outside = 0
+        self.withheld = 0
+        self.burst_variance = self.innovation = 0.0
         self.offset: Offset | None = None
 
     def aid(self, row: Array, laser_m: float, variance_m2: float, walk_m2: float) -> None:
@@ -135,7 +154,8 @@ class SeaFilter:
         else:
             F, Q = self.system.transition(dt)
             x = F.dot(x)
-        is_usual = steps == 1
+        R = self._R + self.burst_variance
+        is_usual = steps == 1 and R == self._R
         P = self.P if is_usual and self.P is None else _symmetric(F.dot(self.covariance).dot(F.T) + Q)
         if self.offset is not None:
             self.offset.c = F.dot(self.offset.c)
@@ -143,19 +163,19 @@ class SeaFilter:
         predicted_m = float(self.system.heave.dot(x))
         y = a_mps2 - float(H.dot(x))
         PH = None if P is None else P.dot(H)
-        S = steady.S if PH is None else float(H.dot(PH)) + self._R
-        self.innovation_variance = S
+        S = steady.S if PH is None else float(H.dot(PH)) + R
+        self.innovation, self.innovation_variance = y, S
         self._compare(y, S)
         if self._is_outlier(y, S):
             self.rejected += 1
             self.x, self.P = x, steady.P if P is None else P
             return predicted_m, 0.0
-        if self._outside >= GATE_LASTS:
+        if self.withheld >= GATE_LASTS:
             # It lasts, so it is true, and what was thought to be known is not.
-            self._outside = 0
+            self.withheld = 0
             P = self.system.stationary
             PH = P.dot(H)
-            S = float(H.dot(PH)) + self._R
+            S = float(H.dot(PH)) + R
         if P is None or PH is None:
             self.x = x + steady.K * y
         else:
@@ -167,6 +187,33 @@ class SeaFilter:
                 self.offset.variance_m2 -= cross * cross / S
             self._settle()
         return predicted_m, y
+
+    @property
+    def noise_variance(self) -> float:
+        """Of one sample by the model, (m/s2)2."""
+        return self._R
+
+    def state(self) -> State:
+        """All that :meth:`restore` needs to be here again; cheap: nothing is copied."""
+        aided = self.offset
+        offset = None if aided is None else (aided.value_m, aided.variance_m2, aided.c)
+        return State(
+            self.t_s, self.x, self.P, self.rejected, self.surprise, self._drift, self._seen, self.withheld,
+            self.burst_variance, offset,
+        )  # fmt: skip
+
+    def restore(self, state: State) -> None:
+        """Go back to an earlier :meth:`state`."""
+        self.t_s, self.x, self.P, self.rejected, self.surprise = state[:5]
+        self._drift, self._seen, self.withheld, self.burst_variance = state[5:9]
+        if self.offset is not None and state.offset is not None:
+            self.offset.value_m, self.offset.variance_m2, self.offset.c = state.offset
+
+    def open_bias(self) -> None:
+        """Nothing is known of the accelerometer's bias any more; of the waves as much as ever."""
+        P = self.covariance.copy()
+        P[-1, -1] += BIAS_SPREAD_MPS2**2
+        self.P = P
 
     def is_sound(self) -> bool:
         """Whether state and covariance are still finite numbers and variances positive."""
@@ -189,19 +236,18 @@ class SeaFilter:
         variance = max(S, self._seen)
         self._seen += GATE_MEMORY * (min(y * y, OPENING**2 * variance) - self._seen)
         if abs(y) <= GATE * sqrt(variance):
-            self._outside = 0
-        elif isfinite(y) and self._outside >= GATE_LASTS:
+            self.withheld = 0
+        elif isfinite(y) and self.withheld >= GATE_LASTS:
             return False
         else:
-            self._outside += 1
-        return self._outside > 0
+            self.withheld += 1
+        return self.withheld > 0
 
     def _compare(self, y: float, S: float) -> None:
         """Hold an innovation of variance ``S`` against the model."""
         weight = self.steady.dt_s / DRIFT_S
-        limit = GATE * sqrt(S)
-        self._drift += weight * (min(max(y, -limit), limit) - self._drift)
-        ratio = self._drift**2 / (S * weight / (2.0 - weight))
+        self._drift += weight * (min(max(y / sqrt(S), -GATE), GATE) - self._drift)
+        ratio = self._drift**2 / (weight / (2.0 - weight))
         self.surprise += self.steady.dt_s / SURPRISE_S * (ratio - self.surprise)
 
     def _settle(self) -> None:

@@ -9,7 +9,7 @@ end: what the steady gain, which runs in blocks, makes of that minute is correct
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from math import isnan, sqrt
 from typing import Final
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from heaved.estimation.sea_filter import SeaFilter
-from heaved.estimation.sea_model import SeaSystem, Steady
+from heaved.estimation.sea_model import BIAS_SPREAD_MPS2, SeaSystem, Steady
 
 Array = NDArray[np.float64]
 
@@ -63,6 +63,25 @@ class Record(msgspec.Struct, frozen=True, eq=False):
     """(n,); in a hole, a straight line."""
     is_known: NDArray[np.bool_]
     """(n,); False in a hole."""
+    cuts: tuple[int, ...] = ()
+    """First samples after a step of the level: nothing is known of the bias there."""
+
+    def last(self, count: int) -> Record:
+        """The newest ``count`` samples."""
+        left_out = max(len(self.a_mps2) - count, 0)
+        cuts = tuple([cut - left_out for cut in self.cuts if cut > left_out])
+        return Record(self.end_s, self.dt_s, self.a_mps2[left_out:], self.is_known[left_out:], cuts)
+
+    def cut(self, cuts_s: Sequence[tuple[float, float]]) -> Record:
+        """With a cut at the end of each of the spans (s), and nothing known within it."""
+        first_s = self.end_s - self.dt_s * (len(self.a_mps2) - 1)
+        is_known, places = self.is_known.copy(), set()
+        for span in cuts_s:
+            begin, end = (min(max(round((t_s - first_s) / self.dt_s), 0), len(is_known)) for t_s in span)
+            is_known[begin:end] = False
+            if 0 < end < len(is_known):
+                places.add(end)
+        return msgspec.structs.replace(self, is_known=is_known, cuts=tuple(sorted(places)))
 
 
 def even(t_s: Array, a_mps2: Array) -> Record:
@@ -121,7 +140,8 @@ class Run(msgspec.Struct, frozen=True, eq=False):
     predicted_m: Array
     """(k,) heave before each sample was taken in; nan in a hole, and where it is less sure than in the end."""
     innovation: Array
-    """(k,) m/s2; 0 in a hole, nan in the first minute of a full start, and after a hole that is not ``kept``."""
+    """(k,) m/s2, as large as in the steady filter where it is less sure; 0 in a hole, nan in the first minute of a full
+    start, and after a hole that is not ``kept``."""
 
 
 def run(
@@ -149,7 +169,16 @@ def run(
     if not full_start:
         x[-1] = float(np.mean(record.a_mps2))
     blocks = _Blocks(system, steady)
-    for first, end, is_known in _stretches(record.is_known):
+    for first, end, is_known in stretches(record):
+        if first in record.cuts:
+            if full_holes:
+                if P is None:
+                    P = steady.P - np.outer(steady.K, steady.K) * steady.S
+                P = P.copy()
+                P[-1, -1] += BIAS_SPREAD_MPS2**2
+            else:
+                x = x.copy()
+                x[-1] = float(np.mean(record.a_mps2[first:end]))
         if not is_known:
             innovation[first:end] = 0.0
             if not full_holes:
@@ -187,9 +216,13 @@ def one_by_one(f: SeaFilter, record: Record, judged: int) -> tuple[Run, float]:
     count, steady, heave = len(record.a_mps2), f.steady, f.system.heave
     predicted, innovation = np.full(count, np.nan), np.zeros(count)
     limit_m2 = UNSURE**2 * float(heave @ f.steady_covariance @ heave)
+    cuts = list(record.cuts)
     for i in np.flatnonzero(record.is_known).tolist():
         if isnan(f.t_s):
             f.t_s = (i - 1) * record.dt_s
+        while cuts and cuts[0] <= i:
+            f.open_bias()
+            del cuts[0]
         predicted_m, y = f.step(i * record.dt_s, float(record.a_mps2[i]))
         innovation[i] = y * sqrt(steady.S / f.innovation_variance)
         if f.innovation_variance < UNSURE**2 * steady.S and (
@@ -201,10 +234,11 @@ def one_by_one(f: SeaFilter, record: Record, judged: int) -> tuple[Run, float]:
     return Run(f.x, None if f.P is None else f.P.copy(), predicted, innovation), excess
 
 
-def _stretches(is_known: NDArray[np.bool_]) -> Iterator[tuple[int, int, bool]]:
-    """(first, end, is_known) of each stretch that is all known or all unknown."""
-    edges = 1 + np.flatnonzero(np.diff(is_known.astype(np.int8)))
-    for first, end in itertools.pairwise([0, *edges.tolist(), len(is_known)]):
+def stretches(record: Record) -> Iterator[tuple[int, int, bool]]:
+    """(first, end, is_known) of each stretch that is all known or all unknown, without a cut in it."""
+    is_known = record.is_known
+    edges = {*(1 + np.flatnonzero(np.diff(is_known.astype(np.int8)))).tolist(), *record.cuts, 0, len(is_known)}
+    for first, end in itertools.pairwise(sorted(edges)):
         yield first, end, bool(is_known[first])
 
 
@@ -257,7 +291,7 @@ def _tell(S: float, variance_m2: float, seen: Array, heave: Array, predicted: Ar
     white = np.linalg.solve(factor, right)
     learned = np.tril(white[:, :, 1:].transpose(0, 2, 1), -1)
     stds = np.diagonal(factor, axis1=1, axis2=2)
-    innovation[:] = (stds * white[:, :, 0]).ravel()[:count]
+    innovation[:] = sqrt(S) * white[:, :, 0].ravel()[:count]
     correction = np.matmul(heave, u) + np.matmul(learned, white[:, :, :1])
     more_m2 = np.sum(np.matmul(heave, P) * heave, axis=2) - np.sum(learned**2, axis=2)
     is_sure = variance_m2 + more_m2.ravel()[:count] < UNSURE**2 * variance_m2

@@ -8,6 +8,7 @@ model is used.
 
 from __future__ import annotations
 
+import itertools
 from math import isfinite, nan, sqrt
 from typing import Final
 
@@ -46,6 +47,10 @@ MIN_RECORD_S: Final = 20.0
 MIN_STRETCH_S: Final = 30.0
 """A record with holes that are too long to be bridged is fitted between them, and not at all when that is shorter and
 there is a model already."""
+LONG_HOLE_S: Final = 1.0
+FEW_IN_LONG_HOLES: Final = 0.1
+"""Share of the shortest window that may lie in longer holes than that, bridged, when there is a model already: more of
+it is better not learned from. (A sensor at the end of its range loses just the highest waves.)"""
 SLOWEST_S: Final = 0.8
 """Samples further apart than this, in the mean, do not show the waves (up to 0.6 Hz) at all."""
 BRIDGE_SEED: Final = 1
@@ -96,6 +101,9 @@ class SeaWindow(msgspec.Struct, frozen=True, kw_only=True, tag="sea"):
     """End of the past at the last look; nan: there was none, or that past was forgotten."""
     candidates: tuple[Candidate, ...] = ()
     """Of the last look."""
+    cuts_s: tuple[tuple[float, float], ...] = ()
+    """Spans (s) after which it is measured otherwise than before, and in which it is neither: no spectrum is taken
+    across, and of the bias nothing is known."""
 
 
 class SeaFit(msgspec.Struct, frozen=True, kw_only=True):
@@ -147,7 +155,7 @@ def look(window: SeaWindow) -> SeaFit:
     if (t[-1] - t[0]) > SLOWEST_S * (len(t) - 1) and float(np.median(np.diff(t))) > SLOWEST_S:
         return SeaFit(number=window.number, message="the samples are too far apart to show waves")
     try:
-        return _look(window, sea_run.even(t, a))
+        return _look(window, sea_run.even(t, a).cut(window.cuts_s))
     except np.linalg.LinAlgError as error:
         return SeaFit(number=window.number, message=f"the record has no spectrum that can be fitted: {error}")
 
@@ -158,6 +166,10 @@ def _look(window: SeaWindow, record: sea_run.Record) -> SeaFit:
         LinAlgError: no model can be made of the record.
     """
     whole = _bridged(window, record)
+    recent = record.last(round(min(window.windows_s) / record.dt_s))
+    drawn = whole.last(len(recent.is_known)).is_known & ~sea_bridge.closed(recent.is_known, record.dt_s, LONG_HOLE_S)
+    if window.candidates and np.mean(drawn) > FEW_IN_LONG_HOLES:
+        return SeaFit(number=window.number, message="the record has too many holes")
     stretch_s = len(unbroken(whole, round(max(window.windows_s) / record.dt_s))) * record.dt_s
     if stretch_s < (MIN_STRETCH_S if window.candidates else MIN_RECORD_S) and not whole.is_known.all():
         return SeaFit(number=window.number, message="the record has too many holes")
@@ -168,7 +180,7 @@ def _look(window: SeaWindow, record: sea_run.Record) -> SeaFit:
     best, share = fitted[chosen], shares[chosen]
     kept = round(window.delay_s / record.dt_s) + round(30.0 / record.dt_s)
     judged, settle = max(kept, round(WHITENESS_OVER_S / record.dt_s)), round(SETTLE_S / record.dt_s)
-    recent = _newest(record, settle + judged)
+    recent = record.last(settle + judged)
     ran = _settled(best, recent, settle, judged)
     if isinstance(ran, str):
         return SeaFit(number=window.number, message=ran)
@@ -209,8 +221,13 @@ def _bridged(window: SeaWindow, record: sea_run.Record) -> sea_run.Record:
         if model is None:
             lines = msgspec.structs.replace(whole, is_known=sea_bridge.closed(whole.is_known, whole.dt_s))
             model = _fit_all(window, lines, {})[0][-1].model
-        a, is_known = sea_bridge.bridged(record.a_mps2, record.is_known, record.dt_s, model, rng)
-        whole, model = sea_run.Record(record.end_s, record.dt_s, a, is_known), None
+        # Not across a cut: the level is another one there.
+        parts = [
+            sea_bridge.bridged(record.a_mps2[first:end], record.is_known[first:end], record.dt_s, model, rng)
+            for first, end in itertools.pairwise([0, *record.cuts, len(record.a_mps2)])
+        ]
+        a, is_known = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+        whole, model = msgspec.structs.replace(record, a_mps2=a, is_known=is_known), None
     return whole
 
 
@@ -246,7 +263,7 @@ def _run(
     if holes * MANY_HOLES_S <= count * recent.dt_s:
         return sea_run.run(system, steady, recent, full_start=count < settle, kept=judged), 1.0
     # It begins with all that is not known of the state: nothing has to settle.
-    recent = _newest(recent, judged + round(START_S / recent.dt_s))
+    recent = recent.last(judged + round(START_S / recent.dt_s))
     f = SeaFilter(system, steady, nan, np.zeros(len(system.H)), system.stationary)
     done, excess = sea_run.one_by_one(f, recent, judged)
     return done, excess if np.mean(known[-judged:]) < NOISE_KNOWN else 1.0
@@ -258,15 +275,20 @@ def _delayed(
     """What :attr:`SeaFit.delayed` holds."""
     count = round(window.delay_s / recent.dt_s)
     known = recent.is_known
-    if known[-count:].all() or not known[:-count].any():
+    is_whole = known[-count:].all() and not any(cut > len(known) - count for cut in recent.cuts)
+    if is_whole or not known[:-count].any():
         return np.empty((0, 3))
     last = int(np.flatnonzero(known[:-count])[-1])
     before = sea_run.Record(
-        recent.end_s - (len(known) - 1 - last) * recent.dt_s, recent.dt_s, recent.a_mps2[: last + 1], known[: last + 1]
+        recent.end_s - (len(known) - 1 - last) * recent.dt_s,
+        recent.dt_s,
+        recent.a_mps2[: last + 1],
+        known[: last + 1],
+        tuple([cut for cut in recent.cuts if cut <= last]),
     )
     done, _ = _run(system, steady, before, settle, 1)
     f = SeaFilter(system, steady, before.end_s, done.x, done.P)
-    after = _newest(recent, len(known) - 1 - last)
+    after = recent.last(len(known) - 1 - last)
     # The newer half is delayed heave of the next look.
     return smoothed(f, after, len(after.a_mps2) - count // 2)
 
@@ -286,7 +308,7 @@ def _scores(
         fresh = min(len(record.a_mps2), round((record.end_s - window.looked_s) / record.dt_s))
     if fresh < 2:
         return {candidate.window_s: candidate.score for candidate in window.candidates}
-    recent = _newest(record, fresh + round(SETTLE_S / record.dt_s))
+    recent = record.last(fresh + round(SETTLE_S / record.dt_s))
     measured = is_known[-fresh:]
     if not measured.any():
         return {candidate.window_s: candidate.score for candidate in window.candidates}
@@ -309,10 +331,6 @@ def _steady(system: SeaSystem, candidate: Candidate, dt_s: float) -> Steady | No
         return system.steady(dt_s)
     n = len(system.H)
     return system.steady_of(dt_s, np.frombuffer(candidate.steady_P).reshape(n, n))
-
-
-def _newest(record: sea_run.Record, count: int) -> sea_run.Record:
-    return sea_run.Record(record.end_s, record.dt_s, record.a_mps2[-count:], record.is_known[-count:])
 
 
 def _likelihood(model: SeaModel, steady: Steady, innovation: Array) -> float:
@@ -343,6 +361,8 @@ def _fit_all(
             if len(stretch) >= MIN_RECORD_S * rate:
                 lengths.append(length)
                 stretches.append(stretch)
+    if not lengths:
+        raise np.linalg.LinAlgError("no stretch of it is long enough")
     spectra = [sea_fit.spectrum(stretch, rate) for stretch in stretches]
     few = [len(stretch) < FEW_COMPONENTS_BELOW_S * rate for stretch in stretches]
     fitted: dict[float, sea_fit.Fitted] = {}
@@ -367,15 +387,14 @@ def unbroken(record: sea_run.Record, count: int) -> Array:
     A spectrum cannot bridge a hole: whatever stands in it has power at low frequencies, four decades above the skirt of
     the waves that the error of the heave depends on.
     """
-    known = record.is_known[-count:]
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], known, [False])).astype(np.int8)))
-    runs = edges.reshape(-1, 2)
+    newest = record.last(count)
+    runs = np.array([run[:2] for run in sea_run.stretches(newest) if run[2]])
     if not len(runs):
         return record.a_mps2[:0]
     lengths = runs[:, 1] - runs[:, 0]
     enough = np.flatnonzero(lengths * record.dt_s >= NEWEST_S)
     first, end = runs[int(enough[-1]) if len(enough) else int(np.argmax(lengths))]
-    return record.a_mps2[-count:][first:end]
+    return newest.a_mps2[first:end]
 
 
 def whiteness(innovation: Array, steady: Steady) -> float:

@@ -135,7 +135,7 @@ def test_after_a_hole_predictions_and_innovations_are_those_of_the_whole_filter(
         if known[i]:
             before, y = theirs.update(z)
         if i >= end:
-            assert abs(done.innovation[i] - y) < 1e-3 * np.sqrt(steady.S)
+            assert abs(done.innovation[i] - y * np.sqrt(steady.S / S)) < 1e-3 * np.sqrt(steady.S)
             least = max(std_m / usual_m, float(np.sqrt(S / steady.S)))
             if abs(least / UNSURE - 1.0) > 1e-3:
                 assert np.isfinite(done.predicted_m[i]) == (least < UNSURE)
