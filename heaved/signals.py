@@ -78,7 +78,9 @@ class Signals:
                         for number in numbers:
                             self._loop.call_soon_threadsafe(self._event(number).set)
         if not self._is_over.wait(self._exit_s - _LAST_WORDS_S):
-            _log.error("not everything has stopped in time: ended all the same")
+            # In a thread of its own, for it may be standard error that hangs.
+            words = "not everything has stopped in time: ended all the same"
+            threading.Thread(target=_log.error, args=(words,), name="last words", daemon=True).start()
             if not self._is_over.wait(_LAST_WORDS_S):
                 os._exit(0)
 

@@ -52,16 +52,16 @@ def full_disk(monkeypatch):
 def test_round_trip(file):
     assert file.read() is None
     file.write(file.encode(LEARNED))
-    assert file.read() == LEARNED
+    assert file.read().state == LEARNED
     file.write(file.encode(NEWER))
-    assert file.read() == NEWER
+    assert file.read().state == NEWER
     assert os.listdir(file.path.parent) == ["state.json"]
 
 
 def test_it_is_json_for_people(file):
     file.write(file.encode(LEARNED))
     content = json.loads(file.path.read_text())
-    assert content["version"] == 2
+    assert content["version"] == 3
     assert content["state"]["lead_s"] == 0.11
 
 
@@ -71,7 +71,7 @@ def test_a_full_disk_leaves_the_old_file_and_nothing_else(file, full_disk):
     full_disk[0] = True
     with pytest.raises(OSError, match="No space left"):
         file.write(file.encode(NEWER))
-    assert file.read() == LEARNED
+    assert file.read().state == LEARNED
     assert os.listdir(file.path.parent) == ["state.json"]
 
 
@@ -88,7 +88,7 @@ def flipped(content, place, value):
         (lambda content: content[:-20], "damaged"),
         (lambda content: content[: len(content) // 2], "damaged"),
         (lambda content: bytes(4096), "damaged"),
-        (lambda content: content.replace(b'"version":2', b'"version":1'), "version 1"),
+        (lambda content: content.replace(b'"version":3', b'"version":1'), "version 1"),
         (lambda content: content.replace(b"0.11", b"0.12"), "checksum"),
         (lambda content: b"[]", "damaged"),
         (lambda content: b"\xff\xfe" + content, "damaged"),
@@ -107,7 +107,7 @@ def test_one_wrong_byte_never_gives_another_state(tmp_path_factory, place, value
     file = StateFile(tmp_path_factory.getbasetemp(), Learned)
     file.path.write_bytes(flipped(file.encode(NEWER), place, value))
     with contextlib.suppress(StateError):
-        assert file.read() == NEWER  # White space at the end.
+        assert file.read().state == NEWER  # White space at the end.
 
 
 def test_a_state_of_another_release_is_damage_not_an_exception(file):
@@ -151,21 +151,21 @@ def memory(file, counted):
 
 async def test_saved_and_restored(memory, counted):
     taken = []
-    memory.restore(taken.append)
+    await memory.restore(lambda state, age_s: taken.append(state))
     assert taken == []
     await memory.save()
-    memory.restore(taken.append)
+    await memory.restore(lambda state, age_s: taken.append(state))
     assert taken == [LEARNED]
     assert counted == ["absent", "saved", "restored"]
 
 
 @pytest.mark.parametrize("content", [b"{", b'{"version":7}', b"\0" * 50])
-def test_a_useless_file_is_set_aside_counted_and_named(memory, counted, content):
+async def test_a_useless_file_is_set_aside_counted_and_named(memory, counted, content):
     memory.file.prepare()
     memory.file.path.write_bytes(content)
     taken = []
     with capture_logs() as logs:
-        memory.restore(taken.append)
+        await memory.restore(lambda state, age_s: taken.append(state))
     assert taken == []
     (line,) = logs
     assert line["log_level"] == "warning"
@@ -177,14 +177,14 @@ def test_a_useless_file_is_set_aside_counted_and_named(memory, counted, content)
     assert memory.file.read() is None
 
 
-def test_a_state_that_does_not_fit_is_set_aside(memory, counted):
+async def test_a_state_that_does_not_fit_is_set_aside(memory, counted):
     memory.file.write(memory.file.encode(NEWER))
 
-    def refuse(state):
+    def refuse(state, age_s):
         raise ValueError("20 weights, this network has 511")
 
     with capture_logs() as logs:
-        memory.restore(refuse)
+        await memory.restore(refuse)
     assert "this network has 511" in logs[0]["reason"]
     assert counted == ["refused"]
     assert memory.file.path.with_suffix(".corrupt").is_file()
@@ -211,7 +211,7 @@ async def test_a_directory_that_cannot_be_is_said_at_the_start(tmp_path, counted
     file = StateFile(tmp_path / "a_file" / "heaved", Learned)
     memory = Memory(file, lambda: LEARNED, count_save=counted.append, count_load=counted.append)
     with capture_logs() as logs:
-        memory.restore(lambda state: None)
+        await memory.restore(lambda state, age_s: None)
         await memory.save()
         await memory.save()
     memory.close()
