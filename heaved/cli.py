@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from heaved import __version__
+from heaved.text import printable, printable_lines
 
 if TYPE_CHECKING:
     from heaved.config import Config
@@ -257,7 +258,7 @@ def probe(
     if not report:
         _fail(f"{link}: nobody answers; check id, baud rate, parity and wiring (A and B swapped?)", EX_UNAVAILABLE)
     for line in report:
-        typer.echo(line)
+        typer.echo(printable(line))
 
 
 # ---- recordings ------------------------------------------------------------------------------------------------------
@@ -395,5 +396,5 @@ def sim(
 
 
 def _fail(message: str, code: int) -> NoReturn:
-    typer.echo(message, err=True)
+    typer.echo(printable_lines(message), err=True)
     raise typer.Exit(code)

@@ -107,11 +107,10 @@ def _value(value: object) -> str:
 
 class _Alike(msgspec.Struct):
     since_s: float
-    said: set[str]
-    """What was printed, word by word."""
-    unsaid: int = 0
-    last: logging.LogRecord | None = None
-    """Of those that were not."""
+    unsaid: dict[str, int] = {}
+    """How many were not printed, by what made them the same as one that was; those of too many kinds by nothing."""
+    last: dict[str, logging.LogRecord] = {}
+    """Of them."""
 
 
 class Repeats:
@@ -119,7 +118,7 @@ class Repeats:
 
     Events are alike when they come from one logger with one text (for those of libraries: with one kind of exception)
     about one device. Of those alike, within :data:`PERIOD_S`, one that is word for word the same as another is counted,
-    and so are all beyond the :data:`MOST_DIFFERENT`-th; the count is said when the period is over.
+    and so are all of other words than the first :data:`MOST_DIFFERENT`; counts are said when the period is over.
     """
 
     def __init__(self) -> None:
@@ -130,19 +129,23 @@ class Repeats:
         if record.levelno < logging.WARNING:
             return True
         key, words = _identity(record)
-        alike = self._alike.setdefault(key, _Alike(since_s=now_s, said=set()))
-        if words in alike.said or len(alike.said) >= MOST_DIFFERENT:
-            alike.unsaid += 1
-            alike.last = record
-            return False
-        alike.said.add(words)
-        return True
+        alike = self._alike.setdefault(key, _Alike(since_s=now_s))
+        if words not in alike.unsaid and len(alike.unsaid) < MOST_DIFFERENT:
+            alike.unsaid[words] = 0
+            return True
+        words = words if words in alike.unsaid else ""
+        alike.unsaid[words] = alike.unsaid.get(words, 0) + 1
+        alike.last[words] = record
+        return False
 
     def over(self, now_s: float, period_s: float = PERIOD_S) -> list[logging.LogRecord]:
         """Forget what is longer ago than ``period_s``; returns what is to be said of it, with counts."""
         ended = [key for key, alike in self._alike.items() if now_s - alike.since_s >= period_s]
-        gone = [self._alike.pop(key) for key in ended]
-        return [_counted(alike.last, alike.unsaid, now_s - alike.since_s) for alike in gone if alike.last is not None]
+        return [
+            _counted(record, alike.unsaid[words], now_s - alike.since_s)
+            for alike in map(self._alike.pop, ended)
+            for words, record in alike.last.items()
+        ]
 
 
 def _identity(record: logging.LogRecord) -> tuple[_Key, str]:

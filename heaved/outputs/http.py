@@ -181,11 +181,11 @@ class HttpServer:
         def is_ours(record: logging.LogRecord) -> bool:
             error = record.exc_info[1] if record.exc_info else None
             if isinstance(error, HttpProcessingError):
-                self._complain("bad_request", f"not HTTP: {error.message}")
+                self._complain("bad_request", f"not HTTP: {error.message.partition(chr(10))[0]}")
                 return False
             return record.levelno >= logging.WARNING
 
-        log = logging.Logger(__name__)
+        log = logging.Logger(__name__, logging.DEBUG)
         log.parent = logging.getLogger()
         log.addFilter(is_ours)
         return log

@@ -1,4 +1,7 @@
-"""What ``heaved status`` prints: for a person, for a program, for a monitoring system. Pure."""
+"""What ``heaved status`` prints: for a person, for a program, for a monitoring system. Pure.
+
+What a daemon says may come from anywhere: no character of it reaches a terminal that would obey it.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ import msgspec
 from heaved.outputs.client import Snapshot, Trouble, Unreachable
 from heaved.outputs.records import DeviceStatus, MotionRecord, QuietStatus, RockRecord, RockStatus, StatusRecord
 from heaved.samples import Fault, HeaveState
+from heaved.text import printable
 
 _FRESH_S: Final = 1.0
 """A frame older than this is no real-time heave."""
@@ -34,7 +38,20 @@ def json_text(result: Snapshot | Unreachable) -> str:
         body = {"reachable": False, "trouble": result.trouble.name.lower(), "message": str(result)}
     else:
         body = {"reachable": True, **msgspec.to_builtins(result)}
-    return msgspec.json.format(msgspec.json.encode(body), indent=2).decode()
+    text = msgspec.json.format(msgspec.json.encode(body), indent=2).decode()
+    return "\n".join([_ascii(line) for line in text.split("\n")])
+
+
+def _ascii(line: str) -> str:
+    """A line of JSON with JSON's own escapes for what cannot be printed, which stands within its texts alone."""
+    if line.isprintable():
+        return line
+    return "".join([letter if letter.isprintable() else _escaped(letter) for letter in line])
+
+
+def _escaped(letter: str) -> str:
+    units = letter.encode("utf-16-be", "surrogatepass").hex()
+    return "".join([f"\\u{units[i : i + 4]}" for i in range(0, len(units), 4)])
 
 
 # --- for a monitoring system -----------------------------------------------------------------------------------------
@@ -87,7 +104,7 @@ def _age_s(snapshot: Snapshot) -> float | None:
 
 def _plain(text: str) -> str:
     """``|`` and line ends mean something to a monitoring system."""
-    return " ".join(text.replace("|", "/").split())
+    return printable(" ".join(text.replace("|", "/").split()))
 
 
 # --- for a person ----------------------------------------------------------------------------------------------------
@@ -119,7 +136,7 @@ def table(snapshot: Snapshot) -> str:
     lines += ["", _row("clients", f"{status.clients} connected, {status.dropped} lines dropped for slow ones")]
     if status.clock is not None:
         lines.append(_row("clock", f"UTC stepped {status.clock.steps} times since the start"))
-    return "\n".join(lines)
+    return "\n".join(map(printable, lines))
 
 
 def duration(seconds: float) -> str:
