@@ -35,7 +35,7 @@ from heaved.devices.profile import DeviceSpec
 from heaved.devices.timer import PeriodicTimer
 from heaved.estimation.stages import Stages
 from heaved.logs import configure_logging
-from heaved.metrics import Metrics
+from heaved.metrics import RENEWED_S, Metrics
 from heaved.outputs.access import ListenError
 from heaved.outputs.feed import Feed
 from heaved.outputs.http import HttpServer, liveness, readiness
@@ -283,17 +283,24 @@ class Daemon:
             if reason != "spike":  # One held back is no reset, and a bad sensor gives many.
                 _log.warning("estimator reset", filter=name, reason=reason, count=count)
         self._resets_seen = Counter(resets)
-        self.metrics.training_age.set(self._clock() - self.acquisition.accepted_s)
         status = self.status()
         self._publisher.publish_record(status)
         frame = self.acquisition.last_frame
         if frame is not None:
             self._feed.outlook(frame)
-            self.metrics.record_sea(frame)
-            self.metrics.record_stages(frame)
-            self.metrics.record_quiet(frame.quiet)
-        self.metrics.record_rock(self.acquisition.pipeline.rock_scores())
+        self._keep_gauges(frame)
         self._notifier.notify(f"STATUS={status_line(status)}")
+
+    def _keep_gauges(self, frame: MotionFrame | None) -> None:
+        now_s, metrics = self._clock(), self.metrics
+        if frame is None or not now_s - frame.t_s <= RENEWED_S:
+            metrics.record_no_frame()
+            return
+        metrics.record_sea(frame)
+        metrics.record_stages(frame)
+        metrics.record_quiet(frame.quiet)
+        metrics.record_training(frame, now_s - self.acquisition.accepted_s)
+        metrics.record_rock(self.acquisition.rock_scores())
 
     # ---- for the parts -----------------------------------------------------------------------------------------------
 

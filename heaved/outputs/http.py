@@ -60,7 +60,7 @@ def readiness(last_frame: MotionFrame | None, *, now_s: float, fresh_s: float = 
     if last_frame is None:
         return Verdict(reasons=("no frame yet",))
     age_s = now_s - last_frame.t_s
-    reasons = [f"last frame is {age_s:.1f} s old"] if age_s > fresh_s else []
+    reasons = [] if age_s <= fresh_s else [f"last frame is {age_s:.1f} s old"]
     if last_frame.quality.heave is HeaveState.INVALID:
         reasons += ["heave is invalid", *last_frame.quality.reasons]
     elif not isfinite(last_frame.heave_m):

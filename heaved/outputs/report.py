@@ -18,6 +18,8 @@ from heaved.text import printable
 
 _FRESH_S: Final = 1.0
 """A frame older than this is no real-time heave."""
+_WORSE: Final = (HeaveState.VALID, HeaveState.DEGRADED, HeaveState.SETTLING, HeaveState.INVALID)
+"""From the best to the worst."""
 
 
 class CheckState(IntEnum):
@@ -68,7 +70,7 @@ def check_line(result: Snapshot | Unreachable) -> tuple[CheckState, str]:
         state = CheckState.UNKNOWN if is_misdirected else CheckState.CRITICAL
         return state, f"{state.name} - {_plain(str(result))}"
     status = result.status
-    state, text = _judge(status, _age_s(result))
+    state, text = _judge(status, result.motion, _age_s(result))
     heave, std = status.heave.heave_m, status.heave.heave_std_m
     values = (
         ("age", _age_s(result), "s"),
@@ -82,15 +84,21 @@ def check_line(result: Snapshot | Unreachable) -> tuple[CheckState, str]:
     return state, f"{state.name} - {_plain(text)} | {performance}"
 
 
-def _judge(status: StatusRecord, age_s: float | None) -> tuple[CheckState, str]:
+def _judge(status: StatusRecord, motion: MotionRecord | None, age_s: float | None) -> tuple[CheckState, str]:
+    """By the worse of what the status says and the frame that was seen."""
     quality = status.quality
+    if motion is not None and _WORSE.index(motion.quality.heave) > _WORSE.index(quality.heave):
+        quality = motion.quality
+    heave_m = status.heave.heave_m if motion is None else motion.heave_m
     reasons = f" ({', '.join(quality.reasons)})" if quality.reasons else ""
     if age_s is None:
         return CheckState.CRITICAL, "no frame yet"
-    if age_s > _FRESH_S:
+    if not age_s <= _FRESH_S:
         return CheckState.CRITICAL, f"last frame is {duration(age_s)} old"
     if quality.heave is HeaveState.INVALID:
         return CheckState.CRITICAL, f"heave invalid{reasons}"
+    if heave_m is None and quality.heave is not HeaveState.SETTLING:
+        return CheckState.CRITICAL, f"heave {quality.heave.value}, but there is none{reasons}"
     text = f"heave {quality.heave.value}{reasons}, age {duration(age_s)}"
     down = [device.name for device in status.devices if not device.up]
     if down:

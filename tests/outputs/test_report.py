@@ -75,6 +75,16 @@ IMU = make_status().devices[0]
             CheckState.CRITICAL,
             "CRITICAL - heave invalid (no IMU)",
         ),
+        (
+            snapshot(frame=msgspec.structs.replace(motion(), quality=quality(HeaveState.INVALID, "no IMU"))),
+            CheckState.CRITICAL,
+            "CRITICAL - heave invalid (no IMU)",
+        ),
+        (
+            snapshot(frame=msgspec.structs.replace(motion(), heave_m=None)),
+            CheckState.CRITICAL,
+            "heave valid, but there is none",
+        ),
         (snapshot(frame=motion(age_s=1.5)), CheckState.CRITICAL, "last frame is 1.5 s old"),
         (snapshot(make_status(heave=HeaveStatus(age_s=90.0))), CheckState.CRITICAL, "last frame is 90.0 s old"),
         (snapshot(make_status(heave=HeaveStatus())), CheckState.CRITICAL, "no frame yet"),
