@@ -268,7 +268,8 @@ class LineHandler(logging.Handler):
             self._write(f"{line}\n")
             if self._lost and queue.empty():
                 lost, self._lost = self._lost, 0
-                logging.getLogger(__name__).warning("%d lines of the log were lost: nobody took them", lost)
+                text = "%d lines of the log were lost: nobody took them"
+                self.handle(logging.LogRecord(__name__, logging.WARNING, "", 0, text, (lost,), None))
 
     @contextmanager
     def _locked(self) -> Iterator[None]:
