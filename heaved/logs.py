@@ -284,10 +284,6 @@ def _writer() -> Callable[[str], None]:
     """Writes to standard error as it is now, without a buffer whose lock a hanging write would keep; what it does not
     take is lost, since there is no better place to say so."""
     stream = sys.stderr
-    try:
-        fd = stream.fileno() if stream is not None else None
-    except (UnsupportedOperation, ValueError):  # A test, which catches what is said.
-        return lambda text: (stream.write(text), stream.flush(), None)[-1]
 
     def write(text: str) -> None:
         rest = text.encode("utf-8", "backslashreplace")
@@ -295,6 +291,13 @@ def _writer() -> Callable[[str], None]:
             while fd is not None and rest:
                 rest = rest[os.write(fd, rest) :]
 
+    def write_in_memory(text: str) -> None:
+        stream.write(text)
+
+    try:
+        fd = stream.fileno() if stream is not None else None
+    except UnsupportedOperation:  # A program that catches what is said.
+        return write_in_memory
     return write
 
 
