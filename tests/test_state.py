@@ -3,8 +3,12 @@
 import asyncio
 import contextlib
 import errno
+import hashlib
 import json
+import math
 import os
+import socket
+import stat
 import threading
 
 import msgspec
@@ -89,7 +93,10 @@ def flipped(content, place, value):
         (lambda content: content[: len(content) // 2], "damaged"),
         (lambda content: bytes(4096), "damaged"),
         (lambda content: content.replace(b'"version":3', b'"version":1'), "version 1"),
+        (lambda content: content.replace(b'"version":3', b'"version":4'), "version 4"),
         (lambda content: content.replace(b"0.11", b"0.12"), "checksum"),
+        (lambda content: content.replace(b"0.11", b"1e999"), "checksum"),
+        (lambda content: content.replace(b"0.11", b"NaN"), "damaged"),
         (lambda content: b"[]", "damaged"),
         (lambda content: b"\xff\xfe" + content, "damaged"),
         (lambda content: b"[" * 100_000, "damaged"),
@@ -100,6 +107,104 @@ def test_damage_is_seen(file, damage, reason):
     file.path.write_bytes(damage(file.path.read_bytes()))
     with pytest.raises(StateError, match=reason):
         file.read()
+
+
+def as_fifo(path):
+    os.mkfifo(path)
+
+
+def as_directory(path):
+    path.mkdir()
+
+
+def as_link(path):
+    other = path.with_name("other")
+    other.write_bytes(StateFile.encode(LEARNED))
+    path.symlink_to(other)
+
+
+def as_link_to_zeros(path):
+    path.symlink_to("/dev/zero")
+
+
+def as_socket(path):
+    with socket.socket(socket.AF_UNIX) as made, contextlib.chdir(path.parent):
+        made.bind(path.name)
+
+
+def as_endless(path):
+    with path.open("wb") as file:
+        file.truncate(1 << 40)
+
+
+ODD_FILES = {
+    as_fifo: "no regular file",
+    as_directory: "no regular file",
+    as_link: "no regular file",
+    as_link_to_zeros: "no regular file",
+    as_socket: "no regular file",
+    as_endless: "longer than 4 MiB",
+}
+
+
+@pytest.mark.parametrize("make", ODD_FILES)
+async def test_what_is_no_file_of_ours_is_set_aside_at_once(memory, counted, make):
+    """Nothing of it is waited for, and the next save is as always."""
+    memory.file.prepare()
+    make(memory.file.path)
+    with capture_logs() as logs:
+        await memory.restore(never_taken)
+        await memory.save()
+    assert counted == ["refused", "saved"]
+    (line,) = logs
+    assert ODD_FILES[make] in line["reason"]
+    assert os.path.basename(line["kept"]) in os.listdir(memory.file.path.parent)
+    assert memory.file.read().state == LEARNED
+
+
+def never_taken(state, age_s):
+    raise AssertionError("there is nothing to take")
+
+
+def test_only_its_owner_reads_it_whatever_the_umask(file):
+    before = os.umask(0)
+    try:
+        file.write(file.encode(LEARNED))
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(file.path.stat().st_mode) == 0o600
+
+
+@pytest.mark.parametrize("make", [as_fifo, as_link])
+def test_nothing_is_written_through_what_stands_at_the_temporary_name(file, make):
+    file.prepare()
+    make(file.path.with_suffix(".tmp"))
+    before = {path.name: path.read_bytes() for path in file.path.parent.iterdir() if path.is_file()}
+    file.write(file.encode(NEWER))
+    assert file.read().state == NEWER
+    assert not os.path.lexists(file.path.with_suffix(".tmp"))
+    for name, content in before.items():
+        if name == "other":
+            assert (file.path.parent / name).read_bytes() == content
+
+
+def test_it_says_when_it_was_saved(file):
+    file.write(file.encode(LEARNED, 1_767_225_600.25))
+    assert json.loads(file.path.read_text())["saved"] == "2026-01-01T00:00:00.250+00:00"
+    assert file.read().saved_s == 1_767_225_600.25
+    file.path.write_bytes(file.path.read_bytes().replace(b"2026-01-01", b"2026-01-02"))
+    with pytest.raises(StateError, match="checksum"):
+        file.read()
+
+
+def test_a_file_of_version_2_is_read_and_its_age_is_not_known(file):
+    """As release 0.1.0 wrote it."""
+    body = msgspec.json.encode(LEARNED)
+    old = {"version": 2, "sha256": hashlib.sha256(body).hexdigest(), "state": msgspec.Raw(body)}
+    file.prepare()
+    file.path.write_bytes(msgspec.json.encode(old) + b"\n")
+    assert file.read().state == LEARNED
+    assert math.isnan(file.read().saved_s)
 
 
 @given(place=st.integers(0, 10_000), value=st.integers(1, 255))
@@ -228,3 +333,89 @@ async def test_a_slow_disk_does_not_hold_the_loop(memory, monkeypatch):
     assert not saving.done()
     disk.set()
     await saving
+
+
+NOW_S = 1_767_225_600.0
+
+
+@pytest.mark.parametrize(
+    ("saved_s", "age_s"),
+    [(NOW_S - 12.5, 12.5), (NOW_S - 3e7, 3e7), (NOW_S + 3600.0, 0.0), (math.nan, math.nan)],
+)
+async def test_the_age_of_what_is_restored(file, counted, saved_s, age_s):
+    file.write(file.encode(LEARNED, saved_s))
+    memory = Memory(file, never_asked, count_save=counted.append, count_load=counted.append, realtime=lambda: NOW_S)
+    taken = []
+    await memory.restore(lambda state, age_s: taken.append((state, age_s)))
+    memory.close()
+    assert counted == ["restored"]
+    ((state, found_s),) = taken
+    assert state == LEARNED
+    assert found_s == pytest.approx(age_s, nan_ok=True)
+
+
+def never_asked():
+    raise AssertionError("nothing is saved")
+
+
+async def test_a_state_from_the_future_is_set_aside(file, counted):
+    file.write(file.encode(LEARNED, NOW_S + 10 * 86400.0))
+    memory = Memory(file, never_asked, count_save=counted.append, count_load=counted.append, realtime=lambda: NOW_S)
+    with capture_logs() as logs:
+        await memory.restore(never_taken)
+    memory.close()
+    assert counted == ["refused"]
+    assert "10 days ahead of this machine's clock" in logs[0]["reason"]
+    assert file.path.with_suffix(".corrupt").is_file()
+
+
+async def test_numbers_that_cannot_be_are_set_aside(tmp_path, counted):
+    def check(state):
+        if not 0.0 < state.lead_s < 1.0:
+            raise ValueError(f"lead {state.lead_s} s")
+
+    file = StateFile(tmp_path, Learned, check)
+    file.write(file.encode(NEWER))
+    memory = Memory(file, never_asked, count_save=counted.append, count_load=counted.append)
+    with capture_logs() as logs:
+        await memory.restore(never_taken)
+    memory.close()
+    assert counted == ["refused"]
+    assert logs[0]["reason"] == "holds nonsense: lead -0.2 s"
+    assert logs[0]["kept"] == str(tmp_path / "state.corrupt")
+
+
+@pytest.mark.parametrize("call", ["prepare", "read"])
+async def test_a_disk_that_hangs_at_the_start_is_not_waited_for(file, counted, monkeypatch, call):
+    file.write(file.encode(LEARNED))
+    disk = threading.Event()
+    monkeypatch.setattr(file, call, disk.wait)
+    memory = Memory(file, lambda: LEARNED, count_save=counted.append, count_load=counted.append, load_s=0.01)
+    with capture_logs() as logs:
+        await memory.restore(never_taken)
+    disk.set()
+    memory.close()
+    assert counted == ["refused"]
+    assert [line["event"] for line in logs] == ["saved state cannot be read: starting cold"]
+    assert "has not answered" in logs[0]["reason"]
+
+
+async def test_a_disk_that_hangs_later_is_said_once_and_saves_go_on_after_it(file, counted, monkeypatch):
+    disk, written = threading.Event(), []
+
+    def write(content):
+        disk.wait()
+        written.append(content)
+
+    monkeypatch.setattr(file, "write", write)
+    memory = Memory(file, lambda: LEARNED, count_save=counted.append, count_load=counted.append, save_s=0.01)
+    with capture_logs() as logs:
+        for _ in range(3):
+            await memory.save()
+        disk.set()
+        await memory._saving
+        await memory.save()
+    memory.close()
+    assert counted == ["failed"] * 3 + ["saved"]
+    assert len(written) == 2  # The one that hung, and the last: none has piled up.
+    assert [line["event"] for line in logs] == ["the state cannot be saved", "the state is saved again"]
