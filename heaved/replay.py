@@ -23,7 +23,7 @@ import msgspec
 
 from heaved.config import Config
 from heaved.devices.recording import Recording
-from heaved.estimation.sea_window import look
+from heaved.estimation.sea_window import SeaWindow, look
 from heaved.estimation.stages import Stages
 from heaved.pipeline import Pipeline
 from heaved.samples import HeaveState, MotionFrame, Sample
@@ -75,6 +75,8 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """Training windows by what became of them: accepted, rejected, failed."""
     fits: dict[str, int]
     """Fits of the sea likewise."""
+    failure: str = ""
+    """What the last fit that could not be made died of, if one did: a fault of the program."""
     reasons: tuple[Reason, ...] = ()
     """What frames said of their quality, the most frequent first."""
 
@@ -86,6 +88,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
             if self.quality.get(state)
         )
         fitted = ", ".join(f"{count} {result}" for result, count in sorted(self.fits.items()))
+        fitted += f" (the last one died of {printable(self.failure)})" if self.failure else ""
         trained = ", ".join(f"{count} {result}" for result, count in sorted(self.trainings.items()))
         return (
             f"{self.rows} rows, {self.duration_s:.1f} s of motion in {self.elapsed_s:.1f} s "
@@ -153,6 +156,7 @@ class _Run:
         self._quality: Counter[HeaveState] = Counter()
         self._trainings: Counter[str] = Counter()
         self._fits: Counter[str] = Counter()
+        self._failure = ""
         self._reasons: dict[str, _Given] = {}
 
     def frames(self, recording: Recording, until_s: float, progress: Progress | None) -> Iterator[MotionFrame]:
@@ -161,7 +165,7 @@ class _Run:
         while block := list(islice(samples, BLOCK_SAMPLES)):
             for frame in pipeline.run(block):
                 if (past := pipeline.fit_due()) is not None:
-                    self._fits[pipeline.accept_fit(look(past))] += 1
+                    self._fits[self._fit(past)] += 1
                 if (window := pipeline.training_due()) is not None:
                     self._trainings[pipeline.accept(self._trainer.fit(window))] += 1
                 if frame is not None:
@@ -171,6 +175,14 @@ class _Run:
                     yield frame
             if progress is not None:
                 progress(recording.read_bytes, recording.total_bytes)
+
+    def _fit(self, past: SeaWindow) -> str:
+        try:
+            fit = look(past)
+        except Exception as error:  # The daemon's fitter would die of it, too: what was learned stays in use.
+            self._failure = repr(error)
+            return "failed"
+        return self._pipeline.accept_fit(fit)
 
     def _samples(self, recording: Recording, until_s: float) -> Iterator[Sample]:
         first_s = nan
@@ -205,6 +217,7 @@ class _Run:
             quality=dict(self._quality),
             trainings=dict(self._trainings),
             fits=dict(self._fits),
+            failure=self._failure,
             reasons=tuple(
                 Reason(text=given.text, frames=given.frames, first_s=given.first_s)
                 for given in sorted(self._reasons.values(), key=lambda given: -given.frames)
