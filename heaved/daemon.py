@@ -119,6 +119,9 @@ class Daemon:
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._buses: dict[str, tuple[DeviceSpec, ...]] = {}
         self._resets_seen: Counter[tuple[str, str]] = Counter()
+        self._seen_s = self._started_s
+        """When there was a new frame last, as seen once a second."""
+        self._seen_frames = 0
         self._fed_s = -1.0
         self._fed_frames = 0
         self._publisher = self._make_publisher()
@@ -293,7 +296,9 @@ class Daemon:
 
     def _keep_gauges(self, frame: MotionFrame | None) -> None:
         now_s, metrics = self._clock(), self.metrics
-        if frame is None or not now_s - frame.t_s <= RENEWED_S:
+        if self.acquisition.frames != self._seen_frames:
+            self._seen_frames, self._seen_s = self.acquisition.frames, now_s
+        if frame is None or now_s - self._seen_s > RENEWED_S:
             metrics.record_no_frame()
             return
         metrics.record_sea(frame)

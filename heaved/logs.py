@@ -40,6 +40,8 @@ DRAIN_S: Final = 0.2
 _CHATTY = {"pymodbus": logging.CRITICAL, "aiohttp": logging.CRITICAL}
 """Libraries that log every failed poll or request: the daemon logs the transitions itself."""
 
+_stamp: Final = structlog.processors.TimeStamper(fmt="iso", utc=True)
+
 _Key = tuple[str, int, str, str]
 
 
@@ -53,7 +55,7 @@ def configure_logging(log_format: str) -> LineHandler:
         raise ValueError(f"log format {log_format!r}: choose one of {', '.join(LOG_FORMATS)}")
     shared: list[Processor] = [
         structlog.processors.add_log_level,
-        structlog.processors.TimeStamper(fmt="iso", utc=True),
+        _stamp,
     ]
     structlog.configure(
         processors=[*shared, structlog.stdlib.ProcessorFormatter.wrap_for_formatter],
@@ -183,7 +185,7 @@ def _counted(record: logging.LogRecord, count: int, period_s: float) -> logging.
     note = f"(repeated {count} times in {period_s:.0f} s)"
     if isinstance(record.msg, dict):
         told = {key: value for key, value in record.msg.items() if key != "exc_info"}
-        message: Any = told | {"event": f"{told.get('event')} {note}"}
+        message: Any = _stamp(None, "", told | {"event": f"{told.get('event')} {note}"})
     else:
         message = f"{record.getMessage().partition(chr(10))[0]} {note}"
     fields = record.__dict__ | {"msg": message, "args": (), "exc_info": None, "exc_text": None}

@@ -5,6 +5,7 @@ import contextlib
 import errno
 import itertools
 import logging
+import math
 import os
 import signal
 import socket
@@ -14,7 +15,7 @@ from contextlib import asynccontextmanager, closing
 import msgspec
 import pytest
 import structlog
-from running import HARMONIC, PATIENCE_S, SEA, SWELL, demo_config, metric, plant_of, running, stream_of, until
+from running import HARMONIC, PATIENCE_S, SEA, SWELL, demo_config, get, metric, plant_of, running, stream_of, until
 from structlog.testing import capture_logs
 
 from heaved import daemon as daemon_module
@@ -23,6 +24,7 @@ from heaved.daemon import Daemon, run
 from heaved.outputs.access import ListenError
 from heaved.pipeline import Pipeline, PipelineState
 from heaved.realtime import set_real_time
+from heaved.samples import CorrectionState, HeaveState, LaserState, MotionFrame, Quality
 from heaved.simulate.faults import FaultKind, PlannedFault
 from heaved.state import StateFile
 from heaved.training.process import Worker
@@ -113,6 +115,30 @@ async def test_unplugged_and_back(tmp_path):
                 await until(daemon, lambda record: "device back" in events(logs, "info"))
                 assert metric(daemon, 'heaved_reconnects_total{device="imu"}') == 1
     assert events(logs).count("device down") == 1
+
+
+async def test_a_pipeline_that_stops_is_seen(tmp_path):
+    """By who asks whether it is ready, and by who looks at gauges: no value stands still."""
+    late_s = [0.0]
+    now = asyncio.get_running_loop().time
+    async with running(demo_config(tmp_path, device=()), clock=lambda: now() + late_s[0]) as daemon:
+        await until(daemon, lambda record: True)
+        quality = Quality(heave=HeaveState.VALID, laser=LaserState.VALID, correction=CorrectionState.ACTIVE)
+        frame = MotionFrame(t_s=now(), quality=quality, heave_m=1.0, heave_std_m=0.1, lead_s=0.0, reference_m=1.0)
+        daemon.acquisition.last_frame = frame
+        daemon.metrics.record_frame(frame, age_s=0.0, step_s=0.0)
+        daemon._tasks.pop("heartbeat").cancel()
+        assert (await get(daemon, "/readyz"))[0] == 200
+        daemon.keep_house()
+        assert metric(daemon, "heaved_heave_meters") == 1.0
+        late_s[0] = 10.0
+        status, body = await get(daemon, "/readyz")
+        assert status == 503
+        assert "last frame is 1" in body
+        daemon.keep_house()
+        assert math.isnan(metric(daemon, "heaved_heave_meters"))
+        assert metric(daemon, 'heaved_quality{state="valid"}') == 0
+        assert metric(daemon, 'heaved_quality{state="invalid"}') == 1
 
 
 @pytest.mark.parametrize(
