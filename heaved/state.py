@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from datetime import UTC, datetime
+from functools import partial
 from math import isfinite, nan
 from pathlib import Path
 from typing import Final, Generic, TypeVar
@@ -83,10 +84,10 @@ class StateFile(Generic[T]):
     """
 
     def __init__(self, directory: Path, kind: type[T], check: Callable[[T], None] = lambda state: None) -> None:
-        """``check``: raises ValueError for a record whose numbers cannot be what anybody has saved."""
+        """``check``: raises ValueError for a record whose numbers cannot be."""
         self.path = directory / FILE_NAME
         self._kind = kind
-        self._check = check
+        self.check = check
 
     def prepare(self) -> None:
         """Make the directory if it is not there.
@@ -159,7 +160,7 @@ class StateFile(Generic[T]):
         except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError) as error:
             raise StateError(f"is damaged: {error}") from error
         try:
-            self._check(state)
+            self.check(state)
         except ValueError as error:
             raise StateError(f"holds nonsense: {error}") from error
         return Saved(state, saved_s)
@@ -283,8 +284,8 @@ class Memory(Generic[T]):
         if self._saving is not None:  # One that was begun before, and whose caller has not waited for its end.
             await asyncio.wait((self._saving,), timeout=self._save_s)
         if self._saving is None or self._saving.done():
-            content = self.file.encode(self._state(), self._realtime())
-            self._saving = asyncio.get_running_loop().run_in_executor(self._disk, self.file.write, content)
+            work = partial(self._write, self._state(), self._realtime())
+            self._saving = asyncio.get_running_loop().run_in_executor(self._disk, work)
         saving = self._saving
         await asyncio.wait((saving,), timeout=self._save_s)
         if not saving.done():
@@ -301,6 +302,11 @@ class Memory(Generic[T]):
         if self._fails:
             self._fails = False
             _log.info("the state is saved again", file=str(self.file.path))
+
+    def _write(self, state: T, saved_s: float) -> None:
+        """Replace the file, but not by what would be set aside when it is read again."""
+        self.file.check(state)
+        self.file.write(self.file.encode(state, saved_s))
 
     async def keep_saving(self, period_s: float) -> None:
         while True:

@@ -385,6 +385,23 @@ async def test_numbers_that_cannot_be_are_set_aside(tmp_path, counted):
     assert logs[0]["kept"] == str(tmp_path / "state.corrupt")
 
 
+async def test_nonsense_does_not_replace_what_is_there(tmp_path, counted):
+    def check(state):
+        if not math.isfinite(state.lead_s):
+            raise ValueError(f"lead {state.lead_s} s")
+
+    file = StateFile(tmp_path, Learned, check)
+    file.write(file.encode(LEARNED))
+    broken = msgspec.structs.replace(LEARNED, lead_s=math.nan)
+    memory = Memory(file, lambda: broken, count_save=counted.append, count_load=counted.append)
+    with capture_logs() as logs:
+        await memory.save()
+    memory.close()
+    assert counted == ["failed"]
+    assert logs[0]["reason"] == "lead nan s"
+    assert file.read().state == LEARNED
+
+
 @pytest.mark.parametrize("call", ["prepare", "read"])
 async def test_a_disk_that_hangs_at_the_start_is_not_waited_for(file, counted, monkeypatch, call):
     file.write(file.encode(LEARNED))
