@@ -56,6 +56,8 @@ FIRST_SAMPLES: Final = 21
 """The usual interval is judged by these: one with a hole among them is as good as any."""
 FEWEST_SAMPLES: Final = 3
 """A recording of fewer has no usual interval."""
+SHORTEST_STEP_S: Final = 1e-9
+"""Between two rows. What is shorter is the last digit of a double, and no time that has passed."""
 _UNITS_OF_TIME: Final = (("ms", 1e3, 250.0), ("µs", 1e6, 1e3), ("ns", 1e9, 1e3))
 """How many make a second, and the most samples a second of who would stamp them so. (Samples "2 s apart" would be 500 a
 second, were they in ms: they are slow.)"""
@@ -181,7 +183,7 @@ class Recording:
                 raise self._bad_cell(row, _line(rows))
             found.append(nan)
             t_s, ax, ay, az, roll, pitch, yaw, gx, gy, gz, laser, *staged = arrange(found)
-            if not t_s > last_s:
+            if not t_s - last_s >= SHORTEST_STEP_S:
                 raise self._bad_time(cells[there.index("t_s")], last_s, _line(rows))
             last_s = t_s
             if has_midships:

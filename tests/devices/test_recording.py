@@ -109,6 +109,7 @@ REFUSED_ROWS = {
     "cut short": ("0,9.8,1\n1,9.", 3, "", "2 cells"),
     "time repeats": ("0,9.8,1\n1,9.8,1\n1,9.8,1\n", 4, "t_s", "does not come after 1.0"),
     "time runs back": ("5,9.8,1\n\n4,9.8,1\n", 4, "t_s", "'4' does not come after 5.0"),
+    "time stands still": ("0,9.8,1\n5e-324,9.8,1\n", 3, "t_s", "'5e-324' does not come after 0.0"),
     "no time": ("0,9.8,1\n,9.8,1\n", 3, "t_s", "is blank"),
     "open quote": ('0,"9.8,1\n', 2, "", "is not CSV"),
     "no rows": ("", 0, "", "no rows"),
