@@ -6,6 +6,7 @@ import asyncio
 import errno
 import resource
 import socket
+import sys
 from collections.abc import Callable
 from typing import Final
 
@@ -18,7 +19,8 @@ _BACKLOG: Final = 100
 _PAUSE_S: Final = 1.0
 """Without a descriptor for the next connection it waits so long: it would make the loop spin."""
 _RESERVED: Final = 16
-"""Descriptors that no connection gets: for sensors that come back, worker processes, the state file."""
+"""Descriptors that no connection gets: for sensors that come back, worker processes, the state file. (A quarter of a
+small number.)"""
 _EXHAUSTED: Final = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 
 _log = structlog.get_logger(__name__)
@@ -135,4 +137,5 @@ def _listening(family: int, address: tuple[object, ...]) -> socket.socket:
 
 def _highest_descriptor() -> int:
     """A connection's descriptor is below this. The system gives the lowest that is free, so it tells how many are."""
-    return resource.getrlimit(resource.RLIMIT_NOFILE)[0] - _RESERVED
+    most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    return sys.maxsize if most == resource.RLIM_INFINITY else most - min(_RESERVED, most // 4)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import errno
 import os
+import resource
 import socket
+import sys
 from collections.abc import AsyncIterator
 
 import pytest
@@ -59,6 +61,14 @@ async def test_the_last_descriptors_are_kept_for_others(
     assert await said(address) == b"127.0.0.1"
     assert [line["reason"] for line in logs] == ["no descriptor to spare"]
     assert "ulimit -n" in logs[0]["hint"]
+
+
+@pytest.mark.parametrize(
+    ("limit", "highest"), [(32, 24), (64, 48), (1024, 1008), (resource.RLIM_INFINITY, sys.maxsize)]
+)
+def test_how_many_descriptors_there_are(monkeypatch: pytest.MonkeyPatch, limit: int, highest: int) -> None:
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: (limit, limit))
+    assert listener_module._highest_descriptor() == highest
 
 
 @pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EPROTO])
