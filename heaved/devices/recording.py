@@ -131,8 +131,8 @@ class Recording:
 
     @property
     def read_bytes(self) -> int:
-        """How much of the file has been read: for progress, in steps of the read buffer."""
-        return self._raw.tell()
+        """How much of the file has been read: for progress, in steps of the read buffer; 0 of what is no file."""
+        return self._raw.tell() if self._raw.seekable() else 0
 
     def __iter__(self) -> Iterator[Row]:
         """The rows, in order, as far as they concern the heave.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -89,6 +90,16 @@ def test_progress_is_measured_in_bytes(tmp_path: Path) -> None:
         assert recording.total_bytes == path.stat().st_size
         assert len(list(recording)) == 100
         assert recording.read_bytes == recording.total_bytes
+
+
+def test_a_pipe_is_read_as_a_file_is() -> None:
+    reading, writing = os.pipe()
+    os.write(writing, (HEADER + "0,9.8,1\n1,9.8,1\n").encode())
+    os.close(writing)
+    with Recording(Path(f"/dev/fd/{reading}")) as recording:
+        assert len(list(recording)) == 2
+        assert (recording.read_bytes, recording.total_bytes) == (0, 0)
+    os.close(reading)
 
 
 REFUSED_ROWS = {
