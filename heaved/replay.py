@@ -52,7 +52,9 @@ class Reason(msgspec.Struct, frozen=True, kw_only=True):
     """One reason that frames gave for their quality."""
 
     text: str
-    """Its first words; where later frames gave it with other numbers, ``…`` for each number."""
+    """As the first of them gave it."""
+    varies: bool = False
+    """Others gave it with other numbers."""
     frames: int
     first_s: float
     """``t_s`` of the first frame that gave it."""
@@ -100,7 +102,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     def _told_reasons(self) -> str:
         lines = [
             f"\n  {100.0 * reason.frames / self.frames:5.1f} % of the frames, first at t_s {reason.first_s:.2f}: "
-            f"{printable(reason.text)}"
+            f"{printable(reason.text)}{' (later with other numbers)' if reason.varies else ''}"
             for reason in self.reasons[:MOST_REASONS]
         ]
         more = len(self.reasons) - len(lines)
@@ -205,8 +207,7 @@ class _Run:
         if given is None:
             given = self._reasons[kind] = _Given(text, t_s)
         given.frames += 1
-        if text != given.text:
-            given.text = kind
+        given.varies |= text != given.text
 
     def summary(self, elapsed_s: float) -> Summary:
         return Summary(
@@ -219,7 +220,7 @@ class _Run:
             fits=dict(self._fits),
             failure=self._failure,
             reasons=tuple(
-                Reason(text=given.text, frames=given.frames, first_s=given.first_s)
+                Reason(text=given.text, varies=given.varies, frames=given.frames, first_s=given.first_s)
                 for given in sorted(self._reasons.values(), key=lambda given: -given.frames)
             ),
         )
@@ -231,6 +232,7 @@ class _Given(msgspec.Struct):
     text: str
     first_s: float
     frames: int = 0
+    varies: bool = False
 
 
 @lru_cache(maxsize=256)

@@ -281,9 +281,10 @@ def test_reasons_are_counted_and_dated_the_most_frequent_first() -> None:
 
 def test_reasons_that_differ_in_numbers_alone_are_one() -> None:
     told = summary([(float(k), (f"settling: {k} s of 40 s", f"{-0.5 * k} m off")) for k in range(40)])
-    assert [(reason.text, reason.frames, reason.first_s) for reason in told.reasons] == [
-        ("settling: … s of … s", 40, 0.0), ("… m off", 40, 0.0),
+    assert [(reason.text, reason.varies, reason.frames, reason.first_s) for reason in told.reasons] == [
+        ("settling: 0 s of 40 s", True, 40, 0.0), ("-0.0 m off", True, 40, 0.0),
     ]  # fmt: skip
+    assert "settling: 0 s of 40 s (later with other numbers)" in str(told)
 
 
 def test_few_reasons_are_printed_and_the_others_counted() -> None:
