@@ -55,8 +55,6 @@ HOLDS_S: Final = 5.0
 """A state counts as there again when it holds for so long."""
 BLOCK_SAMPLES: Final = 64
 """As a replay hands them over."""
-MEMORY_S: Final = 300.0
-"""Length of the run whose state is restored."""
 LARGEST_MEMORY: Final = 8 << 30
 """Of a process, bytes of its address space: what asks for more fails instead of taking the machine along."""
 STATES: Final = tuple(HeaveState)
@@ -70,6 +68,8 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
 
     at_s: float = 400.0
     duration_s: float = 700.0
+    memory_s: float = 300.0
+    """Length of the run whose state is restored."""
 
 
 class Task(msgspec.Struct, frozen=True, kw_only=True):
@@ -109,7 +109,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     """From the end of the disaster (its beginning, where it stays) until the heave is valid again; inf: never."""
     usable_after_s: float
     delayed_m: float
-    """RMS error of the delayed heave from the beginning of the disaster on."""
+    """RMS error of the delayed heave that was published from the beginning of the disaster on."""
     point_m: float
     """Largest error of the monitoring point in a valid frame."""
     sigma_m: float
@@ -150,7 +150,10 @@ def run(task: Task) -> Outcome:
     """
     disaster = DISASTERS[task.name]
     setting = Setting(
-        rate_hz=task.rate_hz, duration_s=task.plan.duration_s, laser="off" if disaster.laser == "off" else "on"
+        rate_hz=task.rate_hz,
+        duration_s=task.plan.duration_s,
+        laser="off" if disaster.laser == "off" else "on",
+        scored_from_s=0.0,
     )
     seeds = triplet(task.seed)
     honest = build(task.sea, seeds, setting).recording
@@ -224,7 +227,8 @@ def _remember(pipe: Pipeline, disaster: Disaster, task: Task) -> None:
     is_calmer = disaster.memory == "calmer sea"
     calmer = next(iter(TRAINS)) if task.sea == "S4" else "S4"
     try:
-        state = _state(calmer if is_calmer else task.sea, task.rate_hz, task.seed + 500)
+        sea = calmer if is_calmer else task.sea
+        state = _state(sea, task.rate_hz, task.seed + 500, task.plan.memory_s)
         if disaster.memory in ("zeros", "huge"):
             number = 0.0 if disaster.memory == "zeros" else 1e300
             state = msgspec.convert(_with_all(msgspec.to_builtins(state), number), PipelineState)
@@ -234,9 +238,9 @@ def _remember(pipe: Pipeline, disaster: Disaster, task: Task) -> None:
 
 
 @lru_cache
-def _state(sea: str, rate_hz: float, seed: int) -> PipelineState:
-    """Of a pipeline that has seen five minutes of a sea."""
-    setting = Setting(rate_hz=rate_hz, duration_s=MEMORY_S, scored_from_s=MEMORY_S / 2.0)
+def _state(sea: str, rate_hz: float, seed: int, duration_s: float) -> PipelineState:
+    """Of a pipeline that has seen so much of a sea."""
+    setting = Setting(rate_hz=rate_hz, duration_s=duration_s, scored_from_s=0.0)
     record = build(sea, triplet(seed), setting).recording
     pipe = pipeline(DISASTERS["clean"])
     for _ in frames(pipe, record, record.t_s):
@@ -279,8 +283,8 @@ class Published:
         """Heave and standard deviation for each of FORECASTS_S."""
         self.rock: list[tuple[float, ...]] = []
         """Roll, pitch and their standard deviations for each of ROCK_S."""
-        self.delayed: list[tuple[float, float, float, int]] = []
-        """Time of validity, heave, standard deviation, and the state of the frame that brought it."""
+        self.delayed: list[tuple[float, float, float, float, int]] = []
+        """Time and, last, state of the frame that brought it; its own time of validity, heave, standard deviation."""
         self.beyond: list[tuple[float, int]] = []
         """Time of a frame, and how many of its numbers no vessel has."""
         self.infinite: list[tuple[float, int]] = []
@@ -305,8 +309,8 @@ class Published:
         self.rock.append(_at(ROCK_S, by_horizon, 4))
         heaves = [frame.heave_m, frame.observer_m, frame.correction_m, *(f.heave_m for f in forecasts)]
         later = frame.delayed
-        if later is not None and (not self.delayed or later.t_s > self.delayed[-1][0]):
-            self.delayed.append((later.t_s, later.heave_m, later.std_m, state))
+        if later is not None and (not self.delayed or later.t_s > self.delayed[-1][1]):
+            self.delayed.append((t_s, later.t_s, later.heave_m, later.std_m, state))
             heaves.append(later.heave_m)
         angles = [frame.roll_rad, frame.pitch_rad]
         for p in predictions:
@@ -397,11 +401,11 @@ def judged(
 
     error = row.heave_m - truth.heave_m(t)
     count("heave", np.abs(error) > LIE * row.std_m)
-    ahead = np.array(published.ahead, dtype=np.float64).reshape(len(table), -1)[counted]
+    ahead = np.array(published.ahead, dtype=np.float64).reshape(len(table), 2 * len(FORECASTS_S))[counted]
     for k, horizon_s in enumerate(FORECASTS_S):
         heave_m, std_m = ahead[:, 2 * k : 2 * k + 2].T
         count("forecast", np.abs(heave_m - truth.heave_m(t + horizon_s)) > LIE * std_m)
-    turned = np.array(published.rock, dtype=np.float64).reshape(len(table), -1)[counted]
+    turned = np.array(published.rock, dtype=np.float64).reshape(len(table), 4 * len(ROCK_S))[counted]
     rock_ahead = (np.empty(0), np.empty(0))
     for k, horizon_s in enumerate(ROCK_S):
         roll, pitch, roll_std, pitch_std = turned[:, 4 * k : 4 * k + 4].T
@@ -414,10 +418,11 @@ def judged(
     count("attitude", off_rad > ATTITUDE_LIE_RAD)
     point_error = np.abs(row.point_m - truth.point_m(t))
     count("point", point_error > LIE * row.point_std_m)
-    delayed = np.array(published.delayed, dtype=np.float64).reshape(-1, 4)
+    delayed = np.array(published.delayed, dtype=np.float64).reshape(-1, 5)
     delayed = delayed[(delayed[:, 0] >= span.start_s) & (delayed[:, 0] < plan.duration_s)]
-    delayed_error = delayed[:, 1] - truth.heave_m(delayed[:, 0])
-    count("delayed", np.abs(delayed_error) > LIE * delayed[:, 2], delayed[:, 3].astype(int))
+    _, then_s, delayed_m, delayed_std_m, delayed_state = delayed.T
+    delayed_error = delayed_m - truth.heave_m(then_s)
+    count("delayed", np.abs(delayed_error) > LIE * delayed_std_m, delayed_state.astype(int))
 
     stds = np.where(valid & np.isfinite(error), np.abs(error) / row.std_m, -1.0)
     last = sampled & (t >= plan.duration_s - LAST_S)
