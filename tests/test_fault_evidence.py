@@ -22,13 +22,16 @@ from heaved.pipeline import Pipeline
 from heaved.samples import (
     CorrectionState,
     DelayedHeave,
+    Fault,
     HeaveForecast,
     HeaveState,
     ImuSample,
+    LaserSample,
     LaserState,
     MotionFrame,
     Quality,
     RockPrediction,
+    Sample,
 )
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import REGISTER_STEPS, Recording, record
@@ -327,7 +330,33 @@ def test_in_a_hole_the_pipeline_is_asked_as_the_daemon_asks_it() -> None:
     pipe = faults.pipeline(DISASTERS["gap_1"])
     found = list(faults.frames(pipe, delivered, honest.t_s))
     assert [made.t_s for made, _ in found] == honest.t_s.tolist()
-    assert [made.t_s for made, is_coasted in found if is_coasted] == np.arange(50, 60).__truediv__(10.0).tolist()
+    assert [made.t_s for made, is_coasted in found if is_coasted] == (np.arange(50, 60) / 10.0).tolist()
+
+
+class Listening:
+    """Stands in for the pipeline, and keeps what it is given."""
+
+    def __init__(self) -> None:
+        self.samples: list[Sample] = []
+
+    def run(self, samples: Sequence[Sample]) -> list[None]:
+        self.samples += samples
+        return [None] * len(samples)
+
+    def fit_due(self) -> None:
+        return None
+
+    training_due = fit_due
+
+
+def test_a_poll_that_failed_is_a_sample_that_says_so() -> None:
+    honest = record(seaway("S4", 1), 12.0, imu_rate_hz=10.0, laser="on", laser_rate_hz=5.0)
+    failing, listening = spoiled(honest, DISASTERS["polls_fail_10"], Span(5.0, 6.0), 1), Listening()
+    assert not list(faults.frames(listening, failing, honest.t_s))  # type: ignore[arg-type]
+    assert [sample.t_s for sample in listening.samples if isinstance(sample, ImuSample)] == honest.t_s.tolist()
+    failed = [sample.t_s for sample in listening.samples if sample.fault is Fault.TIMEOUT]
+    assert failed == (np.arange(50, 60) / 10.0).tolist()
+    assert sum(isinstance(sample, LaserSample) for sample in listening.samples) == 60
 
 
 def test_lines_and_tables_can_be_read(tmp_path: Path) -> None:
@@ -381,8 +410,8 @@ def test_the_report_has_the_worst_of_each_column() -> None:
     cells = [cell.strip() for cell in row.strip("|").split("|")]
     shown = dict(zip(fault_table.HEADS, cells, strict=True))
     assert (shown["worst / std"], shown["largest / σ"], shown["lies"], shown["beyond"]) == ("3.0", "4.0", "0", "0")
-    assert shown["heave, × honest"] == "2.00 (≤ 1.1)"
-    assert shown["rock, × honest"] == "1.50 (≤ 1.1)"
+    assert shown["heave, × honest"] == "1.50, 2.00 (≤ 1.1)"
+    assert shown["rock, × honest"] == "1.25, 1.50 (≤ 1.1)"
     assert shown["missed"] == "rock 1.50 > 1.1; IndexError; heave 2.00 > 1.1"
 
 

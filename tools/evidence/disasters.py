@@ -291,6 +291,16 @@ def frozen(names: tuple[str, ...]) -> Deed:
     return deed
 
 
+def wild(value: float, nth: int) -> Deed:
+    """All readings of one row in so many are this one."""
+
+    def deed(recording: Recording, span: Span, rng: np.random.Generator) -> Recording:
+        hit = span.holds(recording.t_s) & (rng.random(recording.t_s.size) < 1.0 / nth)
+        return changed(recording, {name: np.where(hit, value, getattr(recording, name)) for name in IMU})
+
+    return deed
+
+
 def creeping(name: str, per_s: float) -> Deed:
     """A straight line on top, from the beginning on."""
 
@@ -376,6 +386,17 @@ DISASTERS: Final[dict[str, Disaster]] = {
     "rows_lost_75_always": Disaster(
         what="75 % of the rows lost from the start", deed=rows_lost(0.75), from_start=True, asked=FEWER
     ),
+    "polls_fail_60": Disaster(
+        what="60 % of the polls fail for 60 s", deed=blank(IMU, 0.6), lasts_s=60.0
+    ),
+    "polls_fail_10": Disaster(
+        what="all polls fail for 10 s", deed=blank(IMU, 1.0), lasts_s=10.0, asked=Asked(within_s=20.0)
+    ),
+    "attitude_gone": Disaster(what="no angles for 60 s", deed=blank(ANGLES, 1.0), lasts_s=60.0),
+    "az_lost_30": Disaster(what="30 % of az missing for 60 s", deed=blank(("az_mps2",), 0.3), lasts_s=60.0),
+    "every_2s": Disaster(
+        what="a row every 2 s", deed=slower_rows(0.5), from_start=True, asked=HONEST
+    ),
     "to_2hz": Disaster(what="2 Hz from then on", deed=slower_rows(2.0), is_step=True, asked=FEWER),
     "bursts": Disaster(
         what="four rows within 3 us every 0.1 s", deed=in_bursts(4, 0.1), from_start=True,
@@ -408,6 +429,9 @@ DISASTERS: Final[dict[str, Disaster]] = {
     ),
     "wild_1_in_200": Disaster(
         what="one row in 200 is random", deed=in_registers(_one_in(200)), from_start=True, asked=AS_WHOLE
+    ),
+    "wild_1e308": Disaster(
+        what="one row in 200 is 1e308", deed=wild(1e308, 200), from_start=True, asked=AS_WHOLE
     ),
     "registers_ffff": Disaster(what="all registers 0xFFFF for 1 s", deed=in_registers(_all(-1)), lasts_s=1.0),
     "registers_8000": Disaster(

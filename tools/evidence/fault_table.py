@@ -13,9 +13,9 @@ from evidence.disasters import DISASTERS, HONEST_OF, Asked
 from evidence.faults import KINDS, LIE, Outcome, Task
 
 HEADS: Final = (
-    "disaster", "what happens", "lies", "beyond", "worst / std", "largest / σ", "largest angle", "valid", "degraded",
-    "valid after", "usable after", "delayed, % of σ", "last minute, % of σ", "heave, × honest", "rock, × honest",
-    "missed",
+    "disaster", "what happens", "lies", "doubted", "beyond", "worst / std", "largest / σ", "largest angle", "valid",
+    "degraded", "valid after", "usable after", "delayed, % of σ", "last minute, % of σ", "heave, × honest",
+    "rock, × honest", "missed",
 )  # fmt: skip
 
 
@@ -93,6 +93,7 @@ def _row(name: str, what: str, runs: Sequence[Outcome], outcomes: Sequence[Outco
         name,
         what,
         ", ".join(f"{count} {kind}" for kind, count in lies.items() if count) or "0",
+        str(sum(count for run in runs for count in run.off.values())),
         str(sum(run.beyond + run.infinite for run in runs)),
         _number(_worst(run.worst_stds for run in runs), 1),
         _number(_worst(run.largest_sigma for run in runs), 1),
@@ -103,8 +104,8 @@ def _row(name: str, what: str, runs: Sequence[Outcome], outcomes: Sequence[Outco
         _after(runs, lambda run: run.usable_after_s, name, lambda asked: asked.back == "usable"),
         _number(100.0 * _worst(run.delayed_m / run.sigma_m for run in runs), 1),
         _number(100.0 * _worst(run.last_heave_m / run.sigma_m for run in runs), 1),
-        _asked(_worst(found.heave for found in ratios), DISASTERS[name].asked.heave_ratio),
-        _asked(_worst(found.rock for found in ratios), DISASTERS[name].asked.rock_ratio),
+        _asked([found.heave for found in ratios], DISASTERS[name].asked.heave_ratio),
+        _asked([found.rock for found in ratios], DISASTERS[name].asked.rock_ratio),
         "; ".join(misses) or "–",
     )
     return "| " + " | ".join(cells) + " |"
@@ -121,8 +122,13 @@ def _after(
     return f"{text} (≤ {sign}{asked.within_s:g})"
 
 
-def _asked(ratio: float, most: float | None) -> str:
-    return _number(ratio, 2) + (f" (≤ {most:g})" if most is not None else "")
+def _asked(ratios: Sequence[float], most: float | None) -> str:
+    """The worst of them; the median before it where there are several."""
+    there = [ratio for ratio in ratios if ratio == ratio]
+    text = _number(_worst(there), 2)
+    if len(there) > 1:
+        text = f"{_number(float(np.median(there)), 2)}, {text}"
+    return text + (f" (≤ {most:g})" if most is not None else "")
 
 
 def _worst(values: Iterable[float]) -> float:
@@ -149,8 +155,9 @@ def _notes(outcomes: Sequence[Outcome]) -> list[str]:
     return [
         f"Worst of: seas {seas}; {rates} Hz; records {seeds}; sensor A. Disasters begin at {plan.at_s:g} s of "
         f"{plan.duration_s:g} s, or with the record. Lies: frames from then on that are `valid` with an error beyond "
-        f"{LIE:g} published standard deviations (measured angles: beyond 1°). Beyond: numbers that no vessel has, in "
-        "any state. In brackets what is asked; beside 0 lies and 0 beyond.",
+        f"{LIE:g} published standard deviations (measured angles: beyond 1°); doubted: the same in frames that are "
+        "`degraded` or `settling`. Beyond: numbers that no vessel has, in any state. Ratios: median and worst. In "
+        "brackets what is asked; beside 0 lies and 0 beyond.",
         *(["", "Ended by an exception:", "", *crashes] if crashes else []),
     ]
 

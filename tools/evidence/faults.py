@@ -16,7 +16,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import lru_cache
-from math import cos, inf, isfinite, isinf, nan, radians, sin
+from math import inf, isfinite, isinf, isnan, nan, radians
 from multiprocessing import get_context
 from typing import Any, Final, NamedTuple
 
@@ -24,14 +24,15 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
+from scipy.spatial.transform import Rotation
 
-from evidence.disasters import DISASTERS, HONEST_OF, Disaster, spoiled
+from evidence.disasters import DISASTERS, HONEST_OF, IMU, Disaster, spoiled
 from evidence.scenarios import Setting, build, triplet
 from heaved.estimation import bounds, correction, heave, reference, rock
 from heaved.estimation.points import Point
 from heaved.estimation.sea_window import look
 from heaved.pipeline import Pipeline, PipelineState
-from heaved.samples import HeaveState, ImuSample, MotionFrame, Sample
+from heaved.samples import Fault, HeaveState, ImuSample, MotionFrame, Sample
 from heaved.simulate.seaway import TRAINS
 from heaved.simulate.sensors import Recording, measure
 from heaved.simulate.vessel import Motion
@@ -192,13 +193,20 @@ def frames(pipe: Pipeline, delivered: Recording, polls_s: Array) -> Iterator[tup
             for t_s in missed.tolist():
                 yield pipe.coast(t_s), True
         last_s = sample.t_s
-        block.append(sample)
+        block.append(_polled(sample))
         if len(block) >= BLOCK_SAMPLES and isinstance(sample, ImuSample):
             for frame in _through(pipe, block):
                 yield frame, False
             block = []
     for frame in _through(pipe, block):
         yield frame, False
+
+
+def _polled(sample: Sample) -> Sample:
+    """A row without any reading of the IMU is a poll that failed, as the daemon hands it on."""
+    if isinstance(sample, ImuSample) and all(isnan(getattr(sample, name)) for name in IMU):
+        return ImuSample(t_s=sample.t_s, fault=Fault.TIMEOUT)
+    return sample
 
 
 def _through(pipe: Pipeline, block: Sequence[Sample]) -> Iterator[MotionFrame]:
@@ -361,18 +369,9 @@ class Truth:
 
     def point_m(self, t_s: Array) -> Array:
         """Heave of the monitoring point: its lever arm turned by pitch (bow up), then roll (port up), less itself."""
-        heave, roll, pitch = self.heave_m(t_s), self.roll_rad(t_s), self.pitch_rad(t_s)
-        return np.array([h + _raised_m(r, p) for h, r, p in zip(heave, roll, pitch, strict=True)])
-
-
-def _raised_m(roll_rad: float, pitch_rad: float) -> float:
-    """By how much the attitude raises the monitoring point, with the rotations as matrices."""
-    c, s = cos(roll_rad), sin(roll_rad)
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-    c, s = cos(-pitch_rad), sin(-pitch_rad)
-    about_y = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-    arm = np.array([POINT.forward_m, POINT.port_m, POINT.up_m])
-    return float((about_y @ about_x @ arm - arm)[2])
+        attitude = Rotation.from_euler("YX", np.column_stack([-self.pitch_rad(t_s), self.roll_rad(t_s)]))
+        arm = np.array([POINT.forward_m, POINT.port_m, POINT.up_m])
+        return np.asarray(self.heave_m(t_s) + (attitude.apply(arm) - arm)[:, 2], dtype=np.float64)
 
 
 def judged(
@@ -428,7 +427,7 @@ def judged(
     last = sampled & (t >= plan.duration_s - LAST_S)
     served = np.isfinite(error) & (states != INVALID)
     worst = int(np.argmax(stds)) if stds.size else -1
-    sigma_m = float(np.std(motion.heave_m))
+    sigma_m = float(np.std(motion.heave_m)) or nan  # of a still ship there is no share
     largest = [row for row in published.largest if span.start_s <= row[0] < plan.duration_s]
     over_s = disaster.over_s(plan.at_s)
     shown = states[sampled]
