@@ -39,15 +39,13 @@ from heaved.simulate.vessel import Motion
 
 Array = np.ndarray
 
-RATE_HZ = 20.0
+RATE_HZ = 10.0
 PLAN = Plan(at_s=100.0, duration_s=220.0)
 W_HEAVE, W_ROLL, W_PITCH = 0.8, 0.6, 1.1
 STD_M, STD_RAD = 0.02, radians(0.1)
 TASK = Task(name="gap_1", sea="S6", rate_hz=RATE_HZ, seed=1, plan=PLAN)
 """One second from 100 s on."""
-VALID, DEGRADED, SETTLING, INVALID = (
-    HeaveState.VALID, HeaveState.DEGRADED, HeaveState.SETTLING, HeaveState.INVALID,
-)  # fmt: skip
+VALID, DEGRADED, INVALID = HeaveState.VALID, HeaveState.DEGRADED, HeaveState.INVALID
 
 
 def heave(t: float) -> float:
@@ -130,7 +128,7 @@ def with_state(state: HeaveState) -> Callable[[MotionFrame], MotionFrame]:
 
 
 def judged(
-    *changes: Callable[[MotionFrame], MotionFrame], from_s: float = 120.0, to_s: float = 125.0, task: Task = TASK
+    *changes: Callable[[MotionFrame], MotionFrame], from_s: float = 120.0, to_s: float = 130.0, task: Task = TASK
 ) -> Outcome:
     """Frames that are right but from ``from_s`` to ``to_s``, a hundred of them, where they are changed."""
     motion, published = true_motion(), Published()
@@ -227,11 +225,10 @@ def test_a_lie_is_counted_frame_by_frame(name: str) -> None:
 @pytest.mark.parametrize("name", LIES)
 def test_it_is_no_lie_where_nothing_vouches_for_it_nor_before_the_disaster(name: str) -> None:
     kind, change = LIES[name]
-    for state in (DEGRADED, SETTLING):
-        doubted = judged(change, with_state(state))
-        assert set(doubted.lies.values()) == {0}
-        assert doubted.off[kind] == 100
-    assert set(judged(change, from_s=90.0, to_s=95.0).lies.values()) == {0}
+    doubted = judged(change, with_state(DEGRADED))
+    assert set(doubted.lies.values()) == {0}
+    assert doubted.off[kind] == 100
+    assert set(judged(change, from_s=85.0, to_s=95.0).lies.values()) == {0}
 
 
 @pytest.mark.parametrize("name", NO_LIES)
@@ -436,7 +433,7 @@ def kept_share(name: str) -> float:
 
 
 @pytest.mark.parametrize("name", DISASTERS)
-@pytest.mark.parametrize("rate_hz", [5.0, 20.0, 200.0])
+@pytest.mark.parametrize("rate_hz", [5.0, 200.0])
 def test_a_disaster_is_repeatable_leaves_the_rest_alone_and_never_turns_time_back(name: str, rate_hz: float) -> None:
     honest = honest_at(rate_hz)
     found, again = delivered(name, honest=honest), delivered(name, honest=honest)

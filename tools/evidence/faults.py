@@ -92,7 +92,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     lies: dict[str, int]
     """By kind; of all frames from the beginning of the disaster on."""
     off: dict[str, int]
-    """The same in frames that are not ``valid``: no lie, but nothing to be proud of."""
+    """The same in frames that are ``degraded`` or ``settling``: no lie, but nothing to be proud of."""
     beyond: int
     """Numbers that no vessel has, in any state."""
     infinite: int
@@ -173,7 +173,8 @@ def run(task: Task) -> Outcome:
     except Exception as error:  # Whatever it is, it would have ended the daemon or the replay: that is the finding.
         crash = _named(error)
     resets = {" ".join(key): count for key, count in pipe.resets.items()}
-    return judged(task, disaster, published, honest.truth, crash=crash, resets=resets)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is published may be anything
+        return judged(task, disaster, published, honest.truth, crash=crash, resets=resets)
 
 
 def frames(pipe: Pipeline, delivered: Recording, polls_s: Array) -> Iterator[tuple[MotionFrame, bool]]:
@@ -365,7 +366,6 @@ class Truth:
         self.heave_m = CubicHermiteSpline(t, motion.heave_m, motion.heave_velocity_mps)
         self.roll_rad = CubicHermiteSpline(t, motion.roll_rad, motion.roll_rate_radps)
         self.pitch_rad = CubicHermiteSpline(t, motion.pitch_rad, motion.pitch_rate_radps)
-        self.end_s = float(t[-1])
 
     def point_m(self, t_s: Array) -> Array:
         """Heave of the monitoring point: its lever arm turned by pitch (bow up), then roll (port up), less itself."""
@@ -449,7 +449,7 @@ def judged(
         point_m=float(np.max(point_error[valid & np.isfinite(point_error)], initial=0.0)),
         sigma_m=sigma_m,
         last_heave_m=_rms(error[last & served]),
-        last_rock_deg=float(np.degrees(max(_rms(axis[last]) for axis in rock_ahead))),
+        last_rock_deg=float(np.degrees(np.max([_rms(axis[last]) for axis in rock_ahead]))),
         last_published=float(np.mean(served[last])) if np.any(last) else 0.0,
         resets=resets or {},
         reasons=_most_given([row for row in published.reasons if row[0] >= span.start_s], max(t.size, 1)),
