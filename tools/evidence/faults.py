@@ -52,8 +52,8 @@ LIE: Final = 4.0
 ATTITUDE_LIE_RAD: Final = radians(1.0)
 """Of a measured angle, which carries no standard deviation."""
 LAST_S: Final = 60.0
-HOLDS_S: Final = 5.0
-"""A state counts as there again when it holds for so long."""
+HOLDS_S: Final = 20.0
+"""A state counts as there again when it holds for so long: what is still valid before it is found out does not."""
 BLOCK_SAMPLES: Final = 64
 """As a replay hands them over."""
 LARGEST_MEMORY: Final = 8 << 30
