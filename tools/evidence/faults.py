@@ -13,7 +13,7 @@ import re
 import resource
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import lru_cache
 from math import inf, isfinite, isinf, isnan, nan, radians
@@ -173,7 +173,7 @@ def run(task: Task) -> Outcome:
     except Exception as error:  # Whatever it is, it would have ended the daemon or the replay: that is the finding.
         crash = _named(error)
     resets = {" ".join(key): count for key, count in pipe.resets.items()}
-    with np.errstate(over="ignore", invalid="ignore"):  # what is published may be anything
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what is published may be anything
         return judged(task, disaster, published, honest.truth, crash=crash, resets=resets)
 
 
@@ -345,7 +345,7 @@ class Published:
             self.reasons.append((t_s, frame.quality.reasons))
 
 
-def _at(horizons_s: Iterable[float], found: dict[float, tuple[float, ...]], width: int) -> tuple[float, ...]:
+def _at(horizons_s: Iterable[float], found: Mapping[float, tuple[float, ...]], width: int) -> tuple[float, ...]:
     """The numbers for these horizons in a row, nan where there is none."""
     nothing = (nan,) * width
     return tuple(value for horizon in horizons_s for value in found.get(horizon, nothing))
@@ -388,9 +388,8 @@ def judged(
     span = disaster.span(plan.at_s)
     table = np.array(published.rows, dtype=np.float64).reshape(-1, len(Row._fields))
     counted = (table[:, 0] >= span.start_s) & (table[:, 0] < plan.duration_s)
-    t = table[counted, 0]
-    row = Row(*table[counted].T)  # arrays (n,), field by field
-    states, sampled = row.state.astype(int), row.is_coasted == 0.0
+    t, state, is_coasted, heave_m, std_m, roll_rad, pitch_rad, point_m, point_std_m = table[counted].T
+    states, sampled = state.astype(int), is_coasted == 0.0
     valid = states == VALID
     lies, off = dict.fromkeys(KINDS, 0), dict.fromkeys(KINDS, 0)
 
@@ -398,12 +397,12 @@ def judged(
         lies[kind] += int(np.sum(wrong & (state == VALID)))
         off[kind] += int(np.sum(wrong & (state != VALID) & (state != INVALID)))
 
-    error = row.heave_m - truth.heave_m(t)
-    count("heave", np.abs(error) > LIE * row.std_m)
+    error = heave_m - truth.heave_m(t)
+    count("heave", np.abs(error) > LIE * std_m)
     ahead = np.array(published.ahead, dtype=np.float64).reshape(len(table), 2 * len(FORECASTS_S))[counted]
     for k, horizon_s in enumerate(FORECASTS_S):
-        heave_m, std_m = ahead[:, 2 * k : 2 * k + 2].T
-        count("forecast", np.abs(heave_m - truth.heave_m(t + horizon_s)) > LIE * std_m)
+        later_m, later_std_m = ahead[:, 2 * k : 2 * k + 2].T
+        count("forecast", np.abs(later_m - truth.heave_m(t + horizon_s)) > LIE * later_std_m)
     turned = np.array(published.rock, dtype=np.float64).reshape(len(table), 4 * len(ROCK_S))[counted]
     rock_ahead = (np.empty(0), np.empty(0))
     for k, horizon_s in enumerate(ROCK_S):
@@ -413,17 +412,17 @@ def judged(
         count("rock", wrong)
         if horizon_s == AHEAD_S:
             rock_ahead = (roll_error, pitch_error)
-    off_rad = np.maximum(np.abs(row.roll_rad - truth.roll_rad(t)), np.abs(row.pitch_rad - truth.pitch_rad(t)))
+    off_rad = np.maximum(np.abs(roll_rad - truth.roll_rad(t)), np.abs(pitch_rad - truth.pitch_rad(t)))
     count("attitude", off_rad > ATTITUDE_LIE_RAD)
-    point_error = np.abs(row.point_m - truth.point_m(t))
-    count("point", point_error > LIE * row.point_std_m)
+    point_error = np.abs(point_m - truth.point_m(t))
+    count("point", point_error > LIE * point_std_m)
     delayed = np.array(published.delayed, dtype=np.float64).reshape(-1, 5)
     delayed = delayed[(delayed[:, 0] >= span.start_s) & (delayed[:, 0] < plan.duration_s)]
     _, then_s, delayed_m, delayed_std_m, delayed_state = delayed.T
     delayed_error = delayed_m - truth.heave_m(then_s)
     count("delayed", np.abs(delayed_error) > LIE * delayed_std_m, delayed_state.astype(int))
 
-    stds = np.where(valid & np.isfinite(error), np.abs(error) / row.std_m, -1.0)
+    stds = np.where(valid & np.isfinite(error), np.abs(error) / std_m, -1.0)
     last = sampled & (t >= plan.duration_s - LAST_S)
     served = np.isfinite(error) & (states != INVALID)
     worst = int(np.argmax(stds)) if stds.size else -1
