@@ -478,7 +478,8 @@ DISASTERS: Final[dict[str, Disaster]] = {
         what="a boat under the laser: 9 m less for 20 s", laser="aiding", deed=raised("laser_m", -9.0), lasts_s=20.0
     ),
     "aiding_creep": Disaster(
-        what="laser creeps 1 cm a minute", laser="aiding", deed=creeping("laser_m", 0.01 / 60.0), is_step=True
+        what="laser creeps 1 cm a minute", laser="aiding", deed=creeping("laser_m", 0.01 / 60.0), is_step=True,
+        asked=Asked(heave_ratio=None),
     ),
     "aiding_lost": Disaster(
         what="half of the laser's readings missing for 60 s", laser="aiding", deed=blank(("laser_m",), 0.5),
