@@ -31,6 +31,7 @@ from evidence.scenarios import Setting, build, triplet
 from heaved.estimation import bounds, correction, heave, reference, rock
 from heaved.estimation.points import Point
 from heaved.estimation.sea_window import look
+from heaved.outputs.wire import motion_head
 from heaved.pipeline import Pipeline, PipelineState
 from heaved.samples import Fault, HeaveState, ImuSample, MotionFrame, Sample
 from heaved.simulate.seaway import TRAINS
@@ -54,6 +55,8 @@ ATTITUDE_LIE_RAD: Final = radians(1.0)
 LAST_S: Final = 60.0
 HOLDS_S: Final = 20.0
 """A state counts as there again when it holds for so long: what is still valid before it is found out does not."""
+ENCODED_EVERY: Final = 10
+"""One frame in so many is put into the words of the stream as well, which has to be possible."""
 BLOCK_SAMPLES: Final = 64
 """As a replay hands them over."""
 LARGEST_MEMORY: Final = 8 << 30
@@ -302,6 +305,12 @@ class Published:
         self.reasons: list[tuple[float, tuple[str, ...]]] = []
 
     def take(self, frame: MotionFrame, is_coasted: bool) -> None:
+        """
+        Raises:
+            Exception: the stream could not send the frame.
+        """
+        if len(self.rows) % ENCODED_EVERY == 0:
+            motion_head(frame, seq=0, utc_s=frame.t_s)
         point = frame.points[0] if frame.points else None
         point_std_m = getattr(point, "heave_std_m", nan)
         state = STATES.index(frame.quality.heave)
@@ -332,14 +341,14 @@ class Published:
             ([p.heave_m for p in frame.points], bounds.POINT_HEAVE_M),
         )
         if beyond := sum(abs(value) > bound for values, bound in limited for value in values):
-            self.beyond.append((t_s, beyond))
+            self.beyond.append((t_s, int(beyond)))
         stds = [frame.heave_std_m, point_std_m, *(f.std_m for f in forecasts)]
         for p in predictions:
             stds += (p.roll_std_rad, p.pitch_std_rad)
         infinite = sum(isinf(value) for values, _ in limited for value in values) + sum(isinf(std) for std in stds)
         infinite += state == VALID and not isfinite(frame.heave_m + frame.heave_std_m)
         if infinite:
-            self.infinite.append((t_s, infinite))
+            self.infinite.append((t_s, int(infinite)))
         self.largest.append((t_s, _largest(heaves), _largest(angles)))
         if frame.quality.reasons:
             self.reasons.append((t_s, frame.quality.reasons))
@@ -352,7 +361,7 @@ def _at(horizons_s: Iterable[float], found: Mapping[float, tuple[float, ...]], w
 
 
 def _largest(values: Iterable[float]) -> float:
-    return max((abs(value) for value in values if value == value), default=0.0)
+    return float(max((abs(value) for value in values if value == value), default=0.0))
 
 
 # --- judged ----------------------------------------------------------------------------------------------------------
