@@ -333,11 +333,8 @@ def test_in_a_hole_the_pipeline_is_asked_as_the_daemon_asks_it() -> None:
 
 
 def test_a_frame_that_the_stream_cannot_send_is_found() -> None:
-    published = Published()
-    published.take(frame(1.0), False)
     with pytest.raises(TypeError):
-        for _ in range(10):
-            published.take(msgspec.structs.replace(frame(1.0), heave_m=np.float64(0.1)), False)
+        Published().take(msgspec.structs.replace(frame(1.0), heave_m=np.float64(0.1)), False)
 
 
 class Listening:
