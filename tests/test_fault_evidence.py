@@ -371,7 +371,7 @@ def test_lines_and_tables_can_be_read(tmp_path: Path) -> None:
     assert [(line["kind"], line["task"]["name"]) for line in lines] == [("fault", "clean"), ("fault", "roll_sign")]
     assert set(Outcome.__struct_fields__) | {"kind", "commit", "versions"} == set(lines[0])
     rows = [line for line in done.stdout.splitlines() if line.startswith("|")]
-    assert len({row.count("|") for row in rows}) == 1
+    assert {row.count("|") for row in rows} == {len(fault_table.SHORT) + 1, len(fault_table.HEADS) + 1}
     assert sum("| roll_sign |" in row for row in rows) == 2
 
 
@@ -410,9 +410,11 @@ def test_the_report_has_the_worst_of_each_column() -> None:
         outcome("gap_1", sea="S4", worst_stds=2.0, largest_sigma=4.0, last_heave_m=0.02, last_rock_deg=0.1,
                 crash="IndexError: x (y.py:1)"),
     ]  # fmt: skip
-    row = next(line for line in fault_table.report(runs).splitlines() if line.startswith("| gap_1"))
+    report = fault_table.report(runs)
+    assert "\n2 of 4 runs have all that is asked.\n" in report
+    row = next(line for line in report.splitlines() if line.startswith("| gap_1"))
     cells = [cell.strip() for cell in row.strip("|").split("|")]
-    shown = dict(zip(fault_table.HEADS, cells, strict=True))
+    shown = dict(zip(fault_table.SHORT, cells, strict=True))
     assert (shown["worst / std"], shown["largest / σ"], shown["lies"], shown["beyond"]) == ("3.0", "4.0", "0", "0")
     assert shown["heave, × honest"] == "1.50, 2.00 (≤ 1.1)"
     assert shown["rock, × honest"] == "1.25, 1.50 (≤ 1.1)"

@@ -17,6 +17,8 @@ HEADS: Final = (
     "degraded", "valid after", "usable after", "delayed, % of σ", "last minute, % of σ", "heave, × honest",
     "rock, × honest", "missed",
 )  # fmt: skip
+SHORT: Final = tuple(head for head in HEADS if head not in ("doubted", "valid", "degraded", "last minute, % of σ"))
+"""Of the table that has the worst of all runs."""
 
 
 class Ratios(msgspec.Struct, frozen=True, kw_only=True):
@@ -65,15 +67,16 @@ def missed(outcome: Outcome, ratios: Ratios | None) -> list[str]:
 
 def report(outcomes: Sequence[Outcome], detail: bool = False) -> str:
     """Markdown: a row for each disaster, the worst of its runs in each column; with ``detail`` a row for each run."""
-    lines = ["## Disasters", "", "| " + " | ".join(HEADS) + " |", "|---" * len(HEADS) + "|"]
-    names = dict.fromkeys(outcome.task.name for outcome in outcomes)
+    names = list(dict.fromkeys(outcome.task.name for outcome in outcomes))
+    lines = ["## Disasters", "", *_header(SHORT)]
     for name in names:
-        lines.append(_row(name, DISASTERS[name].what, [o for o in outcomes if o.task.name == name], outcomes))
+        runs = [outcome for outcome in outcomes if outcome.task.name == name]
+        lines.append(_row(SHORT, name, DISASTERS[name].what, runs, outcomes))
     lines += ["", *_notes(outcomes)]
     if detail:
-        lines += ["", "## Every run", "", "| " + " | ".join(HEADS) + " |", "|---" * len(HEADS) + "|"]
-        for outcome in sorted(outcomes, key=lambda one: list(names).index(one.task.name)):
-            lines.append(_row(outcome.task.name, _record(outcome.task), [outcome], outcomes))
+        lines += ["", "## Every run", "", *_header(HEADS)]
+        for outcome in sorted(outcomes, key=lambda one: names.index(one.task.name)):
+            lines.append(_row(HEADS, outcome.task.name, _record(outcome.task), [outcome], outcomes))
         lines += ["", *(line for outcome in outcomes for line in _background(outcome))]
     return "\n".join(lines)
 
@@ -82,7 +85,11 @@ def _record(task: Task) -> str:
     return f"{task.sea}, {task.rate_hz:g} Hz, record {task.seed}"
 
 
-def _row(name: str, what: str, runs: Sequence[Outcome], outcomes: Sequence[Outcome]) -> str:
+def _header(heads: Sequence[str]) -> list[str]:
+    return ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+
+
+def _row(heads: Sequence[str], name: str, what: str, runs: Sequence[Outcome], outcomes: Sequence[Outcome]) -> str:
     beside = [honest_beside(outcomes, run) for run in runs]
     ratios = [found for found in beside if found is not None]
     misses: dict[str, None] = {}
@@ -108,7 +115,8 @@ def _row(name: str, what: str, runs: Sequence[Outcome], outcomes: Sequence[Outco
         _asked([found.rock for found in ratios], DISASTERS[name].asked.rock_ratio),
         "; ".join(misses) or "–",
     )
-    return "| " + " | ".join(cells) + " |"
+    shown = dict(zip(HEADS, cells, strict=True))
+    return "| " + " | ".join(shown[head] for head in heads) + " |"
 
 
 def _after(
@@ -152,7 +160,10 @@ def _notes(outcomes: Sequence[Outcome]) -> list[str]:
     over = [sorted({getattr(task, field) for task in tasks}) for field in ("sea", "rate_hz", "seed")]
     seas, rates, seeds = (", ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in values) for values in over)
     plan = tasks[0].plan
+    met = sum(not missed(outcome, honest_beside(outcomes, outcome)) for outcome in outcomes)
     return [
+        f"{met} of {len(outcomes)} runs have all that is asked.",
+        "",
         f"Worst of: seas {seas}; {rates} Hz; records {seeds}; sensor A. Disasters begin at {plan.at_s:g} s of "
         f"{plan.duration_s:g} s, or with the record. Lies: frames from then on that are `valid` with an error beyond "
         f"{LIE:g} published standard deviations (measured angles: beyond 1°); doubted: the same in frames that are "
