@@ -16,7 +16,7 @@ PLAN = Plan(at_s=80.0, duration_s=170.0, memory_s=90.0)
 SEA, RATE_HZ, SEED = "S6", 20.0, 2
 
 DISASTERS: dict[str, float | None] = {
-    "attitude_lost_85": 20.0,
+    "attitude_lost_85": None,
     "holes_again": 95.0,
     "gap_1": 5.0,
     "rows_lost_88": None,
