@@ -7,15 +7,25 @@ no mean, so the constant is the mean of (signed reading - heave estimate) over t
 from __future__ import annotations
 
 from enum import Enum
-from math import exp, isfinite, nan, sqrt
+from math import exp, inf, isfinite, nan, sqrt
 from typing import Annotated, Final, Literal
 
 import msgspec
+
+from heaved.estimation import bounds
 
 CONSTANT_MIN_S: Final = 15.0
 """Seconds of laser before the constant counts as known: two wave periods."""
 GATE: Final = 8.0
 """Readings further off than this many RMS residuals are not of this target (spray, a passing boat)."""
+LEAP_S: Final = 1.0
+"""Between readings no further apart a leap is seen as one, however far the heave itself is off."""
+LEAP_READINGS: Final = 20
+"""Steps from reading to reading from which the usual one is known."""
+LEAP_MEMORY: Final = 0.01
+"""Weight of one of them."""
+OPENING: Final = 3.0
+"""A larger step than so many usual ones counts as that in the mean square: noise may grow, but not in a reading."""
 STEP_S: Final = 3.0
 """Outliers that go on for this long are a new constant, not outliers."""
 ERROR_TIME_S: Final = 60.0
@@ -73,6 +83,8 @@ class Reference:
         self._mean_square = 0.0
         self._t_s = nan
         self._outlier_since_s = nan
+        self._residual_m, self._leapt_m = nan, 0.0
+        self._step2, self._steps = 0.0, 0
         self.value_m = nan
         self.value_t_s = nan
 
@@ -103,10 +115,12 @@ class Reference:
         if self._seconds == 0.0:
             self._constant_m = residual
         deviation = residual - self._constant_m
-        dt = min(t_s - self._t_s, 1.0) if isfinite(self._t_s) else 0.05
+        since_s = t_s - self._t_s
+        dt = min(since_s, 1.0) if isfinite(since_s) else 0.05
         self._t_s = t_s
         floor = (4.0 * self._params.noise_std_m) ** 2
-        if self.known and deviation**2 > GATE**2 * max(self._mean_square, floor):
+        is_far = self.known and deviation**2 > GATE**2 * max(self._mean_square, floor)
+        if self._has_leapt(since_s, residual) or is_far or abs(deviation) > bounds.HEAVE_M:
             if not isfinite(self._outlier_since_s):
                 self._outlier_since_s = t_s
             if t_s - self._outlier_since_s < STEP_S:
@@ -136,6 +150,36 @@ class Reference:
             scale2 = min(max(shown2 / self._modelled2, low**2), high**2)
             self._scale2 += (1.0 - exp(-dt / FOLLOW_S)) * (scale2 - self._scale2)
         return Verdict.ACCEPTED
+
+    def _has_leapt(self, since_s: float, residual_m: float) -> bool:
+        """Whether the readings have leapt away from the target that they were on, and not come back.
+
+        From one reading to the next only the noise and the movement of the error come in, which are far smaller than
+        the error itself; what leaps add up to is where the target is now.
+        """
+        step = residual_m - self._residual_m
+        self._residual_m = residual_m
+        if not since_s <= LEAP_S:  # The first, or the first after a pause: nothing to compare with.
+            self._leapt_m = 0.0
+            return False
+        usual2 = max(self._step2, 2.0 * self._params.noise_std_m**2) + self._mean_square * since_s**2
+        limit2 = GATE**2 * usual2 if self._steps >= LEAP_READINGS else inf
+        if step * step > limit2:
+            self._leapt_m += step
+        self._steps += 1
+        weight = max(LEAP_MEMORY, 1.0 / self._steps)
+        most = OPENING**2 * usual2 if self._steps > LEAP_READINGS else inf
+        self._step2 += weight * (min(step * step, most) - self._step2)
+        if self._leapt_m**2 > limit2:
+            return True
+        self._leapt_m = 0.0
+        return False
+
+    @property
+    def reading_std_m(self) -> float:
+        """Standard deviation of one reading: as configured, or as the steps between readings show it to be."""
+        shown2 = 0.5 * self._step2 if self._steps >= LEAP_READINGS else 0.0
+        return max(self._params.noise_std_m, sqrt(shown2))
 
     def error_rms_m(self) -> float:
         """RMS of (reference - published heave) over the last minute of laser; nan before the constant is known."""

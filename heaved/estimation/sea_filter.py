@@ -38,21 +38,46 @@ SURPRISE_S: Final = 5.0
 """Memory of how far they were off."""
 EXACT_DELTA_S: Final = 1e-7
 """A shorter rest of the interval than this changes nothing."""
+AT_FIRST: Final = (10.0, 0.05, 0.05)
+"""Standard deviations of constant (m), scale and time (s) of an aiding laser: nothing, what makes a laser be taken for
+one at all, and what is left of latencies that have been given."""
+WANDERS: Final = (0.01, 1e-3, 1e-3)
+"""How they wander, per root of a minute: a centimetre of tide, or of a target that gives way; little else."""
 NUDGE_TERMS: Final = 5
 """Of the Taylor series of a longer one: at 25 ms and 0.6 Hz the next one is 1e-7."""
 
 
-class Offset:
-    """The constant of an aiding laser (mounting, tide), one more state of the filter.
+class GaugeError:
+    """What an aiding laser is off by, three more states of the filter: its reading is
+
+        constant + (1 + scale) heave + early velocity + noise.
+
+    Scale and time are what laser and accelerometer differ by. Neither can say which of them is wrong, so both stay in
+    what is published as not known (:meth:`left_open`), however well they are known here.
 
     Attributes:
-        value_m, variance_m2: what is known of it.
-        c: (n,) its covariance with the state of the sea, m times the state's units.
+        value: (3,) constant in m, scale, and early in s.
+        V: (3, 3) its covariance.
+        c: (n, 3) its covariance with the state of the sea.
     """
 
-    def __init__(self, value_m: float, variance_m2: float, n: int) -> None:
-        self.value_m, self.variance_m2 = value_m, variance_m2
-        self.c = np.zeros(n)
+    def __init__(self, value: Array, V: Array, n: int) -> None:
+        self.value, self.V = value, V
+        self.c = np.zeros((n, 3))
+
+    @classmethod
+    def at_first(cls, constant_m: float, n: int) -> GaugeError:
+        """Before anything is known but a guess of the constant."""
+        return cls(np.array([constant_m, 0.0, 0.0]), np.diag(np.square(AT_FIRST)), n)
+
+    def wander(self, elapsed_s: float) -> None:
+        """What the time since the last reading has taken of what was known."""
+        self.V = self.V + np.diag(np.square(WANDERS)) * (elapsed_s / 60.0)
+
+    def left_open(self, system: SeaSystem) -> Array:
+        """(n, n) covariance that the state has beside its own where scale and time are the accelerometer's error."""
+        turned = system.A.dot(system.stationary).dot(system.A.T)
+        return np.asarray(self.value[1] ** 2 * system.stationary + self.value[2] ** 2 * turned)
 
 
 class SeaFilter:
@@ -82,34 +107,49 @@ class SeaFilter:
         self._taylor = np.concatenate(rows)  # One product gives all terms.
         self._seen = steady.S
         self._outside = 0
-        self.offset: Offset | None = None
+        self.gauge: GaugeError | None = None
 
-    def aid(self, row: Array, laser_m: float, variance_m2: float, walk_m2: float) -> None:
-        """Take a distance to a fixed target, with the sign of heave: ``row`` x + offset + noise.
+    def innovation(self, row: Array, laser_m: float) -> tuple[float, float]:
+        """Of a reading of the laser, with the sign of heave: its difference from what is expected, and the variance of
+        that before the noise of the reading (m2).
 
-        row: (n,) heave at the laser's time from the state at ``t_s``. walk_m2: what the constant has wandered since the
-        last one. The first one only sets the constant.
+        row: (n,) heave at the laser's time from the state at ``t_s``.
         """
-        P, expected_m = self.covariance, float(row.dot(self.x))
-        if self.offset is None:
-            self.offset = Offset(laser_m - expected_m, float(row.dot(P).dot(row)) + variance_m2, len(row))
-            self.offset.c = -P.dot(row)
-            self.P = P.copy()
-            return
-        offset = self.offset
-        offset.variance_m2 += walk_m2
-        PH, cross = P.dot(row) + offset.c, float(row.dot(offset.c)) + offset.variance_m2
-        S = float(row.dot(PH)) + cross + variance_m2
-        y = laser_m - expected_m - offset.value_m
-        self.x, self.P = self.x + PH * (y / S), P - np.outer(PH, PH) / S
-        offset.value_m += cross / S * y
-        offset.c = offset.c - PH * (cross / S)
-        offset.variance_m2 -= cross * cross / S
+        assert self.gauge is not None
+        gauge = self.gauge
+        seen, on = self._seen_by(gauge, row)
+        expected_m = float(row.dot(self.x)) + float(gauge.value.dot(on))
+        variance = float(seen.dot(self.covariance.dot(seen) + 2.0 * gauge.c.dot(on))) + float(on.dot(gauge.V).dot(on))
+        return laser_m - expected_m, max(variance, 0.0)
+
+    def aid(self, row: Array, laser_m: float, noise_m2: float) -> None:
+        """Take a reading as in :meth:`innovation`, with noise of that variance."""
+        assert self.gauge is not None
+        gauge, P = self.gauge, self.covariance
+        y, variance = self.innovation(row, laser_m)
+        seen, on = self._seen_by(gauge, row)
+        S = variance + noise_m2
+        of_state, of_gauge = P.dot(seen) + gauge.c.dot(on), seen.dot(gauge.c) + gauge.V.dot(on)
+        self.x, self.P = self.x + of_state * (y / S), P - np.outer(of_state, of_state) / S
+        gauge.value = gauge.value + of_gauge * (y / S)
+        gauge.c = gauge.c - np.outer(of_state, of_gauge) / S
+        gauge.V = gauge.V - np.outer(of_gauge, of_gauge) / S
+
+    def _seen_by(self, gauge: GaugeError, row: Array) -> tuple[Array, Array]:
+        """A reading as row on the state (n,), and on constant, scale and time (3,)."""
+        moving = row.dot(self.system.A)
+        seen = (1.0 + gauge.value[1]) * row + gauge.value[2] * moving
+        return seen, np.array([1.0, float(row.dot(self.x)), float(moving.dot(self.x))])
 
     @property
     def covariance(self) -> Array:
         """(n, n) of x."""
         return self.steady_covariance if self.P is None else self.P
+
+    @property
+    def published_covariance(self) -> Array:
+        """(n, n) of x, and what laser and accelerometer differ by with it."""
+        return self.covariance if self.gauge is None else self.covariance + self.gauge.left_open(self.system)
 
     @property
     def is_steady(self) -> bool:
@@ -129,8 +169,8 @@ class SeaFilter:
             F, Q = self.system.transition(dt)
             x = F.dot(x)
             P = _symmetric(F.dot(self.covariance).dot(F.T) + Q)
-        if self.offset is not None:
-            self.offset.c = (steady.F if is_usual else F).dot(self.offset.c)
+        if self.gauge is not None:
+            self.gauge.c = (steady.F if is_usual else F).dot(self.gauge.c)
         self.t_s = t_s
         predicted_m = float(self.system.heave.dot(x))
         y = a_mps2 - float(H.dot(x))
@@ -151,11 +191,11 @@ class SeaFilter:
             self.x = x + steady.K * y
         else:
             self.x, self.P = x + PH * (y / S), P - np.outer(PH, PH) / S
-            if self.offset is not None:
-                cross = float(H.dot(self.offset.c))
-                self.offset.value_m += cross / S * y
-                self.offset.c = self.offset.c - PH * (cross / S)
-                self.offset.variance_m2 -= cross * cross / S
+            if self.gauge is not None:
+                cross = H.dot(self.gauge.c)
+                self.gauge.value = self.gauge.value + cross * (y / S)
+                self.gauge.c = self.gauge.c - np.outer(PH, cross) / S
+                self.gauge.V = self.gauge.V - np.outer(cross, cross) / S
             self._settle()
         return predicted_m, y
 
@@ -189,7 +229,7 @@ class SeaFilter:
 
     def _settle(self) -> None:
         assert self.P is not None
-        if self.offset is not None:
+        if self.gauge is not None:
             return  # The laser knows more than the steady filter will ever.
         if float(np.max(np.abs(np.diag(self.P) / self._steady_variances - 1.0))) < STEADY:
             self.P = None

@@ -168,7 +168,7 @@ class SeaHeave:
         taus = [shift + late_s - early_s for shift in shifts_s]
         if self.filter.is_steady:
             return self._outlook.between(self._steady_stds, taus)
-        return self._outlook.stds_at(self.filter.covariance, taus)
+        return self._outlook.stds_at(self.filter.published_covariance, taus)
 
     @property
     def state_std_m(self) -> float:
