@@ -44,13 +44,27 @@ SURELY: Final = 2.0
 """Standard errors that are in favour of a laser before it aids."""
 SCATTER: Final = 3.0
 """The readings may be off by that many times what is due to accelerometer and noise."""
+MOVED: Final = 2.0
+"""The target moves when the trend of the readings, from end to end, is that many times it."""
+WANDER_S: Final = 60.0
+"""The constant of the laser goes on wandering as it did for so long."""
+WANDER_EVERY_S: Final = 5.0
+DRIFT: Final = (1.0, 0.1)
+"""Innovations are averaged over so many seconds, and no fewer readings than one over the second number: noise cancels,
+a target that moves stays."""
+SURPRISE: Final = (3.0, 1.0 / 30.0)
+"""Memory of how far that average is off, likewise."""
+SURPRISED: Final = 5.0
+"""Variance of the average over what is due from which the target moves: 2.4 at most while it does not, 5 to 10 within
+two seconds of one that goes at 1 cm/s."""
 APART_S: Final = 30.0
-"""Memory of how far the aided heave is from the other, and
-seconds that it must have seen."""
+"""Memory of how far the aided heave is from the other; nothing is said of it before."""
 APART: Final = 3.0
 """RMS of that, in the standard deviations that are due, from which the laser is not on a fixed target."""
 APART_AT_ONCE: Final = 6.0
 """The same for one moment."""
+
+MOVES: Final = "its target moves"
 
 
 class Aiding:
@@ -71,9 +85,19 @@ class Aiding:
         self.unaided: SeaFilter | None = None
         self._read_s = nan
         self._refused_s = 0.0
-        self._apart, self._apart_s = 1.0, 0.0
+        self._compared_anew()
+        self._constants: deque[tuple[float, float, float]] = deque()
         self._rows: deque[tuple[float, float, float, float]] = deque()
         self._checked_s = -inf
+
+    def _compared_anew(self) -> None:
+        self._apart, self._apart_s = 1.0, 0.0
+        self._drift_m = self._surprise = 0.0
+
+    def renew(self, unaided: SeaFilter) -> None:
+        """Another model is in use, and the filters have to find each other again: that is nothing against the laser."""
+        self.unaided = unaided
+        self._compared_anew()
 
     @property
     def is_active(self) -> bool:
@@ -100,20 +124,44 @@ class Aiding:
     ) -> bool:
         f, gauge = heave.filter, heave.filter.gauge
         assert gauge is not None
-        gauge.wander(elapsed_s)
-        row, counts_s = heave.row(t_s), min(elapsed_s, SILENT_S)
+        gauge.wander(elapsed_s, self._wandered_m(t_s, gauge))
+        (row, missed_m2), counts_s = heave.row(t_s), min(elapsed_s, SILENT_S)
+        noise_m2 = noise_std_m**2 + missed_m2
         y, variance = f.innovation(row, laser_m)
-        if y * y > GATE**2 * (variance + noise_std_m**2):
+        if y * y > GATE**2 * (variance + noise_m2):
             self._refused_s += counts_s
             if self._refused_s >= STOP_S:
                 self.stop(heave, t_s, f"it is {abs(y):.3g} m off the heave")
             return False
         self._refused_s = max(self._refused_s - counts_s, 0.0)
-        f.aid(row, laser_m, noise_std_m**2)
+        f.aid(row, laser_m, noise_m2)
+        self._compare(y, variance + noise_m2, counts_s)
         if why := self._contradicts(heave, f, unaided, gauge, counts_s):
             self.stop(heave, t_s, why)
             return False
         return True
+
+    def _compare(self, y: float, S: float, counts_s: float) -> None:
+        """Hold an innovation of variance ``S`` against chance."""
+        weight, memory = (min(counts_s / memory_s, most) for memory_s, most in (DRIFT, SURPRISE))
+        if weight > 0.0:
+            self._drift_m += weight * (y - self._drift_m)
+            ratio = self._drift_m**2 / (S * weight / (2.0 - weight))
+            self._surprise += memory * (ratio - self._surprise)
+
+    def _wandered_m(self, t_s: float, gauge: GaugeError) -> float:
+        """How the constant has wandered lately, beyond what is not known of it, in m per root of a minute."""
+        past, constant_m, variance_m2 = self._constants, float(gauge.value[0]), float(gauge.V[0, 0])
+        if not past or t_s - past[-1][0] >= WANDER_EVERY_S:
+            past.append((t_s, constant_m, variance_m2))
+            while t_s - past[0][0] > WANDER_S:
+                past.popleft()
+        most_m2 = 0.0
+        for then_s, then_m, then_m2 in past:
+            if t_s - then_s >= WANDER_EVERY_S:
+                moved_m2 = (constant_m - then_m) ** 2 - variance_m2 - then_m2
+                most_m2 = max(most_m2, moved_m2 * 60.0 / (t_s - then_s))
+        return sqrt(most_m2)
 
     def _contradicts(
         self, heave: SeaHeave, f: SeaFilter, unaided: SeaFilter, gauge: GaugeError, counts_s: float
@@ -121,13 +169,14 @@ class Aiding:
         """What the aided filter has found that speaks against the laser, or nothing."""
         row = f.system.heave
         with_m2, without_m2 = _variance(row, f.covariance), _variance(row, unaided.covariance) * heave.scale**2
-        due_m2 = max(without_m2 - with_m2, 0.0) + with_m2
-        square = float(row.dot(f.x - unaided.x)) ** 2 / due_m2
+        square = float(row.dot(f.x - unaided.x)) ** 2 / max(without_m2, with_m2)
         self._apart_s = min(self._apart_s + counts_s, APART_S)
         if self._apart_s > 0.0:
             self._apart += counts_s / self._apart_s * (square - self._apart)
         if square > APART_AT_ONCE**2 or (self._apart_s >= APART_S and self._apart > APART**2):
-            return "it drifts away from the heave"
+            return MOVES
+        if self._surprise > SURPRISED:
+            return MOVES
         # The laser serves while it makes the heave surer, what it and the accelerometer differ by taken into account.
         sea_m, moves_mps = heave.sea_std_m, heave.omega_radps * heave.sea_std_m
         scale, early_s = gauge.value[1:].tolist()
@@ -145,7 +194,7 @@ class Aiding:
         rows, f = self._rows, heave.filter
         if rows and t_s - rows[-1][0] < EVERY_S - 1e-6:
             return False
-        row = heave.row(t_s)
+        row, missed_m2 = heave.row(t_s)
         rows.append((t_s, float(row.dot(f.x)), float(row.dot(f.system.A).dot(f.x)), laser_m))
         while t_s - rows[0][0] > CHECK_S[1]:
             rows.popleft()
@@ -164,8 +213,10 @@ class Aiding:
         self.unaided = SeaFilter(f.system, f.steady, f.t_s, f.x, None if f.P is None else f.P.copy())
         f.P, f.gauge = f.covariance.copy(), GaugeError.at_first(constant_m, len(f.x))
         rows.clear()
-        self._refused_s, self._apart, self._apart_s = 0.0, 1.0, 0.0
-        f.aid(row, laser_m, noise_std_m**2)
+        self._constants.clear()
+        self._refused_s = 0.0
+        self._compared_anew()
+        f.aid(row, laser_m, noise_std_m**2 + missed_m2)
         return True
 
     def _misfit(self, heave: SeaHeave, rows: Array, noise_std_m: float) -> str | None:
@@ -188,7 +239,12 @@ class Aiding:
             return lead.of_gain(shown.gain)
         if abs(shown.lead_s) > unsure / heave.omega_radps + SURELY * shown.lead_std_s:
             return lead.of_lead(shown.lead_s)
-        off_m = sqrt(1.0 - shown.coherence) * float(np.std(rows[:, 3]))
+        constants_m = rows[:, 3] - rows[:, 1]
+        since_s = rows[:, 0] - rows[0, 0]
+        moved_m = abs(float(np.polyfit(since_s, constants_m, 1)[0])) * float(since_s[-1])
+        if moved_m > MOVED * due_m:
+            return MOVES
+        off_m = float(np.std(constants_m))
         return f"it is {off_m:.2g} m off the heave" if off_m > due_m else ""
 
     def stop(self, heave: SeaHeave, t_s: float, why: str) -> None:

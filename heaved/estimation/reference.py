@@ -16,16 +16,22 @@ from heaved.estimation import bounds
 
 CONSTANT_MIN_S: Final = 15.0
 """Seconds of laser before the constant counts as known: two wave periods."""
+PROVEN_S: Final = 2.0 * CONSTANT_MIN_S
+"""The same before the readings say anything about the error of the heave."""
 GATE: Final = 8.0
 """Readings further off than this many RMS residuals are not of this target (spray, a passing boat)."""
 LEAP_S: Final = 1.0
 """Between readings no further apart a leap is seen as one, however far the heave itself is off."""
 LEAP_READINGS: Final = 20
 """Steps from reading to reading from which the usual one is known."""
-LEAP_MEMORY: Final = 0.01
-"""Weight of one of them."""
-OPENING: Final = 3.0
-"""A larger step than so many usual ones counts as that in the mean square: noise may grow, but not in a reading."""
+LEARNED: Final = 0.02
+"""By that share a step moves what is known of the usual one: five times the noise is learned in eighty readings."""
+STEP: Final = 0.6745 * sqrt(2.0)
+"""Median size of the difference of two Gaussian numbers, over their standard deviation."""
+LEAST_NOISE_M: Final = 1e-4
+"""No laser repeats better at such distances, whatever is configured."""
+MOST_NOISE_M: Final = 0.1
+"""What scatters more, and is not configured to, is no distance."""
 STEP_S: Final = 3.0
 """Outliers that go on for this long are a new constant, not outliers."""
 ERROR_TIME_S: Final = 60.0
@@ -83,8 +89,9 @@ class Reference:
         self._mean_square = 0.0
         self._t_s = nan
         self._outlier_since_s = nan
-        self._residual_m, self._leapt_m = nan, 0.0
-        self._step2, self._steps = 0.0, 0
+        self._residual_m, self._leapt_m, self._leapt_s = nan, 0.0, nan
+        self._step_m, self._steps = STEP * max(self._params.noise_std_m, LEAST_NOISE_M), 0
+        """Median of the steps from reading to reading: leaps do not move it, however many there are."""
         self.value_m = nan
         self.value_t_s = nan
 
@@ -92,6 +99,11 @@ class Reference:
     def known(self) -> bool:
         """Whether the constant has been averaged long enough for the reference to mean something."""
         return self._seconds >= CONSTANT_MIN_S
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether the readings have agreed on it for so long that they may judge the heave: a boat is gone by then."""
+        return self._seconds >= PROVEN_S
 
     @property
     def constant_m(self) -> float:
@@ -138,17 +150,20 @@ class Reference:
         self.value_m, self.value_t_s = self.signed(laser_m) - self._constant_m, t_s
         if not (isfinite(modelled_std_m) and modelled_std_m > 0.0):
             return Verdict.ACCEPTED
+        if not self.is_proven:
+            return Verdict.ACCEPTED
         # Both of the same time: after a gap both are large for a while.
         self._shown_s += dt
         memory = min(1.0, dt / min(0.5 * self._shown_s, SCALE_TIME_S))
         self._shown2 += memory * (deviation**2 - self._shown2)
         memory = memory if self._modelled2 > 0.0 else 1.0
         self._modelled2 += memory * (modelled_std_m**2 - self._modelled2)
-        if self._seconds >= 2.0 * CONSTANT_MIN_S:
-            shown2 = max(self._shown2 - self._params.noise_std_m**2, (0.25 * self._params.noise_std_m) ** 2)
-            low, high = SCALE_LIMITS
-            scale2 = min(max(shown2 / self._modelled2, low**2), high**2)
-            self._scale2 += (1.0 - exp(-dt / FOLLOW_S)) * (scale2 - self._scale2)
+        shown2 = max(self._shown2 - self._params.noise_std_m**2, (0.25 * self._params.noise_std_m) ** 2)
+        low, high = SCALE_LIMITS
+        scale2 = min(max(shown2 / self._modelled2, low**2), high**2)
+        if scale2 < 1.0:  # That the heave is better than it thinks takes as long to be seen as its error to come and go.
+            scale2 = 1.0 + min(self._shown_s / SCALE_TIME_S, 1.0) * (scale2 - 1.0)
+        self._scale2 += (1.0 - exp(-dt / FOLLOW_S)) * (scale2 - self._scale2)
         return Verdict.ACCEPTED
 
     def _has_leapt(self, since_s: float, residual_m: float) -> bool:
@@ -162,15 +177,22 @@ class Reference:
         if not since_s <= LEAP_S:  # The first, or the first after a pause: nothing to compare with.
             self._leapt_m = 0.0
             return False
-        usual2 = max(self._step2, 2.0 * self._params.noise_std_m**2) + self._mean_square * since_s**2
-        limit2 = GATE**2 * usual2 if self._steps >= LEAP_READINGS else inf
-        if step * step > limit2:
-            self._leapt_m += step
+        usual2 = 2.0 * self.reading_std_m**2 + self._mean_square * since_s**2
         self._steps += 1
-        weight = max(LEAP_MEMORY, 1.0 / self._steps)
-        most = OPENING**2 * usual2 if self._steps > LEAP_READINGS else inf
-        self._step2 += weight * (min(step * step, most) - self._step2)
-        if self._leapt_m**2 > limit2:
+        learned = max(LEARNED, 2.0 / self._steps)
+        self._step_m *= exp(learned if abs(step) > self._step_m else -learned)
+        most_m = max(self._params.noise_std_m, MOST_NOISE_M)
+        self._step_m = min(max(self._step_m, STEP * LEAST_NOISE_M), STEP * most_m)
+        if self._steps <= LEAP_READINGS:
+            return False
+        if self._leapt_m == 0.0:
+            if step * step <= GATE**2 * usual2:
+                return False
+            self._leapt_s = self._t_s - since_s
+        self._leapt_m += step
+        # While it is away, the error of the heave moves on.
+        moved2 = self._mean_square * (2.0 * (self._t_s - self._leapt_s)) ** 2
+        if self._leapt_m**2 > GATE**2 * usual2 + moved2:
             return True
         self._leapt_m = 0.0
         return False
@@ -178,8 +200,7 @@ class Reference:
     @property
     def reading_std_m(self) -> float:
         """Standard deviation of one reading: as configured, or as the steps between readings show it to be."""
-        shown2 = 0.5 * self._step2 if self._steps >= LEAP_READINGS else 0.0
-        return max(self._params.noise_std_m, sqrt(shown2))
+        return max(self._params.noise_std_m, self._step_m / STEP)
 
     def error_rms_m(self) -> float:
         """RMS of (reference - published heave) over the last minute of laser; nan before the constant is known."""

@@ -259,7 +259,7 @@ class SeaObserver:
             heave.filter.gauge = GaugeError(aided.value, aided.V, n)
             heave.filter.P = heave.filter.covariance.copy()
             unaided_P = None if P is None else P.copy()
-            self._aiding.unaided = SeaFilter(system, steady, fit.t_s, np.frombuffer(fit.x).copy(), unaided_P)
+            self._aiding.renew(SeaFilter(system, steady, fit.t_s, np.frombuffer(fit.x).copy(), unaided_P))
         self._candidates, self._looked_s = fit.candidates, fit.t_s
         self._trust.fitted(fit.whiteness, fit.waves, heave.steady_std_m, heave.sea_std_m)
         self.refreshes += 1
@@ -269,7 +269,7 @@ class SeaObserver:
         if old is not None and aided is not None:
             # The laser's knowledge of the heave itself comes over; the rest of the state it teaches again.
             said_m = float(aided.value.dot((1.0, before.heave_m, before.velocity_mps))) + before.heave_m
-            heave.filter.aid(heave.row(self.t_s), said_m, old.state_std_m**2)
+            heave.filter.aid(heave.row(self.t_s)[0], said_m, old.state_std_m**2)
             heave.moved()
         self._splice(heave, before)
         if fit.sea is not None:

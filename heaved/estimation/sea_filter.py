@@ -70,14 +70,19 @@ class GaugeError:
         """Before anything is known but a guess of the constant."""
         return cls(np.array([constant_m, 0.0, 0.0]), np.diag(np.square(AT_FIRST)), n)
 
-    def wander(self, elapsed_s: float) -> None:
-        """What the time since the last reading has taken of what was known."""
-        self.V = self.V + np.diag(np.square(WANDERS)) * (elapsed_s / 60.0)
+    def wander(self, elapsed_s: float, constant_m: float = 0.0) -> None:
+        """What the time since the last reading has taken of what was known.
+
+        constant_m: how far the constant has been seen to wander, per root of a minute.
+        """
+        walks = np.square((max(constant_m, WANDERS[0]), *WANDERS[1:]))
+        self.V = self.V + np.diag(walks) * (elapsed_s / 60.0)
 
     def left_open(self, system: SeaSystem) -> Array:
         """(n, n) covariance that the state has beside its own where scale and time are the accelerometer's error."""
+        shown = np.maximum(np.square(self.value) - np.diag(self.V), 0.0)
         turned = system.A.dot(system.stationary).dot(system.A.T)
-        return np.asarray(self.value[1] ** 2 * system.stationary + self.value[2] ** 2 * turned)
+        return np.asarray(shown[1] * system.stationary + shown[2] * turned)
 
 
 class SeaFilter:
