@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation import lead
-from heaved.estimation.sea_filter import GaugeError, SeaFilter
+from heaved.estimation.sea_filter import WANDERS, GaugeError, SeaFilter
 from heaved.estimation.sea_heave import SeaHeave
 
 Array = NDArray[np.float64]
@@ -54,9 +54,9 @@ DRIFT: Final = (1.0, 0.1)
 a target that moves stays."""
 SURPRISE: Final = (3.0, 1.0 / 30.0)
 """Memory of how far that average is off, likewise."""
-SURPRISED: Final = 5.0
-"""Variance of the average over what is due from which the target moves: 2.4 at most while it does not, 5 to 10 within
-two seconds of one that goes at 1 cm/s."""
+SURPRISED: Final = (4.0, 8.0)
+"""Variance of the average over what is due. Beyond the first the target may be moving, and the constant is left the more
+open (2.4 at most while it does not, and the model is right); beyond the second it does."""
 APART_S: Final = 30.0
 """Memory of how far the aided heave is from the other; nothing is said of it before."""
 APART: Final = 3.0
@@ -124,7 +124,8 @@ class Aiding:
     ) -> bool:
         f, gauge = heave.filter, heave.filter.gauge
         assert gauge is not None
-        gauge.wander(elapsed_s, self._wandered_m(t_s, gauge))
+        opened_m = WANDERS[0] * self._surprise**2 if self._surprise > SURPRISED[0] else 0.0
+        gauge.wander(elapsed_s, max(self._wandered_m(t_s, gauge), opened_m))
         (row, missed_m2), counts_s = heave.row(t_s), min(elapsed_s, SILENT_S)
         noise_m2 = noise_std_m**2 + missed_m2
         y, variance = f.innovation(row, laser_m)
@@ -135,7 +136,7 @@ class Aiding:
             return False
         self._refused_s = max(self._refused_s - counts_s, 0.0)
         f.aid(row, laser_m, noise_m2)
-        self._compare(y, variance + noise_m2, counts_s)
+        self._compare(y, variance * heave.scale**2 + noise_m2, counts_s)
         if why := self._contradicts(heave, f, unaided, gauge, counts_s):
             self.stop(heave, t_s, why)
             return False
@@ -175,7 +176,7 @@ class Aiding:
             self._apart += counts_s / self._apart_s * (square - self._apart)
         if square > APART_AT_ONCE**2 or (self._apart_s >= APART_S and self._apart > APART**2):
             return MOVES
-        if self._surprise > SURPRISED:
+        if self._surprise > SURPRISED[1]:
             return MOVES
         # The laser serves while it makes the heave surer, what it and the accelerometer differ by taken into account.
         sea_m, moves_mps = heave.sea_std_m, heave.omega_radps * heave.sea_std_m
@@ -242,8 +243,8 @@ class Aiding:
         constants_m = rows[:, 3] - rows[:, 1]
         since_s = rows[:, 0] - rows[0, 0]
         moved_m = abs(float(np.polyfit(since_s, constants_m, 1)[0])) * float(since_s[-1])
-        if moved_m > MOVED * due_m:
-            return MOVES
+        if self.doubt == MOVES and moved_m > MOVED * due_m:
+            return MOVES  # Still: it takes a suspicion, for the error of the heave looks like a trend on its own.
         off_m = float(np.std(constants_m))
         return f"it is {off_m:.2g} m off the heave" if off_m > due_m else ""
 

@@ -119,7 +119,8 @@ class LaserTeacher:
             self._correction.forget_rows()
             if isinstance(observer, SeaObserver) and self._is_aiding:
                 observer.stop_aiding(sample.t_s, "it is on another target")
-        if verdict is reference.Verdict.ACCEPTED and self.reference.is_proven and not self._remark:
+        is_sound = self.reference.known and self.reference.is_proven and not self._remark
+        if verdict is reference.Verdict.ACCEPTED and is_sound:
             self.delayed.give(sample.t_s, self.reference.value_m)
         if verdict is reference.Verdict.ACCEPTED and self._is_aiding:
             assert isinstance(observer, SeaObserver)

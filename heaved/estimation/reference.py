@@ -102,8 +102,9 @@ class Reference:
 
     @property
     def is_proven(self) -> bool:
-        """Whether the readings have agreed on it for so long that they may judge the heave: a boat is gone by then."""
-        return self._seconds >= PROVEN_S
+        """Whether the readings may judge the heave: after another target, when they have agreed on it for so long that
+        a boat is gone."""
+        return self.restarts == 0 or self._seconds >= PROVEN_S
 
     @property
     def constant_m(self) -> float:
@@ -158,6 +159,8 @@ class Reference:
         self._shown2 += memory * (deviation**2 - self._shown2)
         memory = memory if self._modelled2 > 0.0 else 1.0
         self._modelled2 += memory * (modelled_std_m**2 - self._modelled2)
+        if self._seconds < PROVEN_S:
+            return Verdict.ACCEPTED
         shown2 = max(self._shown2 - self._params.noise_std_m**2, (0.25 * self._params.noise_std_m) ** 2)
         low, high = SCALE_LIMITS
         scale2 = min(max(shown2 / self._modelled2, low**2), high**2)
