@@ -16,12 +16,16 @@ from heaved.estimation import bounds
 
 CONSTANT_MIN_S: Final = 15.0
 """Seconds of laser before the constant counts as known: two wave periods."""
+LEAST_S: Final = 0.05
+"""What the first reading counts for."""
 PROVEN_S: Final = 2.0 * CONSTANT_MIN_S
 """The same before the readings say anything about the error of the heave."""
 GATE: Final = 8.0
 """Readings further off than this many RMS residuals are not of this target (spray, a passing boat)."""
 LEAP_S: Final = 1.0
 """Between readings no further apart a leap is seen as one, however far the heave itself is off."""
+BACK: Final = 0.5
+"""It has come back when less than that share of a leap is left: in between, noise would bring it back now and then."""
 LEAP_READINGS: Final = 20
 """Steps from reading to reading from which the usual one is known."""
 LEARNED: Final = 0.02
@@ -89,7 +93,7 @@ class Reference:
         self._mean_square = 0.0
         self._t_s = nan
         self._outlier_since_s = nan
-        self._residual_m, self._leapt_m, self._leapt_s = nan, 0.0, nan
+        self._residual_m, self._leapt_m = nan, 0.0
         self._step_m, self._steps = STEP * max(self._params.noise_std_m, LEAST_NOISE_M), 0
         """Median of the steps from reading to reading: leaps do not move it, however many there are."""
         self.value_m = nan
@@ -136,6 +140,8 @@ class Reference:
         if self._has_leapt(since_s, residual) or is_far or abs(deviation) > bounds.HEAVE_M:
             if not isfinite(self._outlier_since_s):
                 self._outlier_since_s = t_s
+            if not self.known:  # Readings most of which are refused never add up to a constant.
+                self._seconds = max(self._seconds - dt, LEAST_S)
             if t_s - self._outlier_since_s < STEP_S:
                 return Verdict.OUTLIER
             self.forget()
@@ -188,14 +194,10 @@ class Reference:
         self._step_m = min(max(self._step_m, STEP * LEAST_NOISE_M), STEP * most_m)
         if self._steps <= LEAP_READINGS:
             return False
-        if self._leapt_m == 0.0:
-            if step * step <= GATE**2 * usual2:
-                return False
-            self._leapt_s = self._t_s - since_s
+        if self._leapt_m == 0.0 and step * step <= GATE**2 * usual2:
+            return False
         self._leapt_m += step
-        # While it is away, the error of the heave moves on.
-        moved2 = self._mean_square * (2.0 * (self._t_s - self._leapt_s)) ** 2
-        if self._leapt_m**2 > GATE**2 * usual2 + moved2:
+        if self._leapt_m**2 > (BACK * GATE) ** 2 * usual2:
             return True
         self._leapt_m = 0.0
         return False
