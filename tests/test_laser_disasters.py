@@ -106,70 +106,70 @@ def lies(frames: Frames) -> int:
 
 
 def during(seconds: float, instead: Change) -> Change:
-    return lambda t, l, rng: np.where(t < seconds, instead(t, l, rng), l)
+    return lambda t, m, rng: np.where(t < seconds, instead(t, m, rng), m)
 
 
 def leap(metres: float) -> Change:
-    return lambda t, l, rng: l + metres
+    return lambda t, m, rng: m + metres
 
 
-def opposed(t: Array, l: Array, rng: np.random.Generator) -> Array:
-    return 2.0 * LASER_DISTANCE_M - l
+def opposed(t: Array, m: Array, rng: np.random.Generator) -> Array:
+    return 2.0 * LASER_DISTANCE_M - m
 
 
 def times(ratio: float) -> Change:
-    return lambda t, l, rng: ratio * l
+    return lambda t, m, rng: ratio * m
 
 
-def silent(t: Array, l: Array, rng: np.random.Generator) -> Array:
+def silent(t: Array, m: Array, rng: np.random.Generator) -> Array:
     return np.full(len(t), np.nan)
 
 
-def boat(t: Array, l: Array, rng: np.random.Generator) -> Array:
+def boat(t: Array, m: Array, rng: np.random.Generator) -> Array:
     return 2.0 + 0.2 * np.sin(1.1 * t) + 0.01 * rng.standard_normal(len(t))
 
 
-def ship(t: Array, l: Array, rng: np.random.Generator) -> Array:
+def ship(t: Array, m: Array, rng: np.random.Generator) -> Array:
     """A target that moves with the sensor."""
     return 7.0 + 0.002 * rng.standard_normal(len(t))
 
 
-def spray(t: Array, l: Array, rng: np.random.Generator) -> Array:
-    return np.where(rng.random(len(t)) < 0.1, l + rng.standard_normal(len(t)), l)
+def spray(t: Array, m: Array, rng: np.random.Generator) -> Array:
+    return np.where(rng.random(len(t)) < 0.1, m + rng.standard_normal(len(t)), m)
 
 
-def random(t: Array, l: Array, rng: np.random.Generator) -> Array:
-    return np.where(np.isnan(l), np.nan, rng.uniform(0.0, 30.0, len(t)))
+def random(t: Array, m: Array, rng: np.random.Generator) -> Array:
+    return np.where(np.isnan(m), np.nan, rng.uniform(0.0, 30.0, len(t)))
 
 
-def noisy(t: Array, l: Array, rng: np.random.Generator) -> Array:
+def noisy(t: Array, m: Array, rng: np.random.Generator) -> Array:
     """Five times what is configured."""
-    return l + 0.01 * rng.standard_normal(len(t))
+    return m + 0.01 * rng.standard_normal(len(t))
 
 
-def short(t: Array, l: Array, rng: np.random.Generator) -> Array:
+def short(t: Array, m: Array, rng: np.random.Generator) -> Array:
     """The end of its range lies within the waves."""
-    return np.clip(l, LASER_DISTANCE_M - 0.25, LASER_DISTANCE_M + 0.25)
+    return np.clip(m, LASER_DISTANCE_M - 0.25, LASER_DISTANCE_M + 0.25)
 
 
 def creeping(mps: float) -> Change:
-    return lambda t, l, rng: l + mps * t
+    return lambda t, m, rng: m + mps * t
 
 
 def late(seconds: float) -> Change:
     rows = round(seconds * RATE_HZ)
-    return lambda t, l, rng: np.concatenate((l[:1].repeat(rows), l[:-rows]))
+    return lambda t, m, rng: np.concatenate((m[:1].repeat(rows), m[:-rows]))
 
 
 def one_in(count: int) -> Change:
-    def thinned(t: Array, l: Array, rng: np.random.Generator) -> Array:
-        return np.where(np.arange(len(t)) % count == 0, l, np.nan)
+    def thinned(t: Array, m: Array, rng: np.random.Generator) -> Array:
+        return np.where(np.arange(len(t)) % count == 0, m, np.nan)
 
     return thinned
 
 
 def then(first: Change, second: Change, after_s: float) -> Change:
-    return lambda t, l, rng: np.where(t < after_s, first(t, l, rng), second(t, l, rng))
+    return lambda t, m, rng: np.where(t < after_s, first(t, m, rng), second(t, m, rng))
 
 
 class Disaster(msgspec.Struct, frozen=True):
@@ -209,8 +209,11 @@ AIDING = [
 ]
 
 
-@pytest.mark.parametrize("name", ["S4", "S6"])
-@pytest.mark.parametrize("disaster", AIDING, ids=lambda d: d.name)
+@pytest.mark.parametrize(
+    ("disaster", "name"),
+    [(d, "S4") for d in AIDING] + [(d, "S6") for d in AIDING[1::3]],
+    ids=lambda v: v if isinstance(v, str) else v.name,
+)
 def test_an_aiding_laser_never_makes_the_heave_lie(disaster: Disaster, name: str) -> None:
     _, alone = suffered(name, "", disaster.begin_s, None)
     _, frames = suffered(name, "aiding", disaster.begin_s, disaster.change)
@@ -300,7 +303,7 @@ def test_what_happens_to_a_laser_for_a_while_is_not_learned(change: Change) -> N
     assert a.gain_learned == pytest.approx(b.gain_learned, abs=0.01)
     assert a.lead_learned_s == pytest.approx(b.lead_learned_s, abs=0.02)
     ratio = stds(frames) / stds(usual)
-    assert 0.8 < float(np.min(ratio))
+    assert float(np.min(ratio)) > 0.8
     assert float(np.max(ratio)) < 2.0
 
 

@@ -56,7 +56,7 @@ a target that moves stays."""
 SURPRISE: Final = (3.0, 1.0 / 30.0)
 """Memory of how far that average is off, likewise."""
 SURPRISED: Final = (4.0, 8.0)
-"""Variance of the average over what is due. Beyond the first the target may be moving, and the constant is left the more
+"""Variance of the average over what is due. Beyond the first the target may be moving, and the constant is left more
 open (2.4 at most while it does not, and the model is right); beyond the second it does."""
 APART_S: Final = 30.0
 """Memory of how far the aided heave is from the other; nothing is said of it before."""

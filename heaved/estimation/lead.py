@@ -69,7 +69,8 @@ ALIKE: Final = 0.1
 def of_gain(gain: float) -> str:
     """That a laser shows the heave with another scale, and what is likely."""
     unit = next((name for ratio, name in UNITS if abs(gain / ratio - 1.0) < ALIKE), "")
-    return f"it shows {gain:.3g} times the heave: {f'is it in {unit}?' if unit else 'scale?'}"
+    shown = f"{gain:.0f}" if gain > 99.5 else f"{gain:.3g}"
+    return f"it shows {shown} times the heave: {f'is it in {unit}?' if unit else 'scale?'}"
 
 
 def of_lead(lead_s: float) -> str:

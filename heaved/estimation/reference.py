@@ -7,7 +7,7 @@ no mean, so the constant is the mean of (signed reading - heave estimate) over t
 from __future__ import annotations
 
 from enum import Enum
-from math import exp, inf, isfinite, nan, sqrt
+from math import exp, isfinite, nan, sqrt
 from typing import Annotated, Final, Literal
 
 import msgspec
@@ -170,7 +170,7 @@ class Reference:
         shown2 = max(self._shown2 - self._params.noise_std_m**2, (0.25 * self._params.noise_std_m) ** 2)
         low, high = SCALE_LIMITS
         scale2 = min(max(shown2 / self._modelled2, low**2), high**2)
-        if scale2 < 1.0:  # That the heave is better than it thinks takes as long to be seen as its error to come and go.
+        if scale2 < 1.0:  # To be better than it thinks takes as long to see as its error takes to come and go.
             scale2 = 1.0 + min(self._shown_s / SCALE_TIME_S, 1.0) * (scale2 - 1.0)
         self._scale2 += (1.0 - exp(-dt / FOLLOW_S)) * (scale2 - self._scale2)
         return Verdict.ACCEPTED

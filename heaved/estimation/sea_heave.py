@@ -181,7 +181,7 @@ class SeaHeave:
         return self.filter.is_steady or self.state_std_m < CONVERGED * self.steady_std_m
 
     def row(self, t_s: float) -> tuple[Array, float]:
-        """(n,) heave at ``t_s`` from the filter's state, and the variance (m2) that is missed by it for an earlier one."""
+        """(n,) heave at ``t_s`` from the filter's state, and the variance (m2) that this misses of an earlier one."""
         tau_s = t_s - self.filter.t_s
         return self._outlook.row(tau_s), self._outlook.missed(tau_s)
 
