@@ -58,7 +58,7 @@ class LaserTeacher:
         self._compared = Ring(int(comparison.window_s * max_rate_hz), 4)
         """Time of a reading, the unshifted observer's heave and velocity then, the signed reading."""
         self._output_t_s = nan
-        self._taken_t_s = -inf
+        self._read_t_s = self._taken_t_s = -inf
         self._lead_t_s = nan
         self._remark = ""
 
@@ -104,6 +104,9 @@ class LaserTeacher:
 
     def _take(self, sample: LaserSample, observer: HarmonicObserver | SeaObserver) -> None:
         self.fault = sample.fault
+        if not sample.t_s > self._read_t_s:
+            return
+        self._read_t_s = sample.t_s
         if self._stuck(sample.t_s, sample.laser_m) and sample.fault is Fault.NONE:
             self.fault = Fault.STUCK
         row = self._outputs.interpolate(sample.t_s)
