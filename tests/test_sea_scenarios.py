@@ -150,6 +150,11 @@ def boat(s: Sample) -> Sample:
     return msgspec.structs.replace(s, laser_m=4.0 + 0.5 * sin(0.9 * s.t_s) + 0.03 * sin(37.0 * s.t_s))
 
 
+def standing(s: Sample) -> Sample:
+    """A laser that looks at a part of the ship, which shakes a little."""
+    return msgspec.structs.replace(s, laser_m=12.02 + 1e-3 * sin(1e3 * s.t_s)) if isinstance(s, LaserSample) else s
+
+
 def nothing(s: Sample) -> None:
     return None
 
@@ -194,7 +199,8 @@ DISASTERS = [
     Disaster("a list of 5 degrees", 600.0, listing, "", V, 600.0, 0.0),
     Disaster("no attitude for 30 s", 30.0, to(ImuSample, roll_rad=nan, pitch_rad=nan, yaw_rad=nan), TILT, D, 1.0),
     Disaster("three of five lost", 60.0, holed, "imu: # % of the samples missing", D, 60.0),
-    Disaster("laser frozen", 100.0, to(LaserSample, laser_m=12.02), DISAGREE, D, 100.0, 0.0, True),
+    Disaster("laser frozen", 100.0, to(LaserSample, laser_m=12.02), "laser: stuck", V, 5.0, 0.0, True),
+    Disaster("laser on the ship", 100.0, standing, DISAGREE, D, 100.0, 0.0, True),
     Disaster("laser on a boat", 20.0, boat, "laser: no fresh reference", V, 5.0, 0.0, True),
     Disaster("laser gone", 20.0, to(LaserSample, laser_m=nan), "laser: no fresh reference", V, 2.0, 0.0, True),
 ]

@@ -111,7 +111,7 @@ class HeaveChain:
     def at(self, shift_s: float) -> Heave | None:
         """What is known for ``shift_s`` after the last sample, the configured lead added; None: nothing yet."""
         observer, taught = self.observer, self.laser.lead
-        scale = self.laser.reference.std_scale
+        scale = self.laser.std_scale
         moment_s = shift_s + self._lead_s
         gain, no_less = taught.gain, scale if scale > 1.0 else 1.0
         std_m = gain * observer.error_std_m(moment_s, scale if self._lead_s == 0.0 else no_less)

@@ -74,7 +74,7 @@ class Framer:
         shift_s = t_s - chain.observer.t_s
         heave = chain.at(shift_s) if shift_s <= COAST_S else None
         roll, pitch, yaw = self._intake.attitude(t_s)
-        fresh = self._has_laser and reference.fresh(t_s)
+        fresh = self._has_laser and chain.laser.is_fresh(t_s)
         quality = self._quality(t_s, heave, fresh, doubts)
         crane_roll, crane_pitch, crane_yaw = stages.crane_attitude(roll, pitch, yaw)
         if heave is None or quality.heave is HeaveState.INVALID:
@@ -145,8 +145,9 @@ class Framer:
                 missing=intake.arrivals.missing,
                 doubts=observer.doubts + doubts,
                 notes=observer.notes,
+                remarks=chain.laser.remarks() if self._has_laser else (),
                 tilt_removed=intake.is_tilt_removed(t_s),
-                std_scale=chain.laser.reference.std_scale,
+                std_scale=chain.laser.std_scale,
                 laser_fault=chain.laser.fault,
                 laser_configured=self._has_laser,
                 laser_fresh=fresh,

@@ -7,6 +7,7 @@ from math import inf, isfinite, nan
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from heaved.estimation import lead, reference
 from heaved.estimation.correction import ResidualCorrection
@@ -15,12 +16,17 @@ from heaved.estimation.heave import HarmonicObserver
 from heaved.estimation.outlook import Motion
 from heaved.estimation.ring import Ring
 from heaved.estimation.sea import SeaObserver
+from heaved.estimation.spikes import StuckGate
 from heaved.samples import Fault, LaserSample
+
+Array = NDArray[np.float64]
 
 LATE_S: Final = 4.0
 """A reading may come this late and still be compared with the heave of its own time."""
 REFERENCE_AFTER_S: Final = 30.0
 """The observer's start is not compared with the laser before this."""
+MOVING: Final = 3.0
+"""The heave must be larger than what is not known of it by that for a laser to be told not to follow it."""
 LEARN_AFTER_S: Final = 60.0
 """Nor is a network trained on it before this: it would learn the transient."""
 
@@ -32,27 +38,43 @@ class LaserTeacher:
         reference: the laser as heave reference.
         lead: what it has shown beyond the lead of the chain's own design.
         delayed: the delayed heave with both.
-        fault: of the last reading that was looked at.
+        fault: of the last reading that was looked at; STUCK where the readings stand still.
     """
 
     def __init__(
         self, laser: reference.Params, comparison: lead.Params, correction: ResidualCorrection, max_rate_hz: float
     ) -> None:
         self._params = comparison
-        self._is_aiding, self._noise_std_m = laser.role == "aiding", laser.noise_std_m
+        self._is_aiding = laser.role == "aiding"
         self._correction = correction
         self.reference = reference.Reference(laser)
         self.lead = lead.LeadTracker(comparison)
         self.delayed = DelayedOutput(laser.noise_std_m)
         self.fault = Fault.NONE
+        self._stuck = StuckGate()
         self._waiting: deque[LaserSample] = deque(maxlen=1024)
         self._outputs = Ring(int(LATE_S * max_rate_hz), 5)
         """Time, observer output X*, published heave, and the unshifted observer's heave and velocity."""
         self._compared = Ring(int(comparison.window_s * max_rate_hz), 4)
         """Time of a reading, the unshifted observer's heave and velocity then, the signed reading."""
         self._output_t_s = nan
-        self._taken_t_s = -inf
+        self._read_t_s = self._taken_t_s = -inf
         self._lead_t_s = nan
+        self._remark = ""
+
+    @property
+    def std_scale(self) -> float:
+        """What the laser says about the observer's standard deviation; nothing where that is made from it."""
+        return 1.0 if self._is_aiding else self.reference.std_scale
+
+    def is_fresh(self, t_s: float) -> bool:
+        """Whether there is a reading young enough to be published, of a laser that shows the heave."""
+        return self.reference.fresh(t_s) and not self._remark
+
+    def remarks(self) -> tuple[str, ...]:
+        """What people should know of the laser."""
+        remark = self._remark or self.lead.remark
+        return (remark,) if remark else ()
 
     def give(self, sample: LaserSample) -> None:
         """A reading, which waits until the heave of its time is known."""
@@ -73,16 +95,24 @@ class LaserTeacher:
         """Take the readings whose heave is known by now; every refresh, compare the lead."""
         while self._waiting and not self._waiting[0].t_s > self._output_t_s:
             self._take(self._waiting.popleft(), observer)
-        if self._params.enabled and not self._is_aiding and not t_s - self._lead_t_s < self._params.refresh_s:
+        if self._is_aiding:
+            assert isinstance(observer, SeaObserver)
+            self._remark = observer.aiding_remark(t_s)
+        elif self._params.enabled and not t_s - self._lead_t_s < self._params.refresh_s:
             self._lead_t_s = t_s
             self._learn_lead(t_s, observer)
 
     def _take(self, sample: LaserSample, observer: HarmonicObserver | SeaObserver) -> None:
         self.fault = sample.fault
+        if not sample.t_s > self._read_t_s:
+            return
+        self._read_t_s = sample.t_s
+        if self._stuck(sample.t_s, sample.laser_m) and sample.fault is Fault.NONE:
+            self.fault = Fault.STUCK
         row = self._outputs.interpolate(sample.t_s)
         settled = observer.settled_s >= REFERENCE_AFTER_S and observer.refreshes > 0
         usable = settled and isfinite(row[1] + sample.laser_m) and sample.t_s > self._taken_t_s
-        if sample.fault is not Fault.NONE or not usable:
+        if self.fault is not Fault.NONE or not usable:
             return
         self._taken_t_s = sample.t_s
         _, observer_m, published_m, heave_m, velocity_mps = row.tolist()
@@ -90,15 +120,18 @@ class LaserTeacher:
         if verdict is reference.Verdict.RESTARTED:
             self._compared.clear()
             self._correction.forget_rows()
-        if verdict is reference.Verdict.ACCEPTED and self.reference.known:
+            if isinstance(observer, SeaObserver) and self._is_aiding:
+                observer.stop_aiding(sample.t_s, "it is on another target")
+        is_sound = self.reference.known and self.reference.is_proven and not self._remark
+        if verdict is reference.Verdict.ACCEPTED and is_sound:
             self.delayed.give(sample.t_s, self.reference.value_m)
         if verdict is reference.Verdict.ACCEPTED and self._is_aiding:
             assert isinstance(observer, SeaObserver)
-            observer.aid(sample.t_s, self.reference.signed(sample.laser_m), self._noise_std_m)
+            observer.aid(sample.t_s, self.reference.signed(sample.laser_m), self.reference.reading_std_m)
         elif verdict is reference.Verdict.ACCEPTED:
             signed = self.reference.signed(sample.laser_m)
             self._compared.push((sample.t_s, heave_m, velocity_mps, signed))
-            if observer.settled_s >= LEARN_AFTER_S:
+            if observer.settled_s >= LEARN_AFTER_S and not self._remark:
                 self._correction.learn(sample.t_s, signed - observer_m, self.reference.constant_m)
 
     def _learn_lead(self, t_s: float, observer: HarmonicObserver | SeaObserver) -> None:
@@ -109,5 +142,19 @@ class LaserTeacher:
         first = self.lead.updates == 0
         shown = lead.compare(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3], observer.omega_radps)
         has_true_gain = isinstance(observer, SeaObserver)
-        if self.lead.update(shown, observer.design_lead_s, has_true_gain=has_true_gain) and first:
+        is_learned = self.lead.update(shown, observer.design_lead_s, has_true_gain=has_true_gain)
+        was_doubted, self._remark = bool(self._remark), self._doubt(shown, rows[:, 1], observer)
+        if (is_learned and first) or (self._remark and not was_doubted):
             self._correction.forget_rows()
+
+    def _doubt(
+        self, shown: lead.Comparison | None, heave_m: Array, observer: HarmonicObserver | SeaObserver
+    ) -> str:
+        """Why the laser is not to be believed, for people; or nothing."""
+        if self.lead.refused:
+            return f"laser: {self.lead.refused}"
+        error_m = self.lead.gain * observer.error_std_m(0.0)
+        is_moving = float(np.std(heave_m)) > MOVING * max(self.reference.reading_std_m, error_m)
+        if shown is not None and is_moving and shown.coherence < self._params.min_coherence:
+            return "laser: it does not follow the heave"
+        return ""

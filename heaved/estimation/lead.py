@@ -10,7 +10,7 @@ The sign of m in eq. (14) is explicit here: a positive lead means that the estim
 
 from __future__ import annotations
 
-from math import atan2, exp, hypot, pi, sqrt
+from math import atan2, exp, hypot, pi, remainder, sqrt
 from typing import Annotated, Final
 
 import msgspec
@@ -49,6 +49,35 @@ GAIN_COHERENCE: Final = 0.98
 large."""
 
 
+OPPOSED: Final = "it moves against the heave: sign?"
+OPPOSED_PERIODS: Final = 0.35
+"""A laser of the wrong sign is half a period off; no sensor is a third of one late."""
+SENSORS_S: Final = 0.5
+"""A low-pass of 1 Hz makes a sensor 0.23 s late, a slow bus and its polling as much again: beyond is something else."""
+UNLIKE: Final = 2.0
+"""Gain, either way, of no sensor: for an observer whose own gain is not exactly one."""
+LEAST_GAIN_LIMIT: Final = 0.1
+"""Where no scale is to be learned, one that is off by this is still that of a sensor."""
+SURELY: Final = 2.0
+"""Standard errors by which a gain must be beyond its bound."""
+UNITS: Final = ((1000.0, "mm"), (100.0, "cm"), (39.37, "inches"), (3.281, "feet"))
+"""What lasers show distances in, per metre."""
+ALIKE: Final = 0.1
+"""A gain is that of a unit when it is as near to it."""
+
+
+def of_gain(gain: float) -> str:
+    """That a laser shows the heave with another scale, and what is likely."""
+    unit = next((name for ratio, name in UNITS if abs(gain / ratio - 1.0) < ALIKE), "")
+    shown = f"{gain:.0f}" if gain > 99.5 else f"{gain:.3g}"
+    return f"it shows {shown} times the heave: {f'is it in {unit}?' if unit else 'scale?'}"
+
+
+def of_lead(lead_s: float) -> str:
+    """That a laser shows the heave of another moment, and what is likely."""
+    return f"it is {abs(lead_s):.2g} s {'behind' if lead_s > 0.0 else 'ahead of'} the accelerometer: latency_ms?"
+
+
 class Comparison(msgspec.Struct, frozen=True):
     """How the estimate stands to the laser over one window."""
 
@@ -59,6 +88,22 @@ class Comparison(msgspec.Struct, frozen=True):
     """Laser over estimate."""
     coherence: float
     """0..1: share of the laser's variance that the shifted, scaled estimate explains."""
+    omega_radps: float = 0.0
+    """Where the phase was taken; 0: not known."""
+
+    def beyond(self, design_lead_s: float) -> float:
+        """Lead that the chain's own design does not explain, s: a phase, known but for whole turns."""
+        lead_s = self.lead_s - design_lead_s
+        return remainder(lead_s, 2.0 * pi / self.omega_radps) if self.omega_radps > 0.0 else lead_s
+
+    def is_opposed(self, design_lead_s: float = 0.0) -> bool:
+        """Whether the laser moves down where the estimate moves up."""
+        return abs(self.beyond(design_lead_s)) * self.omega_radps > 2.0 * pi * OPPOSED_PERIODS
+
+    @property
+    def gain_std(self) -> float:
+        """Standard error of the gain: it and the phase are two coordinates of one point."""
+        return self.lead_std_s * self.omega_radps * self.gain
 
 
 def compare(t_s: Array, heave_m: Array, velocity_mps: Array, laser_m: Array, omega_radps: float) -> Comparison | None:
@@ -93,11 +138,16 @@ def compare(t_s: Array, heave_m: Array, velocity_mps: Array, laser_m: Array, ome
         lead_std_s=sqrt(variance) / max(gain, 1e-9) / omega_radps,
         gain=gain,
         coherence=max(0.0, 1.0 - float(residual @ residual) / total),
+        omega_radps=omega_radps,
     )
 
 
 class LeadTracker:
-    """The slow, bounded estimate of the lead that the chain's own design does not explain (sensor, bus, latency)."""
+    """The slow, bounded estimate of the lead that the chain's own design does not explain (sensor, bus, latency).
+
+    Attributes:
+        refused: why the last comparison was not that of a laser that shows the heave, for people; else empty.
+    """
 
     def __init__(self, params: Params) -> None:
         self._params = params
@@ -106,6 +156,7 @@ class LeadTracker:
         self.updates = 0
         self._gains = 0
         self.last: Comparison | None = None
+        self.refused = ""
         self._weight = 1.0 - exp(-params.refresh_s / params.time_constant_s) if params.time_constant_s > 0.0 else 1.0
 
     def update(self, comparison: Comparison | None, design_lead_s: float, *, has_true_gain: bool = False) -> bool:
@@ -115,12 +166,13 @@ class LeadTracker:
         sensor's. (The harmonic observer has a gain of its own.)
         """
         p = self._params
-        self.last = comparison
+        self.last, self.refused = comparison, ""
         if comparison is None or comparison.coherence < p.min_coherence or comparison.lead_std_s > p.max_std_s:
             return False
-        measured = comparison.lead_s - design_lead_s
-        if abs(measured) > p.limit_s:
+        self.refused = self._misfit(comparison, design_lead_s, has_true_gain=has_true_gain)
+        if self.refused:
             return False
+        measured = comparison.beyond(design_lead_s)
         weight = max(self._weight, 1.0 / (1.0 + self.updates))
         self.learned_s += weight * (measured - self.learned_s)
         self.updates += 1
@@ -129,6 +181,24 @@ class LeadTracker:
             self.gain += max(self._weight, 1.0 / (1.0 + self._gains)) * (shown - self.gain)
             self._gains += 1
         return True
+
+    def _misfit(self, shown: Comparison, design_lead_s: float, *, has_true_gain: bool) -> str:
+        """Why a comparison is that of something else than the heave, or nothing."""
+        p = self._params
+        if shown.is_opposed(design_lead_s):
+            return OPPOSED
+        limit = 1.0 + max(p.gain_limit, LEAST_GAIN_LIMIT) if has_true_gain else UNLIKE
+        if shown.gain - SURELY * shown.gain_std > limit or shown.gain + SURELY * shown.gain_std < 1.0 / limit:
+            return of_gain(shown.gain)
+        measured = shown.beyond(design_lead_s)
+        return of_lead(measured) if abs(measured) > p.limit_s else ""
+
+    @property
+    def remark(self) -> str:
+        """For people: a lead beyond what sensors have, whether it is learned or refused."""
+        if self.refused:
+            return f"laser: {self.refused}"
+        return f"laser: {of_lead(self.learned_s)}" if abs(self.learned_s) > SENSORS_S else ""
 
     def restore(self, learned_s: float, gain: float = 1.0) -> None:
         """Start from what an earlier run has learned; the next comparison outweighs half of it."""

@@ -36,7 +36,7 @@ class Outlook:
     """Rows of one model over tau from -BACK_S to ``ahead_s``."""
 
     def __init__(self, system: SeaSystem, ahead_s: float) -> None:
-        self._A = system.A
+        self._A, self._diffusion = system.A, system.diffusion
         count = round((BACK_S + ahead_s) / STEP_S) + 1
         self._first_s = -BACK_S
         zero = round(BACK_S / STEP_S)
@@ -81,6 +81,14 @@ class Outlook:
             term = term @ self._A * (rest_s / k)
             total = total + term
         return total
+
+    def missed(self, tau_s: float) -> float:
+        """Variance (m2) that :meth:`row` misses for a moment ``tau_s`` < 0: what the waves have added since."""
+        if tau_s >= 0.0:
+            return 0.0
+        zero = round(BACK_S / STEP_S)
+        first = max(zero + round(tau_s / STEP_S), 0)
+        return STEP_S * float(np.sum(self._rows[first:zero] ** 2 @ self._diffusion))
 
     def series(self, x: Array) -> Array:
         """(n, ORDER): the state ``x`` (n,) and its derivatives over factorials, for :meth:`along`."""

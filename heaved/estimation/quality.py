@@ -55,6 +55,8 @@ class Facts(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     """What the observer itself holds against its output."""
     notes: tuple[str, ...]
     """What people should know, and no reason to trust it less."""
+    remarks: tuple[str, ...]
+    """What people should know of the laser: the heave does without it."""
     tilt_removed: bool
     std_scale: float
     laser_fault: Fault
@@ -70,6 +72,7 @@ def judge(facts: Facts) -> tuple[HeaveState, tuple[str, ...]]:
     if f.laser_configured and not f.laser_fresh:
         what = f.laser_fault.value if f.laser_fault is not Fault.NONE else "no fresh reference"
         reasons.append(f"laser: {what}")
+    reasons += f.remarks
     if not isfinite(f.since_sample_s) or f.since_sample_s > COAST_S:
         what = f.imu_fault.value if f.imu_fault is not Fault.NONE else "no samples"
         return HeaveState.INVALID, (f"imu: {what}", *reasons)

@@ -12,10 +12,30 @@ from typing import Annotated, Final, Literal
 
 import msgspec
 
+from heaved.estimation import bounds
+
 CONSTANT_MIN_S: Final = 15.0
 """Seconds of laser before the constant counts as known: two wave periods."""
+LEAST_S: Final = 0.05
+"""What the first reading counts for."""
+PROVEN_S: Final = 2.0 * CONSTANT_MIN_S
+"""The same before the readings say anything about the error of the heave."""
 GATE: Final = 8.0
 """Readings further off than this many RMS residuals are not of this target (spray, a passing boat)."""
+LEAP_S: Final = 1.0
+"""Between readings no further apart a leap is seen as one, however far the heave itself is off."""
+BACK: Final = 0.5
+"""It has come back when less than that share of a leap is left: in between, noise would bring it back now and then."""
+LEAP_READINGS: Final = 20
+"""Steps from reading to reading from which the usual one is known."""
+LEARNED: Final = 0.02
+"""By that share a step moves what is known of the usual one: five times the noise is learned in eighty readings."""
+STEP: Final = 0.6745 * sqrt(2.0)
+"""Median size of the difference of two Gaussian numbers, over their standard deviation."""
+LEAST_NOISE_M: Final = 1e-4
+"""No laser repeats better at such distances, whatever is configured."""
+MOST_NOISE_M: Final = 0.1
+"""What scatters more, and is not configured to, is no distance."""
 STEP_S: Final = 3.0
 """Outliers that go on for this long are a new constant, not outliers."""
 ERROR_TIME_S: Final = 60.0
@@ -73,6 +93,9 @@ class Reference:
         self._mean_square = 0.0
         self._t_s = nan
         self._outlier_since_s = nan
+        self._residual_m, self._leapt_m = nan, 0.0
+        self._step_m, self._steps = STEP * max(self._params.noise_std_m, LEAST_NOISE_M), 0
+        """Median of the steps from reading to reading: leaps do not move it, however many there are."""
         self.value_m = nan
         self.value_t_s = nan
 
@@ -80,6 +103,12 @@ class Reference:
     def known(self) -> bool:
         """Whether the constant has been averaged long enough for the reference to mean something."""
         return self._seconds >= CONSTANT_MIN_S
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether the readings may judge the heave: after another target, when they have agreed on it for so long that
+        a boat is gone."""
+        return self.restarts == 0 or self._seconds >= PROVEN_S
 
     @property
     def constant_m(self) -> float:
@@ -103,12 +132,16 @@ class Reference:
         if self._seconds == 0.0:
             self._constant_m = residual
         deviation = residual - self._constant_m
-        dt = min(t_s - self._t_s, 1.0) if isfinite(self._t_s) else 0.05
+        since_s = t_s - self._t_s
+        dt = min(since_s, 1.0) if isfinite(since_s) else 0.05
         self._t_s = t_s
         floor = (4.0 * self._params.noise_std_m) ** 2
-        if self.known and deviation**2 > GATE**2 * max(self._mean_square, floor):
+        is_far = self.known and deviation**2 > GATE**2 * max(self._mean_square, floor)
+        if self._has_leapt(since_s, residual) or is_far or abs(deviation) > bounds.HEAVE_M:
             if not isfinite(self._outlier_since_s):
                 self._outlier_since_s = t_s
+            if not self.known:  # Readings most of which are refused never add up to a constant.
+                self._seconds = max(self._seconds - dt, LEAST_S)
             if t_s - self._outlier_since_s < STEP_S:
                 return Verdict.OUTLIER
             self.forget()
@@ -124,18 +157,55 @@ class Reference:
         self.value_m, self.value_t_s = self.signed(laser_m) - self._constant_m, t_s
         if not (isfinite(modelled_std_m) and modelled_std_m > 0.0):
             return Verdict.ACCEPTED
+        if not self.is_proven:
+            return Verdict.ACCEPTED
         # Both of the same time: after a gap both are large for a while.
         self._shown_s += dt
         memory = min(1.0, dt / min(0.5 * self._shown_s, SCALE_TIME_S))
         self._shown2 += memory * (deviation**2 - self._shown2)
         memory = memory if self._modelled2 > 0.0 else 1.0
         self._modelled2 += memory * (modelled_std_m**2 - self._modelled2)
-        if self._seconds >= 2.0 * CONSTANT_MIN_S:
-            shown2 = max(self._shown2 - self._params.noise_std_m**2, (0.25 * self._params.noise_std_m) ** 2)
-            low, high = SCALE_LIMITS
-            scale2 = min(max(shown2 / self._modelled2, low**2), high**2)
-            self._scale2 += (1.0 - exp(-dt / FOLLOW_S)) * (scale2 - self._scale2)
+        if self._seconds < PROVEN_S:
+            return Verdict.ACCEPTED
+        shown2 = max(self._shown2 - self._params.noise_std_m**2, (0.25 * self._params.noise_std_m) ** 2)
+        low, high = SCALE_LIMITS
+        scale2 = min(max(shown2 / self._modelled2, low**2), high**2)
+        if scale2 < 1.0:  # To be better than it thinks takes as long to see as its error takes to come and go.
+            scale2 = 1.0 + min(self._shown_s / SCALE_TIME_S, 1.0) * (scale2 - 1.0)
+        self._scale2 += (1.0 - exp(-dt / FOLLOW_S)) * (scale2 - self._scale2)
         return Verdict.ACCEPTED
+
+    def _has_leapt(self, since_s: float, residual_m: float) -> bool:
+        """Whether the readings have leapt away from the target that they were on, and not come back.
+
+        From one reading to the next only the noise and the movement of the error come in, which are far smaller than
+        the error itself; what leaps add up to is where the target is now.
+        """
+        step = residual_m - self._residual_m
+        self._residual_m = residual_m
+        if not since_s <= LEAP_S:  # The first, or the first after a pause: nothing to compare with.
+            self._leapt_m = 0.0
+            return False
+        usual2 = 2.0 * self.reading_std_m**2 + self._mean_square * since_s**2
+        self._steps += 1
+        learned = max(LEARNED, 2.0 / self._steps)
+        self._step_m *= exp(learned if abs(step) > self._step_m else -learned)
+        most_m = max(self._params.noise_std_m, MOST_NOISE_M)
+        self._step_m = min(max(self._step_m, STEP * LEAST_NOISE_M), STEP * most_m)
+        if self._steps <= LEAP_READINGS:
+            return False
+        if self._leapt_m == 0.0 and step * step <= GATE**2 * usual2:
+            return False
+        self._leapt_m += step
+        if self._leapt_m**2 > (BACK * GATE) ** 2 * usual2:
+            return True
+        self._leapt_m = 0.0
+        return False
+
+    @property
+    def reading_std_m(self) -> float:
+        """Standard deviation of one reading: as configured, or as the steps between readings show it to be."""
+        return max(self._params.noise_std_m, self._step_m / STEP)
 
     def error_rms_m(self) -> float:
         """RMS of (reference - published heave) over the last minute of laser; nan before the constant is known."""

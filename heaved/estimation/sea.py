@@ -21,9 +21,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.estimation.aiding import Aiding
 from heaved.estimation.beat import BEAT_MIN_S, BEAT_S, Beat
 from heaved.estimation.outlook import Motion
-from heaved.estimation.sea_filter import Offset, SeaFilter
+from heaved.estimation.sea_filter import GaugeError, SeaFilter
 from heaved.estimation.sea_guard import Guard
 from heaved.estimation.sea_heave import SeaHeave
 from heaved.estimation.sea_model import SeaModel, SeaSystem, Steady, heave_std
@@ -41,10 +42,6 @@ OVERCONFIDENCE: Final = 1.12
 """Published over modelled standard deviation: the fitted spectrum is an estimate too (see tools/accuracy.py heave)."""
 CUT_S: Final = 0.2
 """Where what is measured changes, a few beats are of both kinds."""
-AIDING_LATE_S: Final = 1.0
-"""An aiding laser that comes later than this is not worth the process noise that it would miss."""
-AIDING_WALK_M2PS: Final = (0.01**2) / 60.0
-"""How the constant of a laser wanders: a centimetre in a minute (tide, a target that gives way)."""
 UNKNOWN: Final = Motion(nan, nan)
 
 
@@ -75,6 +72,7 @@ class SeaObserver:
     Attributes:
         t_s: time of the last sample.
         resets: by reason.
+        steps: of the accelerometer's level that were found; the past stays.
         sea: the newest sea state, or None.
         delayed: the newest delayed heave, or None.
     """
@@ -88,9 +86,10 @@ class SeaObserver:
         self._horizons_s, self._lead_s = horizons_s, lead_s
         self._record = SeaRecord(max(params.windows_s), params.first_fit_s, params.refresh_s)
         self.resets: Counter[str] = Counter()
+        self.steps = 0
         self._heave: SeaHeave | None = None
-        self._unaided: SeaFilter | None = None
-        """The same without the laser, when that is aiding: the smoother's weights are those without it."""
+        self._aiding = Aiding()
+        """Holds the same without the laser, when that is aiding: the smoother's weights are those without it."""
         self._candidates: tuple[Candidate, ...] = ()
         self._beat = Beat()
         self._start_over()
@@ -111,7 +110,8 @@ class SeaObserver:
         self._ripening: deque[DelayedHeave] = deque()
         """Delayed heave of a past with holes, not yet as old as it shall be."""
         self._guard = Guard()
-        self._aided_s, self._unaided = nan, None
+        self._unaided_guard = Guard()
+        self._aiding.forget()
         if self._heave is not None:
             kept = self._heave.filter
             self._install(kept.system, kept.steady, nan, np.zeros(len(kept.x)), kept.system.stationary.copy())
@@ -147,12 +147,12 @@ class SeaObserver:
         predicted_m, innovation = self._guard.step(f, t_s, a_mps2)
         if self._guard.step_s is not None:
             self._record.cut(*self._guard.step_s)
-            self.resets["step of the level"] += 1
+            self.steps += 1
         if f.rejected == rejected and not self._guard.is_burst:
             # What the gate has kept out is missing for the fits too: half a second of it would spoil minutes.
             self._record.push(t_s, a_mps2)
-        if self._unaided is not None:
-            predicted_m, innovation = self._unaided.step(t_s, a_mps2)
+        if self._aiding.unaided is not None:
+            predicted_m, innovation = self._unaided_guard.step(self._aiding.unaided, t_s, a_mps2)
         if not f.is_sound():
             self._heave = None
             self._reset("not finite")
@@ -186,18 +186,34 @@ class SeaObserver:
             self._trust.divergence.check(delayed)
 
     def aid(self, t_s: float, laser_m: float, std_m: float) -> None:
-        """Take a laser as a measurement of the heave at ``t_s``, its sign applied; its constant is estimated too."""
+        """Take a laser as a measurement of the heave at ``t_s``, its sign applied; what it is off by is found too."""
         if self._heave is None or not isfinite(self._heave.filter.t_s) or not self.is_settled:
             return
-        f = self._heave.filter
-        if abs(t_s - f.t_s) > AIDING_LATE_S:
-            return
-        elapsed = min(t_s - self._aided_s, 60.0) if isfinite(self._aided_s) else 0.0
-        self._aided_s = t_s
-        if self._unaided is None:
-            self._unaided = SeaFilter(f.system, f.steady, f.t_s, f.x, None if f.P is None else f.P.copy())
-        f.aid(self._heave.row(t_s), laser_m, std_m**2, AIDING_WALK_M2PS * max(elapsed, 0.0))
-        self._moved(self._heave)
+        before, was_active = self.at(0.0), self._aiding.is_active
+        if self._aiding.take(self._heave, t_s, laser_m, std_m) or self._aiding.is_active != was_active:
+            self._moved(self._heave)
+        if self._aiding.is_active != was_active:
+            self._splice(self._heave, before)
+
+    def stop_aiding(self, t_s: float, why: str) -> None:
+        """The readings are of another target from ``t_s`` on."""
+        if self._heave is not None:
+            before = self.at(0.0)
+            self._aiding.stop(self._heave, t_s, why)
+            self._moved(self._heave)
+            self._splice(self._heave, before)
+
+    def aiding_remark(self, t_s: float) -> str:
+        """Why a laser does not aid, for people; or nothing."""
+        return self._aiding.remark(t_s)
+
+    def _splice(self, heave: SeaHeave, before: Motion) -> None:
+        """Go over from what was said ``before`` without a jump."""
+        if isfinite(before.heave_m):
+            after = self.at(0.0)
+            dh, dv = before.heave_m - after.heave_m, before.velocity_mps - after.velocity_mps
+            left_m, left_mps = heave.splice.at(self.t_s)
+            heave.splice = Splice(dh + left_m, dv + left_mps, self.t_s)
 
     def _moved(self, heave: SeaHeave) -> None:
         """The state has changed: what follows from it."""
@@ -254,16 +270,17 @@ class SeaObserver:
         n = len(system.H)
         steady = system.steady_of(fit.dt_s, np.frombuffer(fit.steady_P).reshape(n, n))
         old, before = self._heave, self.at(0.0)
-        aided = None if old is None else old.filter.offset
+        aided = None if old is None else old.filter.gauge
         P = np.frombuffer(fit.P).reshape(n, n).copy() if fit.P else None
         heave = self._install(system, steady, fit.t_s, np.frombuffer(fit.x).copy(), P)
         if aided is not None:
             # What the laser taught is in the old model's state; its constant stays, and brings the new state back.
-            heave.filter.offset = Offset(aided.value_m, aided.variance_m2, n)
+            heave.filter.gauge = GaugeError(aided.value, aided.V, n)
             heave.filter.P = heave.filter.covariance.copy()
             unaided_P = None if P is None else P.copy()
-            self._unaided = SeaFilter(system, steady, fit.t_s, np.frombuffer(fit.x).copy(), unaided_P)
+            self._aiding.renew(SeaFilter(system, steady, fit.t_s, np.frombuffer(fit.x).copy(), unaided_P))
         self._guard.restart()
+        self._unaided_guard.restart()
         self._candidates, self._looked_s = fit.candidates, fit.t_s
         self._trust.fitted(fit.whiteness, fit.waves, heave.steady_std_m, heave.sea_std_m)
         self.refreshes += 1
@@ -274,11 +291,10 @@ class SeaObserver:
         self._catch_up(heave, self._smoother, fit.t_s)
         if old is not None and aided is not None:
             # The laser's knowledge of the heave itself comes over; the rest of the state it teaches again.
-            heave.filter.aid(heave.row(self.t_s), before.heave_m + aided.value_m, old.state_std_m**2, 0.0)
+            said_m = float(aided.value.dot((1.0, before.heave_m, before.velocity_mps))) + before.heave_m
+            heave.filter.aid(heave.row(self.t_s)[0], said_m, old.state_std_m**2)
             heave.moved()
-        if isfinite(before.heave_m):
-            after = self.at(0.0)
-            heave.splice = Splice(before.heave_m - after.heave_m, before.velocity_mps - after.velocity_mps, self.t_s)
+        self._splice(heave, before)
         if fit.sea is not None:
             self.sea = msgspec.structs.replace(
                 fit.sea,
@@ -299,7 +315,8 @@ class SeaObserver:
                     heave.filter.open_bias()
                     del cuts[0]
                 said = heave.filter.step(t_s, a_mps2)
-                smoother.push(t_s, *(said if self._unaided is None else self._unaided.step(t_s, a_mps2)))
+                unaided = self._aiding.unaided
+                smoother.push(t_s, *(said if unaided is None else unaided.step(t_s, a_mps2)))
         heave.moved()
 
     def _install(self, system: SeaSystem, steady: Steady, t_s: float, x: Array, P: Array | None) -> SeaHeave:

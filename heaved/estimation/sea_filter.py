@@ -40,6 +40,11 @@ EXACT_DELTA_S: Final = 1e-7
 """A shorter rest of the interval than this changes nothing."""
 LONGEST_STEPS: Final = 40
 """Gaps of up to so many intervals are whole steps and the same rest; the matrices of each are kept."""
+AT_FIRST: Final = (10.0, 0.05, 0.05)
+"""Standard deviations of constant (m), scale and time (s) of an aiding laser: nothing, what makes a laser be taken for
+one at all, and what is left of latencies that have been given."""
+WANDERS: Final = (0.01, 1e-3, 1e-3)
+"""How they wander, per root of a minute: a centimetre of tide, or of a target that gives way; little else."""
 NUDGE_TERMS: Final = 5
 """Of the Taylor series of a longer one: at 25 ms and 0.6 Hz the next one is 1e-7."""
 
@@ -56,20 +61,45 @@ class State(NamedTuple):
     seen: float
     withheld: int
     burst_variance: float
-    offset: tuple[float, float, Array] | None
+    gauge: tuple[Array, Array, Array] | None
 
 
-class Offset:
-    """The constant of an aiding laser (mounting, tide), one more state of the filter.
+class GaugeError:
+    """What an aiding laser is off by, three more states of the filter: its reading is
+
+        constant + (1 + scale) heave + early velocity + noise.
+
+    Scale and time are what laser and accelerometer differ by. Neither can say which of them is wrong, so both stay in
+    what is published as not known (:meth:`left_open`), however well they are known here.
 
     Attributes:
-        value_m, variance_m2: what is known of it.
-        c: (n,) its covariance with the state of the sea, m times the state's units.
+        value: (3,) constant in m, scale, and early in s.
+        V: (3, 3) its covariance.
+        c: (n, 3) its covariance with the state of the sea.
     """
 
-    def __init__(self, value_m: float, variance_m2: float, n: int) -> None:
-        self.value_m, self.variance_m2 = value_m, variance_m2
-        self.c = np.zeros(n)
+    def __init__(self, value: Array, V: Array, n: int) -> None:
+        self.value, self.V = value, V
+        self.c = np.zeros((n, 3))
+
+    @classmethod
+    def at_first(cls, constant_m: float, n: int) -> GaugeError:
+        """Before anything is known but a guess of the constant."""
+        return cls(np.array([constant_m, 0.0, 0.0]), np.diag(np.square(AT_FIRST)), n)
+
+    def wander(self, elapsed_s: float, constant_m: float = 0.0) -> None:
+        """What the time since the last reading has taken of what was known.
+
+        constant_m: how far the constant has been seen to wander, per root of a minute.
+        """
+        walks = np.square((max(constant_m, WANDERS[0]), *WANDERS[1:]))
+        self.V = self.V + np.diag(walks) * (elapsed_s / 60.0)
+
+    def left_open(self, system: SeaSystem) -> Array:
+        """(n, n) covariance that the state has beside its own where scale and time are the accelerometer's error."""
+        shown = np.maximum(np.square(self.value) - np.diag(self.V), 0.0)
+        turned = system.A.dot(system.stationary).dot(system.A.T)
+        return np.asarray(shown[1] * system.stationary + shown[2] * turned)
 
 
 class SeaFilter:
@@ -105,34 +135,49 @@ class SeaFilter:
         self._seen = self.innovation_variance = steady.S
         self.withheld = 0
         self.burst_variance = self.innovation = 0.0
-        self.offset: Offset | None = None
+        self.gauge: GaugeError | None = None
 
-    def aid(self, row: Array, laser_m: float, variance_m2: float, walk_m2: float) -> None:
-        """Take a distance to a fixed target, with the sign of heave: ``row`` x + offset + noise.
+    def laser_innovation(self, row: Array, laser_m: float) -> tuple[float, float]:
+        """Of a reading of the laser, with the sign of heave: its difference from what is expected, and the variance of
+        that before the noise of the reading (m2).
 
-        row: (n,) heave at the laser's time from the state at ``t_s``. walk_m2: what the constant has wandered since the
-        last one. The first one only sets the constant.
+        row: (n,) heave at the laser's time from the state at ``t_s``.
         """
-        P, expected_m = self.covariance, float(row.dot(self.x))
-        if self.offset is None:
-            self.offset = Offset(laser_m - expected_m, float(row.dot(P).dot(row)) + variance_m2, len(row))
-            self.offset.c = -P.dot(row)
-            self.P = P.copy()
-            return
-        offset = self.offset
-        offset.variance_m2 += walk_m2
-        PH, cross = P.dot(row) + offset.c, float(row.dot(offset.c)) + offset.variance_m2
-        S = float(row.dot(PH)) + cross + variance_m2
-        y = laser_m - expected_m - offset.value_m
-        self.x, self.P = self.x + PH * (y / S), P - np.outer(PH, PH) / S
-        offset.value_m += cross / S * y
-        offset.c = offset.c - PH * (cross / S)
-        offset.variance_m2 -= cross * cross / S
+        assert self.gauge is not None
+        gauge = self.gauge
+        seen, on = self._seen_by(gauge, row)
+        expected_m = float(row.dot(self.x)) + float(gauge.value.dot(on))
+        variance = float(seen.dot(self.covariance.dot(seen) + 2.0 * gauge.c.dot(on))) + float(on.dot(gauge.V).dot(on))
+        return laser_m - expected_m, max(variance, 0.0)
+
+    def aid(self, row: Array, laser_m: float, noise_m2: float) -> None:
+        """Take a reading as in :meth:`laser_innovation`, with noise of that variance."""
+        assert self.gauge is not None
+        gauge, P = self.gauge, self.covariance
+        y, variance = self.laser_innovation(row, laser_m)
+        seen, on = self._seen_by(gauge, row)
+        S = variance + noise_m2
+        of_state, of_gauge = P.dot(seen) + gauge.c.dot(on), seen.dot(gauge.c) + gauge.V.dot(on)
+        self.x, self.P = self.x + of_state * (y / S), P - np.outer(of_state, of_state) / S
+        gauge.value = gauge.value + of_gauge * (y / S)
+        gauge.c = gauge.c - np.outer(of_state, of_gauge) / S
+        gauge.V = gauge.V - np.outer(of_gauge, of_gauge) / S
+
+    def _seen_by(self, gauge: GaugeError, row: Array) -> tuple[Array, Array]:
+        """A reading as row on the state (n,), and on constant, scale and time (3,)."""
+        moving = row.dot(self.system.A)
+        seen = (1.0 + gauge.value[1]) * row + gauge.value[2] * moving
+        return seen, np.array([1.0, float(row.dot(self.x)), float(moving.dot(self.x))])
 
     @property
     def covariance(self) -> Array:
         """(n, n) of x."""
         return self.steady_covariance if self.P is None else self.P
+
+    @property
+    def published_covariance(self) -> Array:
+        """(n, n) of x, and what laser and accelerometer differ by with it."""
+        return self.covariance if self.gauge is None else self.covariance + self.gauge.left_open(self.system)
 
     @property
     def is_steady(self) -> bool:
@@ -157,8 +202,8 @@ class SeaFilter:
         R = self._R + self.burst_variance
         is_usual = steps == 1 and R == self._R
         P = self.P if is_usual and self.P is None else _symmetric(F.dot(self.covariance).dot(F.T) + Q)
-        if self.offset is not None:
-            self.offset.c = F.dot(self.offset.c)
+        if self.gauge is not None:
+            self.gauge.c = F.dot(self.gauge.c)
         self.t_s = t_s
         predicted_m = float(self.system.heave.dot(x))
         y = a_mps2 - float(H.dot(x))
@@ -180,11 +225,11 @@ class SeaFilter:
             self.x = x + steady.K * y
         else:
             self.x, self.P = x + PH * (y / S), P - np.outer(PH, PH) / S
-            if self.offset is not None:
-                cross = float(H.dot(self.offset.c))
-                self.offset.value_m += cross / S * y
-                self.offset.c = self.offset.c - PH * (cross / S)
-                self.offset.variance_m2 -= cross * cross / S
+            if self.gauge is not None:
+                cross = H.dot(self.gauge.c)
+                self.gauge.value = self.gauge.value + cross * (y / S)
+                self.gauge.c = self.gauge.c - np.outer(PH, cross) / S
+                self.gauge.V = self.gauge.V - np.outer(cross, cross) / S
             self._settle()
         return predicted_m, y
 
@@ -195,19 +240,19 @@ class SeaFilter:
 
     def state(self) -> State:
         """All that :meth:`restore` needs to be here again; cheap: nothing is copied."""
-        aided = self.offset
-        offset = None if aided is None else (aided.value_m, aided.variance_m2, aided.c)
+        gauge = self.gauge
+        kept = None if gauge is None else (gauge.value, gauge.V, gauge.c)
         return State(
             self.t_s, self.x, self.P, self.rejected, self.surprise, self._drift, self._seen, self.withheld,
-            self.burst_variance, offset,
+            self.burst_variance, kept,
         )  # fmt: skip
 
     def restore(self, state: State) -> None:
         """Go back to an earlier :meth:`state`."""
         self.t_s, self.x, self.P, self.rejected, self.surprise = state[:5]
         self._drift, self._seen, self.withheld, self.burst_variance = state[5:9]
-        if self.offset is not None and state.offset is not None:
-            self.offset.value_m, self.offset.variance_m2, self.offset.c = state.offset
+        if self.gauge is not None and state.gauge is not None:
+            self.gauge.value, self.gauge.V, self.gauge.c = state.gauge
 
     def open_bias(self) -> None:
         """Nothing is known of the accelerometer's bias any more; of the waves as much as ever."""
@@ -252,7 +297,7 @@ class SeaFilter:
 
     def _settle(self) -> None:
         assert self.P is not None
-        if self.offset is not None:
+        if self.gauge is not None:
             return  # The laser knows more than the steady filter will ever.
         if float(np.max(np.abs(np.diag(self.P) / self._steady_variances - 1.0))) < STEADY:
             self.P = None

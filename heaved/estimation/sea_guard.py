@@ -72,6 +72,7 @@ class Guard:
         self._scaled = np.zeros(2 * LATE[-1])
         """Their innovations over their deviations; each is written twice, so that all lie in one piece."""
         self._next = 0
+        self._of: SeaFilter | None = None
         self._patterns: Array | None = None
         self._steady: Steady | None = None
         self._usual = [1.0, 1.0]
@@ -84,6 +85,9 @@ class Guard:
     def step(self, f: SeaFilter, t_s: float, a_mps2: float) -> tuple[float, float]:
         """As :meth:`SeaFilter.step`."""
         self.step_s = None
+        if f is not self._of:
+            self._of = f
+            self.restart()
         self._past.append((t_s, a_mps2, f.state()))
         said = f.step(t_s, a_mps2)
         self._keep(f.innovation / sqrt(f.innovation_variance))

@@ -171,7 +171,7 @@ class SeaHeave:
         taus = [shift + late_s - early_s for shift in shifts_s]
         if self.filter.is_steady:
             return self._outlook.between(self._steady_stds, taus)
-        return self._outlook.stds_at(self.filter.covariance, taus)
+        return self._outlook.stds_at(self.filter.published_covariance, taus)
 
     @property
     def state_std_m(self) -> float:
@@ -191,9 +191,10 @@ class SeaHeave:
         """Whether a gap has cost so much of what was known that people should be told."""
         return not self.is_converged and self.state_std_m > RECOVERING * self.sea_std_m
 
-    def row(self, t_s: float) -> Array:
-        """(n,) heave at ``t_s`` from the filter's state."""
-        return self._outlook.row(t_s - self.filter.t_s)
+    def row(self, t_s: float) -> tuple[Array, float]:
+        """(n,) heave at ``t_s`` from the filter's state, and the variance (m2) that this misses of an earlier one."""
+        tau_s = t_s - self.filter.t_s
+        return self._outlook.row(tau_s), self._outlook.missed(tau_s)
 
 
 def _std(row: Array, P: Array) -> float:

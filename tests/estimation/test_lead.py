@@ -151,3 +151,24 @@ def test_the_sign_is_that_of_the_multistep() -> None:
     L = -shown.lead_s
     moved = heave * cos(OMEGA * L) + velocity / OMEGA * sin(OMEGA * L)
     assert moved == pytest.approx(laser - 12.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "shift_s", "says"),
+    [
+        (1000.0, 0.0, "it shows 1000 times the heave: is it in mm?"),
+        (3.2808, 0.0, "it shows 3.28 times the heave: is it in feet?"),
+        (0.5, 0.0, "it shows 0.5 times the heave: scale?"),
+        (1.2, 0.0, "it shows 1.2 times the heave: scale?"),
+        (-1.0, 0.0, "it moves against the heave: sign?"),
+        (1.0, 1.4, "it is 1.4 s behind the accelerometer: latency_ms?"),
+    ],
+)
+def test_what_is_no_laser_on_the_heave_is_refused_with_what_is_likely(ratio: float, shift_s: float, says: str) -> None:
+    t, heave, velocity, laser = readings(np.random.default_rng(8), shift_s, 1.0, 1e-4)
+    tracker = LeadTracker(Params())
+    assert not tracker.update(compare(t, heave, velocity, ratio * laser, OMEGA), 0.0, has_true_gain=True)
+    assert (tracker.gain, tracker.learned_s, tracker.updates) == (1.0, 0.0, 0)
+    assert tracker.refused == says
+    assert tracker.update(compare(t, heave, velocity, laser, OMEGA) if shift_s == 0.0 else comparison(0.1), 0.0)
+    assert tracker.refused == ""

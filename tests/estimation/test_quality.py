@@ -21,6 +21,7 @@ WELL = Facts(
     notes=(),
     tilt_removed=True,
     std_scale=1.0,
+    remarks=(),
     laser_fault=Fault.NONE,
     laser_configured=True,
     laser_fresh=True,
@@ -66,6 +67,7 @@ TABLE = [
     ({"laser_fresh": False}, VALID, ("laser: no fresh reference",)),
     ({"laser_fresh": False, "laser_fault": Fault.STUCK}, VALID, ("laser: stuck",)),
     ({"laser_fresh": False, "laser_configured": False}, VALID, ()),
+    ({"remarks": ("laser: it is of feet",)}, VALID, ("laser: it is of feet",)),
     ({"laser_fresh": False, "since_sample_s": 2.0}, INVALID, ("imu: no samples", "laser: no fresh reference")),
 ]
 
