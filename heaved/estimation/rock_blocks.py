@@ -37,15 +37,27 @@ FINE_S: Final = 0.25
 class Blocks:
     """Blocks of ``samples`` for n channels; arrays published are (H, n)."""
 
-    def __init__(self, params: Params, samples: int, interval_s: float, channels: int, *, rates: bool = False) -> None:
-        """``interval_s``: of the samples; ``rates``: the first derivative of every channel is given with each."""
+    def __init__(
+        self,
+        params: Params,
+        samples: int,
+        interval_s: float,
+        channels: int,
+        *,
+        rates: bool = False,
+        limits: Sequence[float] | None = None,
+    ) -> None:
+        """``interval_s``: of the samples; ``rates``: the first derivative of every channel is given with each.
+
+        ``limits``: magnitude that no channel has.
+        """
         self._horizons = np.unique(params.horizons_s)
         self._samples, self._n = samples, channels
         self.interval_s = interval_s
         """Of the samples, as they come."""
         self._max_gap_s = params.max_gap_s
         nodes_s = self._nodes()
-        self.fed = DirectPredictor(channels, msgspec.structs.replace(params, horizons_s=nodes_s), rates=rates)
+        self.fed = DirectPredictor(channels, msgspec.structs.replace(params, horizons_s=nodes_s), rates=rates, limits=limits)
         """What predicts from the block means."""
         self._aim()
         self._learner = BlockLearner(self._horizons, samples, interval_s, self._weights, channels)

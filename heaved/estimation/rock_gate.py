@@ -155,6 +155,31 @@ class Channel:
         self.since = 0
         self._steady = False
 
+    def bridge(self, x: float, *, measured: bool) -> bool:
+        """As :meth:`take`, where a filter for holes has judged the sample; False: too much is missing for it.
+
+        Nothing is scored, nor learned from, before the extrapolation has seen nothing but samples again.
+        """
+        self._steady = False
+        self._held.clear()
+        self._reading, self._repeats = nan, 0
+        if not self.since:
+            return False
+        self.since += 1
+        self.calm += 1
+        self.unsettled = self._timing.settling
+        self._absent = 0 if measured else self._absent + 1
+        if measured:
+            self._follow(x)
+        elif self._absent > self._timing.longest_gap:
+            self.since = 0
+        return self.since > 0
+
+    def forget(self) -> None:
+        """What is read is not what is followed: the past is gone, and so are level and mean."""
+        self.lose()
+        self.mean = self._mean_count = self._square = 0.0
+
     def judge(self) -> Array | None:
         """Once samples have been held back for long enough: what should replace the latest of them (nan: nothing)."""
         if len(self._held) < self._timing.judged:
