@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
-from math import nan, pi
+from math import inf, nan, pi
 from typing import Final, Self, TypeVar, overload
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,6 +29,31 @@ Yaw = TypeVar("Yaw", float, Array)
 def turned(yaw_rad: Yaw) -> Yaw:
     """The same heading, 0 <= yaw < 2 pi."""
     return yaw_rad % TURN % TURN  # x % 2 pi may round up to 2 pi
+
+
+class Limits(msgspec.Struct, frozen=True):
+    """What channels that are predicted never do."""
+
+    largest: tuple[float, ...]
+    """Magnitude of each of n channels."""
+    rate: float
+    """Of all of them, per second."""
+
+    def left_by(self, curves: Array, at_s: Sequence[float] | Array) -> NDArray[np.bool_]:
+        """Which of the values (..., H, n) at moments lie beyond the limits, or cannot follow the one before; what is
+        not known does neither."""
+        beyond: NDArray[np.bool_] = np.abs(curves) > np.array(self.largest)
+        if len(at_s) > 1:
+            beyond[..., 1:, :] |= np.abs(np.diff(curves, axis=-2)) > self.rate * np.diff(at_s)[:, None]
+        return beyond
+
+    def kept(self, curves: Array, at_s: Sequence[float] | Array) -> Array:
+        """The same values; nan from where on the limits are left."""
+        beyond = self.left_by(curves, at_s)
+        return np.where(np.logical_or.accumulate(beyond, axis=-2), nan, curves) if beyond.any() else curves
+
+
+NO_LIMITS: Final = Limits((inf, inf, inf), inf)
 
 
 class _Predictions(Sequence[Record]):
@@ -113,7 +139,7 @@ class RockPredictions(_Predictions[RockPrediction]):
     """Roll, pitch and yaw, their standard deviations and half-widths of their intervals, each (H, 3), for each horizon
     (H,). Yaw is counted from ``yaw_from_rad`` without jumps, as a regression sees it; records have the heading."""
 
-    __slots__ = ("_angles_rad", "intervals_rad", "stds_rad", "yaw_from_rad")
+    __slots__ = ("_angles_rad", "_limits", "intervals_rad", "stds_rad", "yaw_from_rad")
 
     def __init__(
         self,
@@ -122,8 +148,11 @@ class RockPredictions(_Predictions[RockPrediction]):
         yaw_from_rad: float,
         stds_rad: Array,
         intervals_rad: Array,
+        limits: Limits = NO_LIMITS,
     ) -> None:
-        self.horizons_s, self._angles_rad, self.yaw_from_rad = horizons_s, angles_rad, yaw_from_rad
+        """``limits``: of the angles; what is beyond them is not known."""
+        self.horizons_s, self.yaw_from_rad, self._limits = horizons_s, yaw_from_rad, limits
+        self._angles_rad = angles_rad if isinstance(angles_rad, tuple) else limits.kept(angles_rad, horizons_s)
         self.stds_rad, self.intervals_rad = stds_rad, intervals_rad
 
     @property
@@ -132,13 +161,14 @@ class RockPredictions(_Predictions[RockPrediction]):
         angles_rad = self._angles_rad
         if isinstance(angles_rad, tuple):
             outlook, place, off = angles_rad
-            angles_rad = self._angles_rad = outlook.at(place, off)
+            angles_rad = self._angles_rad = self._limits.kept(outlook.at(place, off), self.horizons_s)
         return angles_rad
 
     @staticmethod
     def angles_of(several: Sequence[RockPredictions]) -> Array:
         """Those of N with as many horizons, (N, H, 3): see :func:`worked_out`."""
-        return worked_out([one._angles_rad for one in several])
+        angles_rad = worked_out([one._angles_rad for one in several])
+        return several[0]._limits.kept(angles_rad, several[0].horizons_s) if several else angles_rad
 
     def __iter__(self) -> Iterator[RockPrediction]:
         columns = self.angles_rad.tolist(), self.stds_rad.tolist(), self.intervals_rad.tolist()

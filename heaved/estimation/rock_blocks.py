@@ -23,6 +23,7 @@ from heaved.block_outlook import BlockMaps, BlockOutlook, Moment
 from heaved.estimation.rock_block_learning import ON_TIME, BlockLearner
 from heaved.estimation.rock_carry import CORRECTED_S
 from heaved.estimation.rock_direct import DirectPredictor, Params
+from heaved.predictions import Limits
 
 Array = NDArray[np.float64]
 
@@ -45,11 +46,11 @@ class Blocks:
         channels: int,
         *,
         rates: bool = False,
-        limits: Sequence[float] | None = None,
+        limits: Limits | None = None,
     ) -> None:
         """``interval_s``: of the samples; ``rates``: the first derivative of every channel is given with each.
 
-        ``limits``: magnitude that no channel has.
+        ``limits``: what no channel does.
         """
         self._horizons = np.unique(params.horizons_s)
         self._samples, self._n = samples, channels
@@ -57,7 +58,8 @@ class Blocks:
         """Of the samples, as they come."""
         self._max_gap_s = params.max_gap_s
         nodes_s = self._nodes()
-        self.fed = DirectPredictor(channels, msgspec.structs.replace(params, horizons_s=nodes_s), rates=rates, limits=limits)
+        at_nodes = msgspec.structs.replace(params, horizons_s=nodes_s)
+        self.fed = DirectPredictor(channels, at_nodes, rates=rates, limits=limits)
         """What predicts from the block means."""
         self._aim()
         self._learner = BlockLearner(self._horizons, samples, interval_s, self._weights, channels)

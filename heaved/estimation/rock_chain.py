@@ -10,12 +10,13 @@ from typing import Final
 import msgspec
 
 from heaved.estimation import rock, rock_direct
-from heaved.estimation.bounds import ANGLE_RAD
+from heaved.estimation.bounds import ANGLE_RAD, ANGLE_RATE_RADPS
 from heaved.estimation.rock_paced import PacedPredictor
-from heaved.predictions import TURN, RockPredictions
+from heaved.predictions import TURN, Limits, RockPredictions
 from heaved.samples import ImuSample, RockPrediction, RockScore
 
 AXES: Final = ("roll", "pitch", "yaw")
+LIMITS: Final = Limits((ANGLE_RAD, ANGLE_RAD, inf), ANGLE_RATE_RADPS)
 
 
 def angle_rates(sample: ImuSample) -> tuple[float, float, float]:
@@ -37,7 +38,7 @@ class DirectRockPredictor:
 
     def __init__(self, params: rock_direct.Params | None = None, *, rates: bool = False) -> None:
         """``rates``: the angles' rates will be given with each sample."""
-        self.predictor = PacedPredictor(3, params, rates=rates, limits=(ANGLE_RAD, ANGLE_RAD, inf))
+        self.predictor = PacedPredictor(3, params, rates=rates, limits=LIMITS)
         self.horizons_s = self.predictor.horizons_s
         self._yaw_reference_rad = nan
         self._yaw_rad = 0.0
@@ -58,13 +59,14 @@ class DirectRockPredictor:
     ) -> RockPredictions:
         """Take one sample (nan: not known) and predict from it, one record per horizon, shortest first."""
         latest = self.predictor.take(t_s, [roll_rad, pitch_rad, self._unwrapped(yaw_rad)], rates_radps)
-        return RockPredictions(self.horizons_s, latest, self._yaw_reference_rad, *self.predictor.deviations(t_s))
+        deviations = self.predictor.deviations(t_s)
+        return RockPredictions(self.horizons_s, latest, self._yaw_reference_rad, *deviations, LIMITS)
 
     def at(self, t_s: float) -> RockPredictions:
         """Predictions as seen from a moment without a sample, with the deviations of horizons that much longer."""
         predictor = self.predictor
         deviations = predictor.deviations(max(t_s, predictor.t_s))
-        return RockPredictions(self.horizons_s, predictor.at(t_s), self._yaw_reference_rad, *deviations)
+        return RockPredictions(self.horizons_s, predictor.at(t_s), self._yaw_reference_rad, *deviations, LIMITS)
 
     def _unwrapped(self, yaw_rad: float) -> float:
         """Yaw relative to the first reading, without jumps."""

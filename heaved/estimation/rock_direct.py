@@ -37,6 +37,7 @@ from heaved.estimation.rock_holes import NODE_S, ORDER, HoleFilter
 from heaved.estimation.rock_lags import SampleWindow, curve_weights, fading_taps, lag_knots
 from heaved.estimation.rock_learning import BATCH_S, EXPERT_SPANS_S, EXPERTS, Learner, first_choice
 from heaved.estimation.rock_regressors import Regressors
+from heaved.predictions import Limits
 
 Array = NDArray[np.float64]
 
@@ -46,6 +47,10 @@ HOLES_MEMORY_S: Final = 2.0
 """Of what is missing."""
 HOLES_S: Final = (0.4, 0.15)
 """So much missing within that memory makes a channel one with holes, and so little ends it."""
+MEASURED: Final = 0.75
+"""Share of the nodes that a filter for holes learns from that were measured: the odd missing one is filled well."""
+OUT_S: Final = 3.0
+"""Predictions are beyond the limits for so long, longer than a spike is seen, before everything begins anew."""
 LEARNED_TOGETHER: Final = 40
 """Rows (of the learner) after which the filters for holes learn; from every other one, for neighbours are alike."""
 
@@ -76,11 +81,11 @@ class DirectPredictor:
         params: Params | None = None,
         *,
         rates: bool = False,
-        limits: Sequence[float] | None = None,
+        limits: Limits | None = None,
     ) -> None:
         """``rates``: the first derivative of every channel will be given with each sample.
 
-        ``limits``: magnitude that no channel has; a prediction beyond it begins everything anew.
+        ``limits``: what no channel does; a prediction beyond them begins everything anew.
         """
         self._params = params if params is not None else Params()
         self.horizons_s = tuple(sorted(set(self._params.horizons_s)))
@@ -89,7 +94,7 @@ class DirectPredictor:
         self._with_rates = rates
         self._no_rates = [0.0] * channels
         self._unknown_curve = np.full((len(self.horizons_s) + 1, channels), nan)
-        self._limits = None if limits is None else np.array(limits)[:, None]
+        self._limits = limits
         self.begun_anew: Counter[str] = Counter()
         """By reason: the stream, or (lost track) one channel of it."""
         self.reset()
@@ -151,7 +156,7 @@ class DirectPredictor:
 
     def spread(self, channel: int, ahead_s: Array) -> Array:
         """Deviations, so long after the latest grid time, of a channel that is predicted by its filter for holes."""
-        deviations: Array = np.sqrt(self.filters[channel].curve(self._row_index, ahead_s)[1])
+        deviations: Array = np.sqrt(self.filters[channel].variance(self._row_index, ahead_s))
         return deviations
 
     def step(self, t_s: float, values: Sequence[float], rates: Sequence[float] | None = None) -> Array:
@@ -183,8 +188,10 @@ class DirectPredictor:
             self._row(self._unmeasured, self._unmeasured, 0.0)
         if steps > 0:
             self._row(values, given, late_s)
-        if self._is_out or self._batch_due and self._clock.changed():
-            self._restart("out of bounds" if self._is_out else "restart")
+        if self._out_rows * self._learner.every * self._interval_s > OUT_S:
+            self._restart("out of bounds")
+        elif self._batch_due and self._clock.changed():
+            self._restart()
         else:
             self._publish(late_s)
         return self.values
@@ -254,7 +261,8 @@ class DirectPredictor:
         self._channels = [Channel(timing, gap_weights, curve) for curve in self._curves]
         self._interval_s = interval_s
         self._row_index = 0
-        self._is_out = False
+        self._out_rows = 0
+        """Rows of the learner on end with predictions beyond the limits."""
         self._nodes = max(1, round(NODE_S / interval_s)) * np.arange(ORDER + 1)
         """Of the filters, in rows back from the newest."""
         self.filters = [HoleFilter(int(self._nodes[1]), interval_s, float(horizons[-1])) for _ in range(n)]
@@ -303,7 +311,7 @@ class DirectPredictor:
         np.matmul(self._map, self._regressors.now()[:, :, None], out=self._seen)
         for c, hole in enumerate(self.filters):
             if hole.active:
-                self._curves[c] = hole.mean + hole.curve(self._row_index, self._curve_s)[0]
+                self._curves[c] = hole.mean + hole.curve(self._row_index, self._curve_s)
         self._until_row -= 1
         self._batch_due = False
         if self._until_row == 0:
@@ -316,9 +324,9 @@ class DirectPredictor:
             if self._until_learned == 0:
                 self._until_learned = LEARNED_TOGETHER
                 self._learn_for_holes()
-            if self._limits is not None:
-                levels = np.array([channel.level for channel in channels])[:, None]
-                self._is_out = bool((np.abs(self._curves + levels) > self._limits).any())
+        if self._until_row == self._learner.every and self._limits is not None:
+            curves = self._curves.T + [channel.level for channel in channels]
+            self._out_rows = self._out_rows + 1 if self._limits.left_by(curves, self._curve_s).any() else 0
 
     # -- holes -----------------------------------------------------------------------------------------------------
 
@@ -353,9 +361,11 @@ class DirectPredictor:
             x = hole.mean + hole.value(row)[0]
         if not channel.bridge(x, measured=measured):
             hole.active = False
-        elif measured and self._missing[c] * self._share_left(row - self._missed_row[c]) * self._interval_s < HOLES_S[1]:
-            hole.active = False
-            self._give_back(c)
+        elif measured:
+            missing = self._missing[c] * self._share_left(row - self._missed_row[c])
+            if missing * self._interval_s < HOLES_S[1]:
+                hole.active = False
+                self._give_back(c)
         return x, measured
 
     def _give_back(self, c: int) -> None:
@@ -373,7 +383,7 @@ class DirectPredictor:
         window, n = self._window, self._n
         ends = window.end - 1 - 2 * int(self._learner.every) * np.arange(LEARNED_TOGETHER // 2)
         at = ends[:, None] - self._nodes
-        used = window.known[at, :n].all(axis=1)  # (R, n)
+        used = window.known[at, :n].mean(axis=1) >= MEASURED  # (R, n)
         for c, (channel, hole) in enumerate(zip(self._channels, self.filters, strict=True)):
             if hole.active:
                 hole.move_mean(channel.mean)

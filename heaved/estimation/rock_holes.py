@@ -13,7 +13,7 @@ state of 10 s brings with it. Moments over their number are the covariance that 
 
 from __future__ import annotations
 
-from math import exp, inf, nan, sqrt
+from math import exp, inf, nan
 from typing import Final
 
 import numpy as np
@@ -41,6 +41,8 @@ NOISE_MEMORY: Final = 100.0
 """Readings by which the variance of their noise is followed."""
 DOUBT_MEMORY: Final = 20.0
 """Readings by which it is judged whether innovations are as large as they should be."""
+NOISE_SHARE: Final = 0.1
+"""Most of it, over the variance of the motion."""
 GATE: Final = 6.0
 """Deviations of an innovation beyond which a reading is held back."""
 REFUSED: Final = 5
@@ -56,6 +58,11 @@ def cubic(place: Array) -> Array:
     """(..., 4) weights on four nodes 0, 1, 2, 3 of the value at a place between 1 and 3 (Lagrange)."""
     a, b, c, d = place, place - 1.0, place - 2.0, place - 3.0
     return np.stack([-b * c * d / 6.0, a * c * d / 2.0, -a * b * d / 2.0, a * b * c / 6.0], axis=-1)
+
+
+def _first_of_four(place: Array, count: int) -> NDArray[np.intp]:
+    """The nodes, of so many, between which places are interpolated."""
+    return np.minimum(np.maximum(np.floor(place).astype(np.intp) - 1, 0), count - 4)
 
 
 class Autoregression:
@@ -99,6 +106,11 @@ class Autoregression:
         """Of the nodes."""
         covariance: Array = self._moments / self._count
         return covariance
+
+    @property
+    def variance(self) -> float:
+        """Of the motion."""
+        return float(self._moments[0, 0]) / self._count
 
     def solve(self, noise_square: float) -> bool:
         """Find the model; False: there is none."""
@@ -165,15 +177,14 @@ class HoleFilter:
         model = self.model
         self.mean = mean
         y = nodes - mean
-        if model.rows < PRIOR_ROWS or self._assumed and model.rows < LEARNED_ROWS:
+        if model.rows < (LEARNED_ROWS if self._assumed else PRIOR_ROWS):
             self._assumed = True
             spread = float(np.mean(y[measured] ** 2)) if measured.any() else 0.0
             model.assume(max(spread, noise_square, 1e-12))
         if not model.solve(noise_square):
             return
-        # No more than what makes the innovations of readings taken for nodes.
-        bound = model.square / (1.0 + float(model.step @ model.step))
-        self.noise_square = max(min(noise_square, bound) if noise_square > 0.0 else bound, POSITION_NOISE * model.square)
+        self.noise_square = noise_square or inf
+        self._bound_noise(self._largest_noise)
         P = model.covariance
         here = np.flatnonzero(measured)
         if len(here):
@@ -191,6 +202,15 @@ class HoleFilter:
         self._until_solved = SOLVED_ROWS
         self.active = True
 
+    @property
+    def _largest_noise(self) -> float:
+        """What alone would make the innovations of readings that were taken for nodes."""
+        model = self.model
+        return model.square / (1.0 + float(model.step @ model.step))
+
+    def _bound_noise(self, most: float) -> None:
+        self.noise_square = max(min(self.noise_square, most), POSITION_NOISE * self.model.square)
+
     def move_mean(self, mean: float) -> None:
         """Count from another slow mean."""
         self._x += self.mean - mean
@@ -203,12 +223,12 @@ class HoleFilter:
 
     def _step(self) -> None:
         model, x, P = self.model, self._x, self._P
-        if model.rows >= PRIOR_ROWS or not self._refused:
-            model.learn(np.multiply.outer(x, x) + P, 1)
+        model.learn(np.multiply.outer(x, x) + P, 1)
         self._until_solved -= 1
         if self._until_solved <= 0:
             self._until_solved = SOLVED_ROWS
-            model.solve(self.noise_square)
+            if model.solve(self.noise_square) and model.rows < LEARNED_ROWS:
+                self._bound_noise(self._largest_noise)
         ahead = P @ model.step
         newest = float(model.step @ ahead) + model.square
         P[1:, 1:] = P[:-1, :-1].copy()
@@ -237,15 +257,17 @@ class HoleFilter:
         known = float(w @ K[:4])
         e = value - float(w @ self._x[:4])
         S = known + self.noise_square
-        if not S > 0.0 or e * e > GATE**2 * S * max(self._doubt, 1.0):
+        is_armed = self.model.rows >= LEARNED_ROWS
+        if not S > 0.0 or (is_armed and e * e > GATE**2 * S * max(self._doubt, 1.0)):
             if not self._refused:
                 self._refused_row = row
             self._refused += 1
             return False
         self._refused = 0
         self._doubt += (e * e / S - self._doubt) / DOUBT_MEMORY
-        self.noise_square += (max(e * e - known, 0.0) - self.noise_square) / NOISE_MEMORY
-        self.noise_square = max(self.noise_square, POSITION_NOISE * self.model.square)
+        if is_armed:
+            self.noise_square += (max(e * e - known, 0.0) - self.noise_square) / NOISE_MEMORY
+            self._bound_noise(NOISE_SHARE * self.model.variance)
         K /= S
         self._x += e * K
         self._P -= S * np.multiply.outer(K, K)
@@ -255,23 +277,37 @@ class HoleFilter:
         """Whether readings have been held back for too long."""
         return self._refused >= REFUSED and (row - self._refused_row) * self._interval_s >= REFUSED_S
 
-    def curve(self, row: float, ahead_s: Array) -> tuple[Array, Array]:
-        """Values, without the mean, and their variances, noise included, so long after a row."""
+    def _places(self, row: float, ahead_s: Array) -> Array:
+        """Of times so long after a row, among the nodes that the model looks ahead to."""
+        place = (row - self._node + ahead_s / self._interval_s) / self._every + 2.0
+        return np.minimum(place, len(self.model.ahead) - 1.0)
+
+    def curve(self, row: float, ahead_s: Array) -> Array:
+        """Values, without the mean, so long after a row."""
+        place = self._places(row, ahead_s)
+        first = _first_of_four(place, len(self.model.ahead))
+        nodes = self.model.ahead @ self._x
+        values: Array = (cubic(place - first) * nodes[first[:, None] + POINTS]).sum(axis=1)
+        return values
+
+    def variance(self, row: float, ahead_s: Array) -> Array:
+        """Of the errors of :meth:`curve` against readings: what is not known of the nodes, what is to come, noise; by
+        as much more as innovations are larger than they should be, and as a model fitted to so few of them predicts
+        worse than it fits (Akaike 1970: final prediction error)."""
         model = self.model
-        place = np.minimum((row - self._node + ahead_s / self._interval_s) / self._every + 2.0, len(model.ahead) - 1.0)
-        first = np.minimum(np.maximum(np.floor(place).astype(np.intp) - 1, 0), len(model.ahead) - 4)
-        w = cubic(place - first)
-        four = first[:, None] + POINTS
-        B = (w[:, None, :] @ model.ahead[four])[:, 0]
-        low = np.minimum(np.maximum(place.astype(np.intp), 0), len(model.grown) - 2)
-        grown = model.grown[low] + (place - low) * (model.grown[low + 1] - model.grown[low])
-        variance = np.einsum("ij,ij->i", B @ self._P, B) + model.square * np.maximum(grown, 0.0)
-        return B @ self._x, max(self._doubt, 1.0) * (np.maximum(variance, 0.0) + self.noise_square)
+        place = self._places(row, ahead_s)
+        first = _first_of_four(place, len(model.ahead))
+        B = (cubic(place - first)[:, None, :] @ model.ahead[first[:, None] + POINTS])[:, 0]
+        grown = np.interp(place, np.arange(len(model.grown)), model.grown)
+        found = np.maximum(((B @ self._P) * B).sum(axis=1), 0.0) + model.square * grown + self.noise_square
+        rows = max(min(model.rows, MEMORY_S / NODE_S), LEARNED_ROWS)
+        variance: Array = max(self._doubt, 1.0) * (rows + ORDER) / (rows - ORDER) * found
+        return variance
 
     def past(self, rows: Array) -> Array:
         """The motion, about the mean, at rows that lie within the nodes."""
         place = (self._node - rows) / self._every
-        first = np.minimum(np.maximum(np.floor(place).astype(np.intp) - 1, 0), ORDER - 3)
+        first = _first_of_four(place, ORDER + 1)
         weights = cubic(place - first)
         values: Array = (weights * self._x[first[:, None] + POINTS]).sum(axis=1)
         return values

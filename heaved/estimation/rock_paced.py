@@ -22,8 +22,10 @@ from scipy.interpolate import CubicSpline
 from heaved.block_outlook import Moment
 from heaved.estimation.arrivals import usual_interval
 from heaved.estimation.rock_blocks import Blocks
+from heaved.estimation.rock_clock import LEAST_S
 from heaved.estimation.rock_direct import BACKWARDS, DirectPredictor, Params
 from heaved.estimation.rock_experts import GAUSSIAN_QUANTILE, Switch
+from heaved.predictions import Limits
 
 Array = NDArray[np.float64]
 
@@ -41,15 +43,15 @@ CHECKED_S: Final = 1.0
 """It is judged so often: a new rate is noticed within 3 s."""
 CHANGED: Final = 0.2
 """Relative change of the usual interval that asks for other blocks."""
-LEAST_S: Final = 1e-3
-"""Samples closer together are one; sizes what is as long as the samples of a block."""
+SAME_S: Final = 1e-4
+"""Samples closer together are one."""
 WAIT_S: Final = 4.0
 """For so long readings are waited for to show their rate."""
 SLOWER: Final = 1.5
 """Intervals of samples to one of readings, at least, that make them a stream of their own,"""
 REGULAR: Final = 0.7
 """and share of their intervals that are the usual one, within CHANGED."""
-BEYOND_S: Final = 0.25
+BEYOND_S: Final = 0.5
 """A curve is believed for so long after its last horizon."""
 
 
@@ -62,11 +64,11 @@ class PacedPredictor:
         params: Params | None = None,
         *,
         rates: bool = False,
-        limits: Sequence[float] | None = None,
+        limits: Limits | None = None,
     ) -> None:
         """``rates``: the first derivative of every channel is given with each sample.
 
-        ``limits``: magnitude that no channel has; a prediction beyond it begins everything anew.
+        ``limits``: what no channel does; a prediction beyond them begins everything anew.
         """
         self._params = params if params is not None else Params()
         self._n, self._rates, self._limits = channels, rates, limits
@@ -171,7 +173,7 @@ class PacedPredictor:
                 self._restart()
             return self.latest
         self._backwards = 0
-        if t_s - self.t_s < LEAST_S:
+        if t_s - self.t_s < SAME_S:
             return self.latest
         if isfinite(sum(values)):
             self._whole_s = t_s
@@ -259,7 +261,7 @@ class PacedPredictor:
 
     def _begin(self) -> None:
         """The rate is known: build, and take what has waited."""
-        interval_s = usual_interval(np.array([t for t, _, _ in self._pending]))
+        interval_s = max(usual_interval(np.array([t for t, _, _ in self._pending])), LEAST_S)
         stamps_s = [t for t, values, _ in self._pending if any(value == value for value in values)]
         if len(stamps_s) < len(self._pending):
             if len(stamps_s) < FIRST and self.t_s - self._pending[0][0] < WAIT_S:
