@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
+from functools import cache
 from math import inf, nan, pi
 from typing import Final, Self, TypeVar, overload
 
@@ -39,18 +40,24 @@ class Limits(msgspec.Struct, frozen=True):
     rate: float
     """Of all of them, per second."""
 
-    def left_by(self, curves: Array, at_s: Sequence[float] | Array) -> NDArray[np.bool_]:
-        """Which of the values (..., H, n) at moments lie beyond the limits, or cannot follow the one before; what is
+    def left_by(self, curves: Array, at_s: tuple[float, ...]) -> NDArray[np.bool_]:
+        """Which of the values (..., H, n) at H moments lie beyond the limits, or cannot follow the one before; what is
         not known does neither."""
-        beyond: NDArray[np.bool_] = np.abs(curves) > np.array(self.largest)
-        if len(at_s) > 1:
-            beyond[..., 1:, :] |= np.abs(np.diff(curves, axis=-2)) > self.rate * np.diff(at_s)[:, None]
+        largest, steps = _largest(self, at_s)
+        beyond: NDArray[np.bool_] = np.abs(curves) > largest
+        beyond[..., 1:, :] |= np.abs(curves[..., 1:, :] - curves[..., :-1, :]) > steps
         return beyond
 
-    def kept(self, curves: Array, at_s: Sequence[float] | Array) -> Array:
+    def kept(self, curves: Array, at_s: tuple[float, ...]) -> Array:
         """The same values; nan from where on the limits are left."""
         beyond = self.left_by(curves, at_s)
         return np.where(np.logical_or.accumulate(beyond, axis=-2), nan, curves) if beyond.any() else curves
+
+
+@cache
+def _largest(limits: Limits, at_s: tuple[float, ...]) -> tuple[Array, Array]:
+    """Values, and changes from one moment to the next."""
+    return np.array(limits.largest), limits.rate * np.diff(at_s)[:, None]
 
 
 NO_LIMITS: Final = Limits((inf, inf, inf), inf)
@@ -151,9 +158,8 @@ class RockPredictions(_Predictions[RockPrediction]):
         limits: Limits = NO_LIMITS,
     ) -> None:
         """``limits``: of the angles; what is beyond them is not known."""
-        self.horizons_s, self.yaw_from_rad, self._limits = horizons_s, yaw_from_rad, limits
-        self._angles_rad = angles_rad if isinstance(angles_rad, tuple) else limits.kept(angles_rad, horizons_s)
-        self.stds_rad, self.intervals_rad = stds_rad, intervals_rad
+        self.horizons_s, self._angles_rad, self.yaw_from_rad = horizons_s, angles_rad, yaw_from_rad
+        self.stds_rad, self.intervals_rad, self._limits = stds_rad, intervals_rad, limits
 
     @property
     def angles_rad(self) -> Array:
@@ -161,7 +167,10 @@ class RockPredictions(_Predictions[RockPrediction]):
         angles_rad = self._angles_rad
         if isinstance(angles_rad, tuple):
             outlook, place, off = angles_rad
-            angles_rad = self._angles_rad = self._limits.kept(outlook.at(place, off), self.horizons_s)
+            angles_rad = self._angles_rad = outlook.at(place, off)
+        if self._limits is not NO_LIMITS:
+            angles_rad = self._angles_rad = self._limits.kept(angles_rad, self.horizons_s)
+            self._limits = NO_LIMITS
         return angles_rad
 
     @staticmethod

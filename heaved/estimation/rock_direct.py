@@ -49,8 +49,9 @@ HOLES_S: Final = (0.4, 0.15)
 """So much missing within that memory makes a channel one with holes, and so little ends it."""
 MEASURED: Final = 0.75
 """Share of the nodes that a filter for holes learns from that were measured: the odd missing one is filled well."""
-OUT_S: Final = 3.0
-"""Predictions are beyond the limits for so long, longer than a spike is seen, before everything begins anew."""
+OUT: Final = 4
+"""Predictions are looked at as often as experts are chosen: so often beyond the limits on end, which is longer than a
+spike is seen, and everything begins anew."""
 LEARNED_TOGETHER: Final = 40
 """Rows (of the learner) after which the filters for holes learn; from every other one, for neighbours are alike."""
 
@@ -109,6 +110,8 @@ class DirectPredictor:
         self._channels: list[Channel] = []
         self.filters: list[HoleFilter] = []
         """Of the channels, for holes."""
+        self.holed: set[int] = set()
+        """The channels that are predicted by them."""
         self._switch = Switch(self._horizons, EXPERTS, self._n, first_choice(self._horizons))
         self.curve = self._unknown_curve
         """What is known of the latest sample (filled where it was missing) and of the horizons, (H + 1, n)."""
@@ -179,16 +182,16 @@ class DirectPredictor:
         steps = self._clock.step(t_s)
         late_s = self._clock.late_s
         if steps > self._longest_gap:
-            for channel, hole in zip(self._channels, self.filters, strict=True):
+            for channel in self._channels:
                 channel.lose()
-                hole.active = False
+            self.holed.clear()
             self._learner.forget(slice(None))
             steps = 1
         for _ in range(steps - 1):
             self._row(self._unmeasured, self._unmeasured, 0.0)
         if steps > 0:
             self._row(values, given, late_s)
-        if self._out_rows * self._learner.every * self._interval_s > OUT_S:
+        if self._out >= OUT:
             self._restart("out of bounds")
         elif self._batch_due and self._clock.changed():
             self._restart()
@@ -261,8 +264,8 @@ class DirectPredictor:
         self._channels = [Channel(timing, gap_weights, curve) for curve in self._curves]
         self._interval_s = interval_s
         self._row_index = 0
-        self._out_rows = 0
-        """Rows of the learner on end with predictions beyond the limits."""
+        self._out = 0
+        """Times on end that predictions were beyond the limits."""
         self._nodes = max(1, round(NODE_S / interval_s)) * np.arange(ORDER + 1)
         """Of the filters, in rows back from the newest."""
         self.filters = [HoleFilter(int(self._nodes[1]), interval_s, float(horizons[-1])) for _ in range(n)]
@@ -288,7 +291,7 @@ class DirectPredictor:
         near = self._near.tolist()
         self._row_index += 1
         for c, channel in enumerate(channels):
-            if self.filters[c].active:
+            if c in self.holed:
                 x, measured = self._take_holed(c, values[c], late_s)
             else:
                 x, measured = channel.take(values[c], late_s, *near[c])
@@ -309,9 +312,9 @@ class DirectPredictor:
                 if not known[c] and not isfinite(values[c]):
                     self._miss(c)
         np.matmul(self._map, self._regressors.now()[:, :, None], out=self._seen)
-        for c, hole in enumerate(self.filters):
-            if hole.active:
-                self._curves[c] = hole.mean + hole.curve(self._row_index, self._curve_s)
+        for c in self.holed:
+            hole = self.filters[c]
+            self._curves[c] = hole.mean + hole.curve(self._row_index, self._curve_s)
         self._until_row -= 1
         self._batch_due = False
         if self._until_row == 0:
@@ -324,9 +327,9 @@ class DirectPredictor:
             if self._until_learned == 0:
                 self._until_learned = LEARNED_TOGETHER
                 self._learn_for_holes()
-        if self._until_row == self._learner.every and self._limits is not None:
+        if self._batch_due and self._limits is not None:
             curves = self._curves.T + [channel.level for channel in channels]
-            self._out_rows = self._out_rows + 1 if self._limits.left_by(curves, self._curve_s).any() else 0
+            self._out = self._out + 1 if self._limits.left_by(curves, (0.0, *self.horizons_s)).any() else 0
 
     # -- holes -----------------------------------------------------------------------------------------------------
 
@@ -335,11 +338,12 @@ class DirectPredictor:
         row, channel, hole = self._row_index, self._channels[c], self.filters[c]
         self._missing[c] = 1.0 + self._missing[c] * self._share_left(row - self._missed_row[c])
         self._missed_row[c] = row
-        if hole.active or not channel.since or self._missing[c] * self._interval_s < HOLES_S[0]:
+        if c in self.holed or not channel.since or self._missing[c] * self._interval_s < HOLES_S[0]:
             return
         window = self._window
         at = window.end - 1 - self._nodes
-        hole.begin(row, window.x[at, c], window.known[at, c], channel.mean, channel.noise_square)
+        if hole.begin(row, window.x[at, c], window.known[at, c], channel.mean, channel.noise_square):
+            self.holed.add(c)
 
     def _share_left(self, rows: int) -> float:
         return exp(-rows * self._interval_s / HOLES_MEMORY_S)
@@ -360,11 +364,11 @@ class DirectPredictor:
         if not measured:
             x = hole.mean + hole.value(row)[0]
         if not channel.bridge(x, measured=measured):
-            hole.active = False
+            self.holed.discard(c)
         elif measured:
             missing = self._missing[c] * self._share_left(row - self._missed_row[c])
             if missing * self._interval_s < HOLES_S[1]:
-                hole.active = False
+                self.holed.discard(c)
                 self._give_back(c)
         return x, measured
 
@@ -385,7 +389,7 @@ class DirectPredictor:
         at = ends[:, None] - self._nodes
         used = window.known[at, :n].mean(axis=1) >= MEASURED  # (R, n)
         for c, (channel, hole) in enumerate(zip(self._channels, self.filters, strict=True)):
-            if hole.active:
+            if c in self.holed:
                 hole.move_mean(channel.mean)
                 used[:, c] = False
         if used.any():
@@ -398,10 +402,10 @@ class DirectPredictor:
 
     def _publish(self, late_s: float) -> None:
         """The latest predictions as seen from ``late_s`` after their grid time."""
-        levels = [
-            channel.level if channel.ready and (hole.known or not hole.active) else nan
-            for channel, hole in zip(self._channels, self.filters, strict=True)
-        ]
+        levels = [channel.level if channel.ready else nan for channel in self._channels]
+        for c in self.holed:
+            if not self.filters[c].known:
+                levels[c] = nan
         if levels != self._levels:
             self._levels, self._level = levels, np.array(levels)
         self.curve = self._curves.T + self._level

@@ -152,7 +152,6 @@ class HoleFilter:
         self._every = every
         self._interval_s = interval_s
         self.model = Autoregression(every * interval_s, reach_s)
-        self.active = False
         self.noise_square = nan
         """Of a reading."""
         self.mean = 0.0
@@ -170,10 +169,13 @@ class HoleFilter:
     @property
     def known(self) -> bool:
         """Whether what it says may be published."""
-        return self.active and self.model.rows >= LEARNED_ROWS
+        return self.model.rows >= LEARNED_ROWS
 
-    def begin(self, row: int, nodes: Array, measured: NDArray[np.bool_], mean: float, noise_square: float) -> None:
-        """Start from the values (51,) of the row and those ``every`` rows apart before it, where they were measured."""
+    def begin(self, row: int, nodes: Array, measured: NDArray[np.bool_], mean: float, noise_square: float) -> bool:
+        """Start from the values (51,) of the row and those ``every`` rows apart before it, where they were measured.
+
+        False: there is no model to start from.
+        """
         model = self.model
         self.mean = mean
         y = nodes - mean
@@ -182,7 +184,7 @@ class HoleFilter:
             spread = float(np.mean(y[measured] ** 2)) if measured.any() else 0.0
             model.assume(max(spread, noise_square, 1e-12))
         if not model.solve(noise_square):
-            return
+            return False
         self.noise_square = noise_square or inf
         self._bound_noise(self._largest_noise)
         P = model.covariance
@@ -200,7 +202,7 @@ class HoleFilter:
         self._doubt = 1.0
         self._refused = 0
         self._until_solved = SOLVED_ROWS
-        self.active = True
+        return True
 
     @property
     def _largest_noise(self) -> float:

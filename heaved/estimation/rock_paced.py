@@ -207,19 +207,16 @@ class PacedPredictor:
         """Standard deviations and half-widths of what is predicted from a moment: those of horizons longer by the age
         of the readings, or what the filter for holes says, if that is more."""
         std, half_width = self.scored.std, self.scored.half_width
-        fed, horizons = self.fed, np.array(self.horizons_s)
-        if fed is None:
+        fed = self.fed
+        if fed is None or (self._whole_s == t_s and not fed.holed):
             return std, half_width
-        holed = [hole.active for hole in fed.filters]
-        if self._whole_s == t_s and not any(holed):
-            return std, half_width
-        std, half_width = std.copy(), half_width.copy()
+        std, half_width, horizons = std.copy(), half_width.copy(), np.array(self.horizons_s)
         origin_s = self._blocks.origin_s if self._blocks is not None else self.t_s
-        for c, is_holed in enumerate(holed):
+        for c in range(self._n):
             later = horizons + max(t_s - max(self._read_s[c], self._whole_s), 0.0)
             wider = np.interp(later, horizons, std[:, c])
             half_width[:, c] = np.interp(later, horizons, half_width[:, c])
-            if is_holed:
+            if c in fed.holed:
                 own = fed.spread(c, horizons + (t_s - origin_s))
                 half_width[:, c] = np.fmax(half_width[:, c], GAUSSIAN_QUANTILE * own)
                 wider = np.fmax(wider, own)
