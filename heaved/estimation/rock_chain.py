@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from math import cos, inf, isfinite, nan, pi, sin, tan
+from math import cos, isfinite, nan, pi, sin, tan
 from typing import Final
 
 import msgspec
 
 from heaved.estimation import rock, rock_direct
-from heaved.estimation.bounds import ANGLE_RAD, ANGLE_RATE_RADPS
 from heaved.estimation.rock_paced import PacedPredictor
-from heaved.predictions import TURN, Limits, RockPredictions
+from heaved.predictions import TURN, RockPredictions
 from heaved.samples import ImuSample, RockPrediction, RockScore
 
 AXES: Final = ("roll", "pitch", "yaw")
-LIMITS: Final = Limits((ANGLE_RAD, ANGLE_RAD, inf), ANGLE_RATE_RADPS)
 
 
 def angle_rates(sample: ImuSample) -> tuple[float, float, float]:
@@ -38,7 +36,7 @@ class DirectRockPredictor:
 
     def __init__(self, params: rock_direct.Params | None = None, *, rates: bool = False) -> None:
         """``rates``: the angles' rates will be given with each sample."""
-        self.predictor = PacedPredictor(3, params, rates=rates, limits=LIMITS)
+        self.predictor = PacedPredictor(3, params, rates=rates, limits=rock.LIMITS)
         self.horizons_s = self.predictor.horizons_s
         self._yaw_reference_rad = nan
         self._yaw_rad = 0.0
@@ -60,13 +58,13 @@ class DirectRockPredictor:
         """Take one sample (nan: not known) and predict from it, one record per horizon, shortest first."""
         latest = self.predictor.take(t_s, [roll_rad, pitch_rad, self._unwrapped(yaw_rad)], rates_radps)
         deviations = self.predictor.deviations(t_s)
-        return RockPredictions(self.horizons_s, latest, self._yaw_reference_rad, *deviations, LIMITS)
+        return RockPredictions(self.horizons_s, latest, self._yaw_reference_rad, *deviations, rock.LIMITS)
 
     def at(self, t_s: float) -> RockPredictions:
         """Predictions as seen from a moment without a sample, with the deviations of horizons that much longer."""
         predictor = self.predictor
         deviations = predictor.deviations(max(t_s, predictor.t_s))
-        return RockPredictions(self.horizons_s, predictor.at(t_s), self._yaw_reference_rad, *deviations, LIMITS)
+        return RockPredictions(self.horizons_s, predictor.at(t_s), self._yaw_reference_rad, *deviations, rock.LIMITS)
 
     def _unwrapped(self, yaw_rad: float) -> float:
         """Yaw relative to the first reading, without jumps."""
@@ -97,9 +95,14 @@ class RockChain:
 
     def step(self, sample: ImuSample, *, good: bool) -> Sequence[RockPrediction]:
         """Take one sample, of which nothing is known unless it is ``good``; one record per horizon, shortest first."""
-        t_s = self._t_s = sample.t_s
-        attitude = (sample.roll_rad, sample.pitch_rad, sample.yaw_rad) if good else (nan, nan, nan)
+        t_s = sample.t_s
+        attitude = nan, nan, nan
+        if good:
+            attitude = rock.possible(sample.roll_rad), rock.possible(sample.pitch_rad), sample.yaw_rad
         if self._ml is not None:
+            if not any(isfinite(angle) for angle in attitude):
+                return self.at(t_s)
+            self._t_s = t_s
             self.latest = self._ml.step(t_s, *attitude)
             return self.latest
         if self._direct is None:
@@ -134,6 +137,8 @@ class RockChain:
     @property
     def resets(self) -> Counter[tuple[str, str]]:
         """By (filter, reason): streams begun anew, steps of the level; spikes that were held back."""
+        if self._ml is not None:
+            return Counter({("rock", reason): count for reason, count in self._ml.begun_anew.items()})
         if self._direct is None:
             return self._resets
         predictor = self._direct.predictor

@@ -268,7 +268,7 @@ class HoleFilter:
         self._refused = 0
         self._doubt += (e * e / S - self._doubt) / DOUBT_MEMORY
         if is_armed:
-            self.noise_square += (max(e * e - known, 0.0) - self.noise_square) / NOISE_MEMORY
+            self.noise_square += (e * e - S) / NOISE_MEMORY
             self._bound_noise(NOISE_SHARE * self.model.variance)
         K /= S
         self._x += e * K
