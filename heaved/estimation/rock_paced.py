@@ -44,7 +44,9 @@ CHECKED_S: Final = 1.0
 CHANGED: Final = 0.2
 """Relative change of the usual interval that asks for other blocks."""
 SAME_S: Final = 1e-4
-"""Samples closer together are one."""
+"""Samples closer together are one; where they come in bursts, those closer than the shortest interval."""
+BURSTS: Final = 0.7
+"""Share of the samples that are farther apart than that, below which they come in bursts."""
 WAIT_S: Final = 4.0
 """For so long readings are waited for to show their rate."""
 SLOWER: Final = 1.5
@@ -87,6 +89,7 @@ class PacedPredictor:
         """Of the last sample with a reading of every channel."""
         self._read_s = [-inf] * self._n
         """Of the last reading of each channel, until there is one of every channel."""
+        self._same_s = SAME_S
         self._is_sparse = False
         """Readings come at their own rate: samples without any are not fed."""
         self._backwards = 0
@@ -173,7 +176,7 @@ class PacedPredictor:
                 self._restart()
             return self.latest
         self._backwards = 0
-        if t_s - self.t_s < SAME_S:
+        if t_s - self.t_s < self._same_s:
             return self.latest
         if isfinite(sum(values)):
             self._whole_s = t_s
@@ -258,6 +261,12 @@ class PacedPredictor:
 
     def _begin(self) -> None:
         """The rate is known: build, and take what has waited."""
+        apart = np.diff([t for t, _, _ in self._pending], prepend=-inf) >= LEAST_S
+        if np.mean(apart) < BURSTS and self._same_s < LEAST_S:
+            self._same_s = LEAST_S
+            self._pending = [one for one, is_apart in zip(self._pending, apart.tolist(), strict=True) if is_apart]
+            if len(self._pending) < FIRST:
+                return
         interval_s = max(usual_interval(np.array([t for t, _, _ in self._pending])), LEAST_S)
         stamps_s = [t for t, values, _ in self._pending if any(value == value for value in values)]
         if len(stamps_s) < len(self._pending):
