@@ -35,7 +35,7 @@ from heaved.estimation.rock_experts import Switch
 from heaved.estimation.rock_gate import JUDGED_S, Channel, Timing
 from heaved.estimation.rock_holes import NODE_S, ORDER, HoleFilter
 from heaved.estimation.rock_lags import SampleWindow, curve_weights, fading_taps, lag_knots
-from heaved.estimation.rock_learning import BATCH_S, EXPERT_SPANS_S, EXPERTS, Learner, first_choice
+from heaved.estimation.rock_learning import BATCH_S, EXPERT_SPANS_S, EXPERTS, FILTER_LIKE, Learner, first_choice
 from heaved.estimation.rock_regressors import Regressors
 from heaved.predictions import Limits
 
@@ -47,6 +47,10 @@ HOLES_MEMORY_S: Final = 2.0
 """Of what is missing."""
 HOLES_S: Final = (0.4, 0.15)
 """So much missing within that memory makes a channel one with holes, and so little ends it."""
+RUN_S: Final = 0.15
+"""And so much missing on end begins it."""
+FILLED_S: Final = 10.0
+"""What the filter said of its errors fades within that time, for the lags hold what it has filled them with."""
 MEASURED: Final = 0.75
 """Share of the nodes that a filter for holes learns from that were measured: the odd missing one is filled well."""
 OUT: Final = 4
@@ -112,6 +116,8 @@ class DirectPredictor:
         """Of the channels, for holes."""
         self.holed: set[int] = set()
         """The channels that are predicted by them."""
+        self.given_back: dict[int, tuple[int, Array]] = {}
+        """Of those that no longer are: when that ended, and the deviations now and at the horizons then."""
         self._switch = Switch(self._horizons, EXPERTS, self._n, first_choice(self._horizons))
         self.curve = self._unknown_curve
         """What is known of the latest sample (filled where it was missing) and of the horizons, (H + 1, n)."""
@@ -158,9 +164,21 @@ class DirectPredictor:
         return self._switch.best
 
     def spread(self, channel: int, ahead_s: Array) -> Array:
-        """Deviations, so long after the latest grid time, of a channel that is predicted by its filter for holes."""
+        """Deviations, so long after the latest grid time, of a channel that is predicted by its filter for holes.
+
+        Of what it does not see, for its model ends after 10 s, the regression on as many tells.
+        """
         deviations: Array = np.sqrt(self.filters[channel].variance(self._row_index, ahead_s))
-        return deviations
+        return np.fmax(deviations, np.interp(ahead_s, self._horizons, self._switch.rms_of(FILTER_LIKE)[:, channel]))
+
+    def spread_left(self, channel: int, ahead_s: Array) -> Array:
+        """The same of a channel that was predicted so until lately."""
+        row, deviations = self.given_back[channel]
+        fade = exp((row - self._row_index) * self._interval_s / FILLED_S)
+        if fade < 0.05:
+            del self.given_back[channel]
+        left: Array = fade * np.interp(ahead_s, self._curve_s, deviations)
+        return left
 
     def step(self, t_s: float, values: Sequence[float], rates: Sequence[float] | None = None) -> Array:
         """Take one sample of all channels (nan: not known) and predict from it, (H, n).
@@ -302,7 +320,10 @@ class DirectPredictor:
             known.append(measured)
             means.append(channel.mean)
         if self._with_rates:
-            self._rates = [r if isfinite(r) else p for r, p in zip(rates, self._rates, strict=True)]
+            if not isfinite(sum(rates)):  # one that is missing is what was expected of it
+                expected = (self._curves @ self._slopes[0]).tolist()
+                rates = [r if isfinite(r) else p if isfinite(p) else 0.0 for r, p in zip(rates, expected, strict=True)]
+            self._rates = list(rates)
             taken += self._rates
         window.append(taken + means, known)
         if not all(known):
@@ -312,6 +333,10 @@ class DirectPredictor:
                 if not known[c] and not isfinite(values[c]):
                     self._miss(c)
         np.matmul(self._map, self._regressors.now()[:, :, None], out=self._seen)
+        if not all(known):
+            for c, channel in enumerate(channels):
+                if not known[c] and c not in self.holed and channel.since:
+                    self._curves[c] = channel.carried(self._curve_s)
         for c in self.holed:
             hole = self.filters[c]
             self._curves[c] = hole.mean + hole.curve(self._row_index, self._curve_s)
@@ -338,7 +363,9 @@ class DirectPredictor:
         row, channel, hole = self._row_index, self._channels[c], self.filters[c]
         self._missing[c] = 1.0 + self._missing[c] * self._share_left(row - self._missed_row[c])
         self._missed_row[c] = row
-        if c in self.holed or not channel.since or self._missing[c] * self._interval_s < HOLES_S[0]:
+        if c in self.holed or not channel.since:
+            return
+        if max(self._missing[c] - HOLES_S[0] / self._interval_s, channel.absent - RUN_S / self._interval_s) < 0.0:
             return
         window = self._window
         at = window.end - 1 - self._nodes
@@ -368,6 +395,7 @@ class DirectPredictor:
         elif measured:
             missing = self._missing[c] * self._share_left(row - self._missed_row[c])
             if missing * self._interval_s < HOLES_S[1]:
+                self.given_back[c] = row, self.spread(c, self._curve_s)
                 self.holed.discard(c)
                 self._give_back(c)
         return x, measured

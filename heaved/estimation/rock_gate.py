@@ -92,6 +92,19 @@ class Channel:
         return self.since >= self._timing.settling
 
     @property
+    def absent(self) -> int:
+        """Samples on end that there were none of."""
+        return self._absent
+
+    def carried(self, at_s: Array) -> Array:
+        """The curve of the last sample that there was, seen from now, at times from now on."""
+        steps = self._absent + at_s / self._timing.interval_s - 1.0
+        low = np.minimum(steps.astype(np.intp), len(self._gap_weights) - 2)
+        curve = self._gap_weights @ self._anchor
+        values: Array = curve[low] + np.minimum(steps - low, 1.0) * (curve[low + 1] - curve[low])
+        return values
+
+    @property
     def noise_square(self) -> float:
         """What stands for the variance of the sensor's noise."""
         return max(self.step_square, self.quantum**2 if self.quantum < inf else 0.0)

@@ -43,13 +43,15 @@ DOUBT_MEMORY: Final = 20.0
 """Readings by which it is judged whether innovations are as large as they should be."""
 NOISE_SHARE: Final = 0.1
 """Most of it, over the variance of the motion."""
+DOUBLED: Final = 2.0
+"""What one that is held back does to that: either it is wrong, or what was expected of it."""
 GATE: Final = 6.0
 """Deviations of an innovation beyond which a reading is held back."""
 REFUSED: Final = 5
 """Readings held back in a row, over at least..."""
 REFUSED_S: Final = 0.5
 """...by which the filter has lost the motion: what it is fed is not what it follows."""
-POSITION_NOISE: Final = 1e-4
+POSITION_NOISE: Final = 1e-2
 """Least noise of a reading over the innovation from node to node: what cubic interpolation between nodes leaves."""
 POINTS: Final = np.arange(4)
 
@@ -264,6 +266,7 @@ class HoleFilter:
             if not self._refused:
                 self._refused_row = row
             self._refused += 1
+            self._doubt = max(self._doubt, 1.0) * DOUBLED
             return False
         self._refused = 0
         self._doubt += (e * e / S - self._doubt) / DOUBT_MEMORY

@@ -31,6 +31,8 @@ EXPERT_MEMORY: Final = (0.4, 0.7, 1.0)
 FADING, HOLD, MEAN = 3, 4, 5
 """The experts that are not regressions."""
 EXPERTS: Final = 6
+FILTER_LIKE: Final = 1
+"""The one that sees as much of the past as the filter for holes."""
 SHOWN, HALF_WIDTH = EXPERTS, EXPERTS + 1
 """Beside what the experts made of a row: what was published, and the half-width of its interval."""
 EXTRAPOLATED_S: Final = 0.5

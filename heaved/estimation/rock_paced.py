@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Sequence
-from math import inf, isfinite, nan
+from math import exp, inf, isfinite, nan
 from typing import Final
 
 import numpy as np
@@ -53,6 +53,8 @@ SLOWER: Final = 1.5
 """Intervals of samples to one of readings, at least, that make them a stream of their own,"""
 REGULAR: Final = 0.7
 """and share of their intervals that are the usual one, within CHANGED."""
+THIN_S: Final = 2.0
+"""Blocks that miss samples have means with as much more noise, by what was missing lately."""
 BEYOND_S: Final = 0.5
 """A curve is believed for so long after its last horizon."""
 
@@ -89,6 +91,12 @@ class PacedPredictor:
         """Of the last sample with a reading of every channel."""
         self._read_s = [-inf] * self._n
         """Of the last reading of each channel, until there is one of every channel."""
+        self._thin = False
+        """Samples of blocks are missing, or were lately:"""
+        self._lost_s = [0.0] * self._n
+        """so much of the last THIN_S, of each channel,"""
+        self._thin_s = 0.0
+        """as of then."""
         self._same_s = SAME_S
         self._is_sparse = False
         """Readings come at their own rate: samples without any are not fed."""
@@ -183,6 +191,13 @@ class PacedPredictor:
         else:
             values = [value if isfinite(value) else nan for value in values]
             known = [value == value for value in values]
+            if self._blocks is not None:
+                self._follow_thin(t_s)
+                self._lost_s = [
+                    lost_s if is_known else lost_s + self._interval_s
+                    for is_known, lost_s in zip(known, self._lost_s, strict=True)
+                ]
+                self._thin = True
             if self._is_sparse and not any(known):
                 self.latest = self.at(t_s)
                 return self.latest
@@ -211,7 +226,7 @@ class PacedPredictor:
         of the readings, or what the filter for holes says, if that is more."""
         std, half_width = self.scored.std, self.scored.half_width
         fed = self.fed
-        if fed is None or (self._whole_s == t_s and not fed.holed):
+        if fed is None or (self._whole_s == t_s and not fed.holed and not fed.given_back and not self._thin):
             return std, half_width
         std, half_width, horizons = std.copy(), half_width.copy(), np.array(self.horizons_s)
         origin_s = self._blocks.origin_s if self._blocks is not None else self.t_s
@@ -219,12 +234,27 @@ class PacedPredictor:
             later = horizons + max(t_s - max(self._read_s[c], self._whole_s), 0.0)
             wider = np.interp(later, horizons, std[:, c])
             half_width[:, c] = np.interp(later, horizons, half_width[:, c])
-            if c in fed.holed:
-                own = fed.spread(c, horizons + (t_s - origin_s))
+            if c in fed.holed or c in fed.given_back:
+                spread = fed.spread if c in fed.holed else fed.spread_left
+                own = spread(c, horizons + (t_s - origin_s))
                 half_width[:, c] = np.fmax(half_width[:, c], GAUSSIAN_QUANTILE * own)
                 wider = np.fmax(wider, own)
             std[:, c] = wider
+        if self._thin:
+            self._follow_thin(t_s)
+            for c, lost_s in enumerate(self._lost_s):
+                if c not in fed.holed:
+                    wider = 1.0 / max(1.0 - lost_s / THIN_S, 0.1) ** 0.5
+                    std[:, c] *= wider
+                    half_width[:, c] *= wider
         return std, half_width
+
+    def _follow_thin(self, t_s: float) -> None:
+        """What was missing within the blocks fades."""
+        fade = exp((self._thin_s - t_s) / THIN_S)
+        self._thin_s = t_s
+        self._lost_s = [fade * lost_s for lost_s in self._lost_s]
+        self._thin = max(self._lost_s) > 0.01 * THIN_S
 
     def at(self, t_s: float) -> Array:
         """Predictions as seen from a moment without a sample, a little after the last one."""
