@@ -41,8 +41,9 @@ NOISE_MEMORY: Final = 100.0
 """Readings by which the variance of their noise is followed."""
 DOUBT_MEMORY: Final = 20.0
 """Readings by which it is judged whether innovations are as large as they should be."""
-NOISE_SHARE: Final = 0.1
-"""Most of it, over the variance of the motion."""
+NOISE_RANGE: Final = 4.0
+"""Most of it, over what would make all innovations from node to node: of those, an estimate that knows what came later
+leaves a part only."""
 DOUBLED: Final = 2.0
 """What one that is held back does to that: either it is wrong, or what was expected of it."""
 GATE: Final = 6.0
@@ -156,6 +157,8 @@ class HoleFilter:
         self.model = Autoregression(every * interval_s, reach_s)
         self.noise_square = nan
         """Of a reading."""
+        self._ridge_square = 0.0
+        """The same, as it was when the filter began: what follows the model shall not lead it."""
         self.mean = 0.0
         """What the state is counted from."""
         self._x = np.zeros(ORDER + 1)
@@ -189,6 +192,7 @@ class HoleFilter:
             return False
         self.noise_square = noise_square or inf
         self._bound_noise(self._largest_noise)
+        self._ridge_square = self.noise_square
         P = model.covariance
         here = np.flatnonzero(measured)
         if len(here):
@@ -231,7 +235,7 @@ class HoleFilter:
         self._until_solved -= 1
         if self._until_solved <= 0:
             self._until_solved = SOLVED_ROWS
-            if model.solve(self.noise_square) and model.rows < LEARNED_ROWS:
+            if model.solve(self._ridge_square) and model.rows < LEARNED_ROWS:
                 self._bound_noise(self._largest_noise)
         ahead = P @ model.step
         newest = float(model.step @ ahead) + model.square
@@ -272,7 +276,7 @@ class HoleFilter:
         self._doubt += (e * e / S - self._doubt) / DOUBT_MEMORY
         if is_armed:
             self.noise_square += (e * e - S) / NOISE_MEMORY
-            self._bound_noise(NOISE_SHARE * self.model.variance)
+            self._bound_noise(NOISE_RANGE * self._largest_noise)
         K /= S
         self._x += e * K
         self._P -= S * np.multiply.outer(K, K)
@@ -305,8 +309,8 @@ class HoleFilter:
         B = (cubic(place - first)[:, None, :] @ model.ahead[first[:, None] + POINTS])[:, 0]
         grown = np.interp(place, np.arange(len(model.grown)), model.grown)
         found = np.maximum(((B @ self._P) * B).sum(axis=1), 0.0) + model.square * grown + self.noise_square
-        rows = max(min(model.rows, MEMORY_S / NODE_S), LEARNED_ROWS)
-        variance: Array = max(self._doubt, 1.0) * (rows + ORDER) / (rows - ORDER) * found
+        sets = max(0.5 * min(model.rows, MEMORY_S / NODE_S), LEARNED_ROWS)  # neighbours are half the same
+        variance: Array = max(self._doubt, 1.0) * (sets + ORDER) / (sets - ORDER) * found
         return variance
 
     def past(self, rows: Array) -> Array:
