@@ -47,6 +47,8 @@ HOLES_MEMORY_S: Final = 2.0
 """Of what is missing."""
 HOLES_S: Final = (0.4, 0.15)
 """So much missing within that memory makes a channel one with holes, and so little ends it."""
+RATED_HOLES_S: Final = (0.1, 0.05)
+"""The same where rates are given: they tell much, while they are there."""
 RUN_S: Final = 0.15
 """And so much missing on end begins it."""
 FILLED_S: Final = 10.0
@@ -287,6 +289,7 @@ class DirectPredictor:
         self._nodes = max(1, round(NODE_S / interval_s)) * np.arange(ORDER + 1)
         """Of the filters, in rows back from the newest."""
         self.filters = [HoleFilter(int(self._nodes[1]), interval_s, float(horizons[-1])) for _ in range(n)]
+        self._holes_s = RATED_HOLES_S if self._with_rates else HOLES_S
         self._missing = [0.0] * n
         """Samples missing lately."""
         self._missed_row = [0] * n
@@ -348,6 +351,8 @@ class DirectPredictor:
                 if self._learner.batch(channels):
                     self._map = self._mapped()
                 self._batch_due = True
+                for c in self.holed:
+                    self._give_back(c, self._row_index)
             self._until_learned -= 1
             if self._until_learned == 0:
                 self._until_learned = LEARNED_TOGETHER
@@ -365,7 +370,7 @@ class DirectPredictor:
         self._missed_row[c] = row
         if c in self.holed or not channel.since:
             return
-        if max(self._missing[c] - HOLES_S[0] / self._interval_s, channel.absent - RUN_S / self._interval_s) < 0.0:
+        if max(self._missing[c] - self._holes_s[0] / self._interval_s, channel.absent - RUN_S / self._interval_s) < 0.0:
             return
         window = self._window
         at = window.end - 1 - self._nodes
@@ -394,16 +399,15 @@ class DirectPredictor:
             self.holed.discard(c)
         elif measured:
             missing = self._missing[c] * self._share_left(row - self._missed_row[c])
-            if missing * self._interval_s < HOLES_S[1]:
+            if missing * self._interval_s < self._holes_s[1]:
                 self.given_back[c] = row, self.spread(c, self._curve_s)
                 self.holed.discard(c)
-                self._give_back(c)
+                self._give_back(c, row - 1)  # the latest has not been appended
         return x, measured
 
-    def _give_back(self, c: int) -> None:
+    def _give_back(self, c: int, row: int) -> None:
         """The lags of a channel get what its filter has come to know of the holes."""
-        window, row = self._window, self._row_index - 1  # the latest has not been appended
-        hole = self.filters[c]
+        window, hole = self._window, self.filters[c]
         count = min(self._channels[c].since - 2, int(self._nodes[-1]) - int(self._nodes[1]))
         if count <= 0:
             return
