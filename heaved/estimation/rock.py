@@ -214,6 +214,12 @@ class RockPredictor:
             self._fit()
         curve = (self._z[:, :, None, :] @ self._advance)[..., 0, :]
         self._history.curves[row] = curve
+        for index, axis in enumerate(self._axes):
+            if axis.is_holed:  # what is left out is not scored
+                self._history.curves[row, :, :, index] = nan
+            elif axis.is_slower:
+                axis.is_slower = False
+                self._errors.forget(index)
         since_s = t_s - self._scored_s if self._scored_s > -inf else elapsed_s
         if since_s > STEP_S - 0.5 * elapsed_s:  # errors closer together are hardly different ones
             self._score(row, min(since_s, max(STEP_S, elapsed_s)), elapsed_s, measured)
@@ -439,7 +445,10 @@ class _Axis:
         """Between readings."""
         self.within_s = -inf
         """When its predictions were last within the bounds."""
+        self.is_slower = False
+        """Its readings have come to be usual that were holes when it was left out: its errors are not known."""
         self._missing_s = 0.0
+        self._left_usual_s = nan
         self._left_out = self._begun_again = False
         self.forget()
 
@@ -454,7 +463,10 @@ class _Axis:
         self._missing_s *= exp(-waited_s / HOLES_MEMORY_S)
         if waited_s > USUAL * self.usual_s:
             self._missing_s += waited_s - self.usual_s
-        self._left_out = self._missing_s > HOLES_S[1 if self._left_out else 0]
+        was_left_out, self._left_out = self._left_out, self._missing_s > HOLES_S[1 if self._left_out else 0]
+        if self._left_out and not was_left_out:
+            self._left_usual_s = self.usual_s
+        self.is_slower = was_left_out and not self._left_out and self.usual_s > USUAL * self._left_usual_s
         self.usual_s += min(waited_s / MEAN_SETTLES_S, 1.0) * (waited_s - self.usual_s)
 
     @property

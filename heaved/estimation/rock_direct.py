@@ -338,7 +338,7 @@ class DirectPredictor:
         np.matmul(self._map, self._regressors.now()[:, :, None], out=self._seen)
         if not all(known):
             for c, channel in enumerate(channels):
-                if not known[c] and c not in self.holed and channel.since:
+                if not isfinite(values[c]) and c not in self.holed and channel.since:
                     self._curves[c] = channel.carried(self._curve_s)
         for c in self.holed:
             hole = self.filters[c]
