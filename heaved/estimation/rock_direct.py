@@ -419,14 +419,17 @@ class DirectPredictor:
         window, n = self._window, self._n
         ends = window.end - 1 - 2 * int(self._learner.every) * np.arange(LEARNED_TOGETHER // 2)
         at = ends[:, None] - self._nodes
-        used = window.known[at, :n].mean(axis=1) >= MEASURED  # (R, n)
+        known = window.known[at, :n]
+        used = np.ones((len(ends), n), dtype=bool) if known.all() else known.mean(axis=1) >= MEASURED  # (R, n)
         for c, (channel, hole) in enumerate(zip(self._channels, self.filters, strict=True)):
             if c in self.holed:
                 hole.move_mean(channel.mean)
                 used[:, c] = False
         if used.any():
             nodes = window.x[at, :n] - window.x[ends, -n:][:, None]
-            rows = np.where(used[:, None], nodes, 0.0).transpose(2, 0, 1)
+            if not used.all():
+                nodes = np.where(used[:, None], nodes, 0.0)
+            rows = np.ascontiguousarray(nodes.transpose(2, 0, 1))
             moments = rows.transpose(0, 2, 1) @ rows
             for hole, of_channel, count in zip(self.filters, moments, used.sum(axis=0).tolist(), strict=True):
                 if count:
