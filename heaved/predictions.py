@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
-from math import nan, pi
+from functools import cache
+from math import inf, nan, pi
 from typing import Final, Self, TypeVar, overload
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,6 +30,37 @@ Yaw = TypeVar("Yaw", float, Array)
 def turned(yaw_rad: Yaw) -> Yaw:
     """The same heading, 0 <= yaw < 2 pi."""
     return yaw_rad % TURN % TURN  # x % 2 pi may round up to 2 pi
+
+
+class Limits(msgspec.Struct, frozen=True):
+    """What channels that are predicted never do."""
+
+    largest: tuple[float, ...]
+    """Magnitude of each of n channels."""
+    rate: float
+    """Of all of them, per second."""
+
+    def left_by(self, curves: Array, at_s: tuple[float, ...]) -> NDArray[np.bool_]:
+        """Which of the values (..., H, n) at H moments lie beyond the limits, or cannot follow the one before; what is
+        not known does neither."""
+        largest, steps = _largest(self, at_s)
+        beyond: NDArray[np.bool_] = np.abs(curves) > largest
+        beyond[..., 1:, :] |= np.abs(curves[..., 1:, :] - curves[..., :-1, :]) > steps
+        return beyond
+
+    def kept(self, curves: Array, at_s: tuple[float, ...]) -> Array:
+        """The same values; nan from where on the limits are left."""
+        beyond = self.left_by(curves, at_s)
+        return np.where(np.logical_or.accumulate(beyond, axis=-2), nan, curves) if beyond.any() else curves
+
+
+@cache
+def _largest(limits: Limits, at_s: tuple[float, ...]) -> tuple[Array, Array]:
+    """Values, and changes from one moment to the next."""
+    return np.array(limits.largest), limits.rate * np.diff(at_s)[:, None]
+
+
+NO_LIMITS: Final = Limits((inf, inf, inf), inf)
 
 
 class _Predictions(Sequence[Record]):
@@ -113,7 +146,7 @@ class RockPredictions(_Predictions[RockPrediction]):
     """Roll, pitch and yaw, their standard deviations and half-widths of their intervals, each (H, 3), for each horizon
     (H,). Yaw is counted from ``yaw_from_rad`` without jumps, as a regression sees it; records have the heading."""
 
-    __slots__ = ("_angles_rad", "intervals_rad", "stds_rad", "yaw_from_rad")
+    __slots__ = ("_angles_rad", "_limits", "intervals_rad", "stds_rad", "yaw_from_rad")
 
     def __init__(
         self,
@@ -122,9 +155,11 @@ class RockPredictions(_Predictions[RockPrediction]):
         yaw_from_rad: float,
         stds_rad: Array,
         intervals_rad: Array,
+        limits: Limits = NO_LIMITS,
     ) -> None:
+        """``limits``: of the angles; what is beyond them is not known."""
         self.horizons_s, self._angles_rad, self.yaw_from_rad = horizons_s, angles_rad, yaw_from_rad
-        self.stds_rad, self.intervals_rad = stds_rad, intervals_rad
+        self.stds_rad, self.intervals_rad, self._limits = stds_rad, intervals_rad, limits
 
     @property
     def angles_rad(self) -> Array:
@@ -133,12 +168,16 @@ class RockPredictions(_Predictions[RockPrediction]):
         if isinstance(angles_rad, tuple):
             outlook, place, off = angles_rad
             angles_rad = self._angles_rad = outlook.at(place, off)
+        if self._limits is not NO_LIMITS:
+            angles_rad = self._angles_rad = self._limits.kept(angles_rad, self.horizons_s)
+            self._limits = NO_LIMITS
         return angles_rad
 
     @staticmethod
     def angles_of(several: Sequence[RockPredictions]) -> Array:
         """Those of N with as many horizons, (N, H, 3): see :func:`worked_out`."""
-        return worked_out([one._angles_rad for one in several])
+        angles_rad = worked_out([one._angles_rad for one in several])
+        return several[0]._limits.kept(angles_rad, several[0].horizons_s) if several else angles_rad
 
     def __iter__(self) -> Iterator[RockPrediction]:
         columns = self.angles_rad.tolist(), self.stds_rad.tolist(), self.intervals_rad.tolist()

@@ -23,17 +23,19 @@ with the least realised error is published.
 
 from __future__ import annotations
 
-from collections import deque
-from math import inf, nan, pi
+from collections import Counter, deque
+from math import exp, inf, nan, pi
 from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.estimation.bounds import ANGLE_RAD, ANGLE_RATE_RADPS
 from heaved.estimation.fading import gain_table, gains, pascal
 from heaved.estimation.rock_record import History, RealisedErrors
 from heaved.estimation.rock_regression import regression
+from heaved.predictions import Limits
 from heaved.samples import RockPrediction
 
 Array = NDArray[np.float64]
@@ -49,6 +51,19 @@ GAP_S = 0.25
 """Longer gaps start an axis anew, unless configured otherwise."""
 MEAN_SETTLES_S = 10.0
 """About one period: the mean over T of a motion of deviation s wanders by s min(1, 10 s / T)."""
+HOLES_MEMORY_S = 2.0
+HOLES_S = (0.2, 0.1)
+"""Seconds without the usual readings within that memory from which on an axis is left out, and up to which it stays so:
+its errors are others than those that its standard deviation comes from."""
+USUAL = 1.5
+"""Usual intervals between readings that are no hole."""
+SETTLED_S = 5.0
+"""After a gap: until the regression sees nothing but what has come since. Before, deviations are..."""
+WIDENED = 2.0
+"""...so many times as large."""
+OUT_S = 3.0
+"""An axis predicted beyond the bounds for so long, longer than a spike is seen, starts anew."""
+LIMITS = Limits((ANGLE_RAD, ANGLE_RAD, inf), ANGLE_RATE_RADPS)
 YAW = 2
 AXES = 3
 
@@ -118,7 +133,8 @@ class RockPredictor:
 
     What is published is what is known: an axis is nan until 2 s of it have been seen (``endpoint``) or the window is
     full (``zero``), and again after a gap longer than ``max_gap_s``. Shorter gaps are bridged by the filter's own
-    extrapolation. Below about 10 Hz a very quiet sensor gains little: its samples are too far apart for the polynomial.
+    extrapolation while they are few; an axis with many is left out. Below about 10 Hz a very quiet sensor gains little:
+    its samples are too far apart for the polynomial. A reading that no ship has is none.
 
     Standard deviations are the exponentially weighted RMS of the realised errors against the *measured* angle, so
     sensor noise is in them; nan until 5 s of errors are known. The error of a horizon is taken from the prediction
@@ -128,6 +144,8 @@ class RockPredictor:
     def __init__(self, params: Params | None = None) -> None:
         self._params = p = params if params is not None else Params()
         self.horizons_s = tuple(sorted({*p.horizons_s, *STANDARD_HORIZONS_S}))
+        self.begun_anew: Counter[str] = Counter()
+        """By reason: how often an axis was begun anew for what it predicted."""
         self._horizons = np.array(self.horizons_s)
         self._grid = np.maximum(np.rint(self._horizons / STEP_S), 1.0).astype(np.intp)
         """Whole steps to each horizon; the remainder is bridged by the filter's polynomial."""
@@ -184,7 +202,7 @@ class RockPredictor:
             self._interval_s = typical_s + 0.05 * (min(elapsed_s, 1.0) - typical_s)
         self._t_s = t_s
 
-        measured = np.array([roll_rad, pitch_rad, self._unwrapped(yaw_rad)])
+        measured = np.array([possible(roll_rad), possible(pitch_rad), self._unwrapped(yaw_rad)])
         used = self._follow_axes(elapsed_s, measured)
         self._filter(elapsed_s, measured, used)
         row = self._history.append(t_s, measured)
@@ -196,6 +214,12 @@ class RockPredictor:
             self._fit()
         curve = (self._z[:, :, None, :] @ self._advance)[..., 0, :]
         self._history.curves[row] = curve
+        for index, axis in enumerate(self._axes):
+            if axis.is_holed:  # what is left out is not scored
+                self._history.curves[row, :, :, index] = nan
+            elif axis.is_slower:
+                axis.is_slower = False
+                self._errors.forget(index)
         since_s = t_s - self._scored_s if self._scored_s > -inf else elapsed_s
         if since_s > STEP_S - 0.5 * elapsed_s:  # errors closer together are hardly different ones
             self._score(row, min(since_s, max(STEP_S, elapsed_s)), elapsed_s, measured)
@@ -226,7 +250,7 @@ class RockPredictor:
                 if axis.begun_s != axis.begun_s:
                     axis.begun_s = self._t_s
                     axis.running = self._params.mode == "zero"
-                axis.seen_s = self._t_s
+                axis.read(self._t_s, limit_s)
                 age_s = self._t_s - axis.begun_s + elapsed_s
                 axis.mean += elapsed_s / min(age_s, self._params.mean_memory_s) * (value - axis.mean)
             used.append(known and axis.running)
@@ -256,9 +280,12 @@ class RockPredictor:
             self._gain = self._state_gain(elapsed_s)[:, None, :]
         z = self._z @ self._state_shift(elapsed_s / STEP_S)
         innovation = measured - z[..., 0]
+        gain = self._gain
         if not all(used):
             innovation = np.where(used, innovation, 0.0)
-        self._z = z + innovation[..., None] * self._gain
+        if any(axis.waited_s > 1.25 * elapsed_s for axis in self._axes):  # a reading weighs for all since the last one
+            gain = np.stack([self._state_gain(max(axis.waited_s, elapsed_s)) for axis in self._axes], axis=1)
+        self._z = z + innovation[..., None] * gain
 
     def _regressors(self, row: int, elapsed_s: float, measured: Array, used: list[bool]) -> None:
         """One equation of the regression: this sample on position and velocity of one step before."""
@@ -370,6 +397,23 @@ class RockPredictor:
     def _publish(self, curve: Array) -> tuple[RockPrediction, ...]:
         best, std = self._errors.of_best(curve)
         value = (best @ self._remainder)[..., 0]
+        beyond = LIMITS.left_by(value, self.horizons_s)
+        if beyond.any():
+            value[np.logical_or.accumulate(beyond, axis=0)] = nan
+        for index, axis in enumerate(self._axes):
+            if beyond[:, index].any():
+                if self._t_s - max(axis.within_s, axis.begun_s) > OUT_S:
+                    axis.forget()
+                    self._forget(index)
+                    self.begun_anew["out of bounds"] += 1
+            else:
+                axis.within_s = self._t_s
+            if axis.is_holed:
+                value[:, index] = nan
+            elif self._t_s > axis.seen_s:  # deviations are those of horizons longer by the age of the reading
+                std[:, index] = np.interp(self._horizons + self._t_s - axis.seen_s, self._horizons, std[:, index])
+            if axis.is_young(self._t_s):
+                std[:, index] *= WIDENED
         turned = value[:, YAW] + self._yaw_reference_rad
         value[:, YAW] = turned % (2 * pi)
         return tuple(
@@ -386,16 +430,60 @@ class RockPredictor:
         )
 
 
+def possible(angle_rad: float) -> float:
+    """Roll or pitch; nan if no ship has it."""
+    return angle_rad if -ANGLE_RAD <= angle_rad <= ANGLE_RAD else nan
+
+
 class _Axis:
     """What is known of one axis: since when, its mean, and how far its start has got."""
 
     def __init__(self) -> None:
         self.mean = 0.0
+        self.begun_s = self.seen_s = nan
+        self.usual_s = nan
+        """Between readings."""
+        self.within_s = -inf
+        """When its predictions were last within the bounds."""
+        self.is_slower = False
+        """Its readings have come to be usual that were holes when it was left out: its errors are not known."""
+        self._missing_s = 0.0
+        self._left_usual_s = nan
+        self._left_out = self._begun_again = False
         self.forget()
 
+    def read(self, t_s: float, limit_s: float) -> None:
+        """A reading has come; an interval longer than ``limit_s`` is a gap, after which the axis begins anew."""
+        waited_s = self.waited_s = t_s - self.seen_s if self.seen_s == self.seen_s else 0.0
+        self.seen_s = t_s
+        if not 0.0 < waited_s <= limit_s:
+            return
+        if self.usual_s != self.usual_s:
+            self.usual_s = waited_s
+        self._missing_s *= exp(-waited_s / HOLES_MEMORY_S)
+        if waited_s > USUAL * self.usual_s:
+            self._missing_s += waited_s - self.usual_s
+        was_left_out, self._left_out = self._left_out, self._missing_s > HOLES_S[1 if self._left_out else 0]
+        if self._left_out and not was_left_out:
+            self._left_usual_s = self.usual_s
+        self.is_slower = was_left_out and not self._left_out and self.usual_s > USUAL * self._left_usual_s
+        self.usual_s += min(waited_s / MEAN_SETTLES_S, 1.0) * (waited_s - self.usual_s)
+
+    @property
+    def is_holed(self) -> bool:
+        """Whether too much is missing for its predictions to be as good as usual."""
+        return self._left_out
+
+    def is_young(self, t_s: float) -> bool:
+        """Whether it has begun anew, and its errors are larger than those that its standard deviation comes from."""
+        return self._begun_again and t_s - self.begun_s < SETTLED_S
+
     def forget(self) -> None:
+        self._begun_again = self._begun_again or self.begun_s == self.begun_s
         self.begun_s = nan
         self.seen_s = nan
+        self.waited_s = 0.0
+        """For the latest reading."""
         self.running = False
         """Its samples go into the filter."""
         self.ready = False

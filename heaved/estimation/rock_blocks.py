@@ -23,6 +23,7 @@ from heaved.block_outlook import BlockMaps, BlockOutlook, Moment
 from heaved.estimation.rock_block_learning import ON_TIME, BlockLearner
 from heaved.estimation.rock_carry import CORRECTED_S
 from heaved.estimation.rock_direct import DirectPredictor, Params
+from heaved.predictions import Limits
 
 Array = NDArray[np.float64]
 
@@ -37,15 +38,28 @@ FINE_S: Final = 0.25
 class Blocks:
     """Blocks of ``samples`` for n channels; arrays published are (H, n)."""
 
-    def __init__(self, params: Params, samples: int, interval_s: float, channels: int, *, rates: bool = False) -> None:
-        """``interval_s``: of the samples; ``rates``: the first derivative of every channel is given with each."""
+    def __init__(
+        self,
+        params: Params,
+        samples: int,
+        interval_s: float,
+        channels: int,
+        *,
+        rates: bool = False,
+        limits: Limits | None = None,
+    ) -> None:
+        """``interval_s``: of the samples; ``rates``: the first derivative of every channel is given with each.
+
+        ``limits``: what no channel does.
+        """
         self._horizons = np.unique(params.horizons_s)
         self._samples, self._n = samples, channels
         self.interval_s = interval_s
         """Of the samples, as they come."""
         self._max_gap_s = params.max_gap_s
         nodes_s = self._nodes()
-        self.fed = DirectPredictor(channels, msgspec.structs.replace(params, horizons_s=nodes_s), rates=rates)
+        at_nodes = msgspec.structs.replace(params, horizons_s=nodes_s)
+        self.fed = DirectPredictor(channels, at_nodes, rates=rates, limits=limits)
         """What predicts from the block means."""
         self._aim()
         self._learner = BlockLearner(self._horizons, samples, interval_s, self._weights, channels)
@@ -72,6 +86,9 @@ class Blocks:
         self._came: int
         self._values: list[float]
         self._rates: list[Sequence[float]]
+        self._rate_places: list[int]
+        self._are_rated = rates
+        self._last_rates = self._nothing
         self._shown_phase: int
         self._shown_now: Moment | None
         """What is published at that place, and will be scored."""
@@ -145,6 +162,7 @@ class Blocks:
         self._values[here] = values
         if rates is not None:
             self._rates.append(rates)
+            self._rate_places.append(phase)
         if phase == self._samples:
             self._feed(map(sub, values, expected))
             phase, off = 0, 0.0
@@ -191,8 +209,7 @@ class Blocks:
         innovations = [*self._outlook.innovations, *last]
         mean = self._means(innovations)
         is_due = self._learner.keep(self._values, innovations, self._outlook.curve, self._shown_now)
-        count = len(self._rates)
-        rates = [total / count for total in map(sum, zip(*self._rates, strict=True))] or None
+        rates = self._mean_rates() if self._are_rated else None
         self.origin_s = self._end_s - self._lag_s
         self.fed.step(self.origin_s, mean, rates)
         if is_due:
@@ -218,8 +235,29 @@ class Blocks:
         self._late = 0.0
         self._outlook = BlockOutlook(curve, nothing * (samples - 1), self._maps)
         self._values = nothing * samples
-        self._rates = []
+        self._rates, self._rate_places = [], []
         self._shown_phase, self._shown_now = self._learner.scored_place, None
+
+    def _mean_rates(self) -> list[float]:
+        """Of a block, for its middle; nan: there are none. Those of a part of it are moved there by how they change."""
+        count = len(self._rates)
+        totals = list(map(sum, zip(*self._rates, strict=True)))
+        if count == self._samples and isfinite(sum(totals)):
+            self._last_rates = [total / count for total in totals]
+            return self._last_rates
+        placed = zip(self._rate_places, self._rates, strict=True)
+        known = [(place, rates) for place, rates in placed if all(map(isfinite, rates))]
+        if not known:
+            self._last_rates = self._nothing
+            return self._nothing
+        early = 0.5 * (self._samples + 1) - sum(place for place, _ in known) / len(known)
+        means = [total / len(known) for total in map(sum, zip(*(rates for _, rates in known), strict=True))]
+        change = early / (self._samples - early)
+        self._last_rates = [
+            mean + change * (mean - last) if isfinite(last) else mean
+            for mean, last in zip(means, self._last_rates, strict=True)
+        ]
+        return self._last_rates
 
     def _means(self, innovations: list[float]) -> list[float]:
         """Of a block, for its middle: about the curve, where there is one, and without what is far from it."""

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from math import cos, inf, isfinite, nan, pi, sin, tan
+from math import cos, isfinite, nan, pi, sin, tan
 from typing import Final
 
 import msgspec
-import numpy as np
-from numpy.typing import NDArray
 
 from heaved.estimation import rock, rock_direct
 from heaved.estimation.rock_paced import PacedPredictor
 from heaved.predictions import TURN, RockPredictions
 from heaved.samples import ImuSample, RockPrediction, RockScore
-
-Array = NDArray[np.float64]
 
 AXES: Final = ("roll", "pitch", "yaw")
 
@@ -40,7 +36,7 @@ class DirectRockPredictor:
 
     def __init__(self, params: rock_direct.Params | None = None, *, rates: bool = False) -> None:
         """``rates``: the angles' rates will be given with each sample."""
-        self.predictor = PacedPredictor(3, params, rates=rates)
+        self.predictor = PacedPredictor(3, params, rates=rates, limits=rock.LIMITS)
         self.horizons_s = self.predictor.horizons_s
         self._yaw_reference_rad = nan
         self._yaw_rad = 0.0
@@ -61,19 +57,14 @@ class DirectRockPredictor:
     ) -> RockPredictions:
         """Take one sample (nan: not known) and predict from it, one record per horizon, shortest first."""
         latest = self.predictor.take(t_s, [roll_rad, pitch_rad, self._unwrapped(yaw_rad)], rates_radps)
-        known = self.predictor.scored
-        return RockPredictions(self.horizons_s, latest, self._yaw_reference_rad, known.std, known.half_width)
+        deviations = self.predictor.deviations(t_s)
+        return RockPredictions(self.horizons_s, latest, self._yaw_reference_rad, *deviations, rock.LIMITS)
 
     def at(self, t_s: float) -> RockPredictions:
         """Predictions as seen from a moment without a sample, with the deviations of horizons that much longer."""
         predictor = self.predictor
-        horizons = np.array(self.horizons_s)
-        later = horizons + max(t_s - predictor.t_s, 0.0) if predictor.t_s > -inf else horizons
-        std, half_width = (
-            np.stack([np.interp(later, horizons, column) for column in columns.T], axis=1)
-            for columns in (predictor.std, predictor.half_width)
-        )
-        return RockPredictions(self.horizons_s, predictor.at(t_s), self._yaw_reference_rad, std, half_width)
+        deviations = predictor.deviations(max(t_s, predictor.t_s))
+        return RockPredictions(self.horizons_s, predictor.at(t_s), self._yaw_reference_rad, *deviations, rock.LIMITS)
 
     def _unwrapped(self, yaw_rad: float) -> float:
         """Yaw relative to the first reading, without jumps."""
@@ -98,14 +89,20 @@ class RockChain:
         self._ml = rock.RockPredictor(params) if params.predictor == "ml" else None
         self._direct: DirectRockPredictor | None = None
         self._rated = False
-        self._spikes = self._level_steps = self._restarts = 0
+        self._spikes = self._level_steps = 0
+        self._begun_anew: Counter[str] = Counter()
         self._resets: Counter[tuple[str, str]] = Counter()
 
     def step(self, sample: ImuSample, *, good: bool) -> Sequence[RockPrediction]:
         """Take one sample, of which nothing is known unless it is ``good``; one record per horizon, shortest first."""
-        t_s = self._t_s = sample.t_s
-        attitude = (sample.roll_rad, sample.pitch_rad, sample.yaw_rad) if good else (nan, nan, nan)
+        t_s = sample.t_s
+        attitude = nan, nan, nan
+        if good:
+            attitude = rock.possible(sample.roll_rad), rock.possible(sample.pitch_rad), sample.yaw_rad
         if self._ml is not None:
+            if not any(isfinite(angle) for angle in attitude):
+                return self.at(t_s)
+            self._t_s = t_s
             self.latest = self._ml.step(t_s, *attitude)
             return self.latest
         if self._direct is None:
@@ -140,17 +137,25 @@ class RockChain:
     @property
     def resets(self) -> Counter[tuple[str, str]]:
         """By (filter, reason): streams begun anew, steps of the level; spikes that were held back."""
+        if self._ml is not None:
+            return Counter({("rock", reason): count for reason, count in self._ml.begun_anew.items()})
         if self._direct is None:
             return self._resets
         predictor = self._direct.predictor
-        begun_anew = predictor.restarts != self._restarts  # and counts its spikes and steps from zero
+        begun_anew = predictor.begun_anew
+        if begun_anew != self._begun_anew:
+            for reason, count in (begun_anew - self._begun_anew).items():
+                self._resets["rock", reason] += count
+            if sum(begun_anew.values()) - begun_anew["lost track"] != (
+                sum(self._begun_anew.values()) - self._begun_anew["lost track"]
+            ):
+                self._spikes = self._level_steps = 0  # which are counted from zero then
+            self._begun_anew = begun_anew
         for reason, now, before in (
-            ("restart", predictor.restarts, self._restarts),
-            ("level step", predictor.level_steps, 0 if begun_anew else self._level_steps),
-            ("spike", predictor.spikes, 0 if begun_anew else self._spikes),
+            ("level step", predictor.level_steps, self._level_steps),
+            ("spike", predictor.spikes, self._spikes),
         ):
             if now > before:
                 self._resets["rock", reason] += now - before
-        self._restarts, self._level_steps = predictor.restarts, predictor.level_steps
-        self._spikes = predictor.spikes
+        self._level_steps, self._spikes = predictor.level_steps, predictor.spikes
         return self._resets

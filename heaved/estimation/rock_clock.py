@@ -33,6 +33,8 @@ GAP: Final = 4
 """Steps at once that are a gap, and say little about phase, interval or rate."""
 RATIO: Final = (0.6, 1.6)
 """Samples per grid step outside of which the rate is another, however much they scatter."""
+LEAST_S: Final = 1e-3
+"""Shortest interval: sizes what is as long as some seconds of samples."""
 
 
 class SampleClock:
@@ -53,8 +55,8 @@ class SampleClock:
         if len(stamps_s) < FIRST:
             return False
         t = np.array(stamps_s)
-        slope, first = np.polyfit(np.rint((t - t[-1]) / usual_interval(t)), t - t[-1], 1)
-        self.interval_s = float(slope)
+        slope, first = np.polyfit(np.rint((t - t[-1]) / max(usual_interval(t), LEAST_S)), t - t[-1], 1)
+        self.interval_s = max(float(slope), LEAST_S)
         self.late_s = -float(first)
         self._grid_s = t[-1] + float(first)
         self._last_s = float(t[-1])

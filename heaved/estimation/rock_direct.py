@@ -13,14 +13,17 @@ predictions that would let its errors grow.
 * Work is in samples on an even grid (:mod:`heaved.estimation.rock_clock`); equations are taken every 0.2 s,
   and every few seconds they are summed and, some sets in turn, solved (:mod:`heaved.estimation.rock_learning`).
 
-Missing samples are filled with the prediction; what else may be wrong with them is dealt with in
+A missing sample is filled with the prediction. Where many are missing, a channel is predicted by a filter that needs
+none of them (:mod:`heaved.estimation.rock_holes`), nothing is learned from what was filled, and the lags are given what
+the filter knows of the holes once it hands over again. What else may be wrong with samples is dealt with in
 :mod:`heaved.estimation.rock_gate`. While the motion leaves its own range nothing is learned.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from math import ceil, inf, isfinite, nan
+from math import ceil, exp, inf, isfinite, nan
 from typing import Annotated, Final
 
 import msgspec
@@ -30,14 +33,33 @@ from numpy.typing import NDArray
 from heaved.estimation.rock_clock import SampleClock
 from heaved.estimation.rock_experts import Switch
 from heaved.estimation.rock_gate import JUDGED_S, Channel, Timing
+from heaved.estimation.rock_holes import NODE_S, ORDER, HoleFilter
 from heaved.estimation.rock_lags import SampleWindow, curve_weights, fading_taps, lag_knots
-from heaved.estimation.rock_learning import BATCH_S, EXPERT_SPANS_S, EXPERTS, Learner, first_choice
+from heaved.estimation.rock_learning import BATCH_S, EXPERT_SPANS_S, EXPERTS, FILTER_LIKE, Learner, first_choice
 from heaved.estimation.rock_regressors import Regressors
+from heaved.predictions import Limits
 
 Array = NDArray[np.float64]
 
 BACKWARDS: Final = 20
 """Stamps in a row that are not later: the clock has been set back, begin anew."""
+HOLES_MEMORY_S: Final = 2.0
+"""Of what is missing."""
+HOLES_S: Final = (0.4, 0.15)
+"""So much missing within that memory makes a channel one with holes, and so little ends it."""
+RATED_HOLES_S: Final = (0.1, 0.05)
+"""The same where rates are given: they tell much, while they are there."""
+RUN_S: Final = 0.15
+"""And so much missing on end begins it."""
+FILLED_S: Final = 10.0
+"""What the filter said of its errors fades within that time, for the lags hold what it has filled them with."""
+MEASURED: Final = 0.75
+"""Share of the nodes that a filter for holes learns from that were measured: the odd missing one is filled well."""
+OUT: Final = 4
+"""Predictions are looked at as often as experts are chosen: so often beyond the limits on end, which is longer than a
+spike is seen, and everything begins anew."""
+LEARNED_TOGETHER: Final = 40
+"""Rows (of the learner) after which the filters for holes learn; from every other one, for neighbours are alike."""
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -60,8 +82,18 @@ class DirectPredictor:
     value, so sensor noise is in them.
     """
 
-    def __init__(self, channels: int, params: Params | None = None, *, rates: bool = False) -> None:
-        """``rates``: the first derivative of every channel will be given with each sample."""
+    def __init__(
+        self,
+        channels: int,
+        params: Params | None = None,
+        *,
+        rates: bool = False,
+        limits: Limits | None = None,
+    ) -> None:
+        """``rates``: the first derivative of every channel will be given with each sample.
+
+        ``limits``: what no channel does; a prediction beyond them begins everything anew.
+        """
         self._params = params if params is not None else Params()
         self.horizons_s = tuple(sorted(set(self._params.horizons_s)))
         self._horizons = np.array(self.horizons_s)
@@ -69,8 +101,9 @@ class DirectPredictor:
         self._with_rates = rates
         self._no_rates = [0.0] * channels
         self._unknown_curve = np.full((len(self.horizons_s) + 1, channels), nan)
-        self.restarts = 0
-        """Times that the stream was begun anew."""
+        self._limits = limits
+        self.begun_anew: Counter[str] = Counter()
+        """By reason: the stream, or (lost track) one channel of it."""
         self.reset()
 
     def reset(self) -> None:
@@ -81,6 +114,12 @@ class DirectPredictor:
         self._pending: list[tuple[float, Sequence[float], Sequence[float]]] = []
         self._built = False
         self._channels: list[Channel] = []
+        self.filters: list[HoleFilter] = []
+        """Of the channels, for holes."""
+        self.holed: set[int] = set()
+        """The channels that are predicted by them."""
+        self.given_back: dict[int, tuple[int, Array]] = {}
+        """Of those that no longer are: when that ended, and the deviations now and at the horizons then."""
         self._switch = Switch(self._horizons, EXPERTS, self._n, first_choice(self._horizons))
         self.curve = self._unknown_curve
         """What is known of the latest sample (filled where it was missing) and of the horizons, (H + 1, n)."""
@@ -117,9 +156,31 @@ class DirectPredictor:
         return sum(channel.level_steps for channel in self._channels)
 
     @property
+    def restarts(self) -> int:
+        """Times that the stream was begun anew."""
+        return self.begun_anew["restart"] + self.begun_anew["out of bounds"]
+
+    @property
     def experts(self) -> NDArray[np.intp]:
         """The expert in office, (H, n): 0, 1, 2 regressions by their lags, then extrapolation, hold, mean."""
         return self._switch.best
+
+    def spread(self, channel: int, ahead_s: Array) -> Array:
+        """Deviations, so long after the latest grid time, of a channel that is predicted by its filter for holes.
+
+        Of what it does not see, for its model ends after 10 s, the regression on as many tells.
+        """
+        deviations: Array = np.sqrt(self.filters[channel].variance(self._row_index, ahead_s))
+        return np.fmax(deviations, np.interp(ahead_s, self._horizons, self._switch.rms_of(FILTER_LIKE)[:, channel]))
+
+    def spread_left(self, channel: int, ahead_s: Array) -> Array:
+        """The same of a channel that was predicted so until lately."""
+        row, deviations = self.given_back[channel]
+        fade = exp((row - self._row_index) * self._interval_s / FILLED_S)
+        if fade < 0.05:
+            del self.given_back[channel]
+        left: Array = fade * np.interp(ahead_s, self._curve_s, deviations)
+        return left
 
     def step(self, t_s: float, values: Sequence[float], rates: Sequence[float] | None = None) -> Array:
         """Take one sample of all channels (nan: not known) and predict from it, (H, n).
@@ -143,20 +204,23 @@ class DirectPredictor:
         if steps > self._longest_gap:
             for channel in self._channels:
                 channel.lose()
+            self.holed.clear()
             self._learner.forget(slice(None))
             steps = 1
         for _ in range(steps - 1):
-            self._row(self._unmeasured, self._no_rates, 0.0)
+            self._row(self._unmeasured, self._unmeasured, 0.0)
         if steps > 0:
             self._row(values, given, late_s)
-        if self._batch_due and self._clock.changed():
+        if self._out >= OUT:
+            self._restart("out of bounds")
+        elif self._batch_due and self._clock.changed():
             self._restart()
         else:
             self._publish(late_s)
         return self.values
 
-    def _restart(self) -> None:
-        self.restarts += 1
+    def _restart(self, reason: str = "restart") -> None:
+        self.begun_anew[reason] += 1
         self.reset()
 
     def _begin(self) -> None:
@@ -167,7 +231,7 @@ class DirectPredictor:
         steps = np.diff(index, prepend=index[0] - 1.0).astype(int).tolist()
         for count, (_, values, rates) in zip(steps, self._pending, strict=True):
             for _ in range(count - 1):
-                self._row(self._unmeasured, self._no_rates, 0.0)
+                self._row(self._unmeasured, self._unmeasured, 0.0)
             if count > 0:
                 self._row(values, rates, 0.0)
         self._pending.clear()
@@ -206,6 +270,7 @@ class DirectPredictor:
         self._until_row = self._learner.every
         self._batch_due = False
 
+        self._curve_s = np.append(0.0, horizons)
         # Interpolation of the predicted curve: one sample on, and its slope at each horizon.
         ahead_s = interval_s * np.arange(1, ceil(horizons[-1] / interval_s) + 2)
         gap_weights = curve_weights(horizons, ahead_s)
@@ -217,6 +282,19 @@ class DirectPredictor:
         self._levels: list[float] = []
         timing = Timing(interval_s=interval_s, settling=settling, longest_gap=self._longest_gap, judged=judged)
         self._channels = [Channel(timing, gap_weights, curve) for curve in self._curves]
+        self._interval_s = interval_s
+        self._row_index = 0
+        self._out = 0
+        """Times on end that predictions were beyond the limits."""
+        self._nodes = max(1, round(NODE_S / interval_s)) * np.arange(ORDER + 1)
+        """Of the filters, in rows back from the newest."""
+        self.filters = [HoleFilter(int(self._nodes[1]), interval_s, float(horizons[-1])) for _ in range(n)]
+        self._holes_s = RATED_HOLES_S if self._with_rates else HOLES_S
+        self._missing = [0.0] * n
+        """Samples missing lately."""
+        self._missed_row = [0] * n
+        """When that was."""
+        self._until_learned = LEARNED_TOGETHER
 
     def _mapped(self) -> Array:
         """(n, H + 3, width) from the vectors to the latest sample, the predictions, one step on, the slope."""
@@ -232,8 +310,12 @@ class DirectPredictor:
         window, channels = self._window, self._channels
         taken, known, means = [], [], []
         near = self._near.tolist()
+        self._row_index += 1
         for c, channel in enumerate(channels):
-            x, measured = channel.take(values[c], late_s, *near[c])
+            if c in self.holed:
+                x, measured = self._take_holed(c, values[c], late_s)
+            else:
+                x, measured = channel.take(values[c], late_s, *near[c])
             if channel.since == 1:
                 window.flatten(c, x)
                 self._learner.forget(c)
@@ -241,14 +323,26 @@ class DirectPredictor:
             known.append(measured)
             means.append(channel.mean)
         if self._with_rates:
-            self._rates = [r if isfinite(r) else p for r, p in zip(rates, self._rates, strict=True)]
+            if not isfinite(sum(rates)):  # one that is missing is what was expected of it
+                expected = (self._curves @ self._slopes[0]).tolist()
+                rates = [r if isfinite(r) else p if isfinite(p) else 0.0 for r, p in zip(rates, expected, strict=True)]
+            self._rates = list(rates)
             taken += self._rates
         window.append(taken + means, known)
         if not all(known):
             for c, channel in enumerate(channels):
                 if (instead := channel.judge()) is not None:
                     window.replace(c, instead)
+                if not known[c] and not isfinite(values[c]):
+                    self._miss(c)
         np.matmul(self._map, self._regressors.now()[:, :, None], out=self._seen)
+        if not all(known):
+            for c, channel in enumerate(channels):
+                if not isfinite(values[c]) and c not in self.holed and channel.since:
+                    self._curves[c] = channel.carried(self._curve_s)
+        for c in self.holed:
+            hole = self.filters[c]
+            self._curves[c] = hole.mean + hole.curve(self._row_index, self._curve_s)
         self._until_row -= 1
         self._batch_due = False
         if self._until_row == 0:
@@ -257,10 +351,96 @@ class DirectPredictor:
                 if self._learner.batch(channels):
                     self._map = self._mapped()
                 self._batch_due = True
+                for c in self.holed:
+                    self._give_back(c, self._row_index)
+            self._until_learned -= 1
+            if self._until_learned == 0:
+                self._until_learned = LEARNED_TOGETHER
+                self._learn_for_holes()
+        if self._batch_due and self._limits is not None:
+            curves = self._curves.T + [channel.level for channel in channels]
+            self._out = self._out + 1 if self._limits.left_by(curves, (0.0, *self.horizons_s)).any() else 0
+
+    # -- holes -----------------------------------------------------------------------------------------------------
+
+    def _miss(self, c: int) -> None:
+        """A sample of a channel is missing: where too many are, its filter takes over."""
+        row, channel, hole = self._row_index, self._channels[c], self.filters[c]
+        self._missing[c] = 1.0 + self._missing[c] * self._share_left(row - self._missed_row[c])
+        self._missed_row[c] = row
+        if c in self.holed or not channel.since:
+            return
+        if max(self._missing[c] - self._holes_s[0] / self._interval_s, channel.absent - RUN_S / self._interval_s) < 0.0:
+            return
+        window = self._window
+        at = window.end - 1 - self._nodes
+        if hole.begin(row, window.x[at, c], window.known[at, c], channel.mean, channel.noise_square):
+            self.holed.add(c)
+
+    def _share_left(self, rows: int) -> float:
+        return exp(-rows * self._interval_s / HOLES_MEMORY_S)
+
+    def _take_holed(self, c: int, value: float, late_s: float) -> tuple[float, bool]:
+        """What goes into the lags of a channel with holes, and whether it was measured."""
+        row, channel, hole = self._row_index, self._channels[c], self.filters[c]
+        hole.to(row)
+        measured = isfinite(value)
+        if measured:
+            at = row + late_s / self._interval_s
+            x = value - channel.level
+            if measured := hole.read(at, x - hole.mean):
+                x -= hole.value(at)[0] - hole.value(row)[0]
+            elif hole.is_lost(row):
+                self.begun_anew["lost track"] += 1
+                channel.forget()
+        if not measured:
+            x = hole.mean + hole.value(row)[0]
+        if not channel.bridge(x, measured=measured):
+            self.holed.discard(c)
+        elif measured:
+            missing = self._missing[c] * self._share_left(row - self._missed_row[c])
+            if missing * self._interval_s < self._holes_s[1]:
+                self.given_back[c] = row, self.spread(c, self._curve_s)
+                self.holed.discard(c)
+                self._give_back(c, row - 1)  # the latest has not been appended
+        return x, measured
+
+    def _give_back(self, c: int, row: int) -> None:
+        """The lags of a channel get what its filter has come to know of the holes."""
+        window, hole = self._window, self.filters[c]
+        count = min(self._channels[c].since - 2, int(self._nodes[-1]) - int(self._nodes[1]))
+        if count <= 0:
+            return
+        ago = np.arange(count - 1, -1, -1)
+        window.fill(c, hole.mean + hole.past((row - ago).astype(np.float64)))
+
+    def _learn_for_holes(self) -> None:
+        """From stretches without any: every other of the rows since the last time."""
+        window, n = self._window, self._n
+        ends = window.end - 1 - 2 * int(self._learner.every) * np.arange(LEARNED_TOGETHER // 2)
+        at = ends[:, None] - self._nodes
+        known = window.known[at, :n]
+        used = np.ones((len(ends), n), dtype=bool) if known.all() else known.mean(axis=1) >= MEASURED  # (R, n)
+        for c, (channel, hole) in enumerate(zip(self._channels, self.filters, strict=True)):
+            if c in self.holed:
+                hole.move_mean(channel.mean)
+                used[:, c] = False
+        if used.any():
+            nodes = window.x[at, :n] - window.x[ends, -n:][:, None]
+            if not used.all():
+                nodes = np.where(used[:, None], nodes, 0.0)
+            rows = np.ascontiguousarray(nodes.transpose(2, 0, 1))
+            moments = rows.transpose(0, 2, 1) @ rows
+            for hole, of_channel, count in zip(self.filters, moments, used.sum(axis=0).tolist(), strict=True):
+                if count:
+                    hole.model.learn(2.0 * of_channel, 2 * count)
 
     def _publish(self, late_s: float) -> None:
         """The latest predictions as seen from ``late_s`` after their grid time."""
         levels = [channel.level if channel.ready else nan for channel in self._channels]
+        for c in self.holed:
+            if not self.filters[c].known:
+                levels[c] = nan
         if levels != self._levels:
             self._levels, self._level = levels, np.array(levels)
         self.curve = self._curves.T + self._level

@@ -90,6 +90,11 @@ class Switch:
         self.std = np.sqrt(square)
         self.half_width = self._quantile * self.std
 
+    def rms_of(self, expert: int) -> Array:
+        """Errors of an expert, (H, n); 0 until one is known."""
+        errors: Array = np.sqrt(self._mean_square[:, expert])
+        return errors
+
     @property
     def rms_error(self) -> Array:
         """Rolling RMS of the published predictions' errors, (H, n); nan until one is known."""

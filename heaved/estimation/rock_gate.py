@@ -92,6 +92,19 @@ class Channel:
         return self.since >= self._timing.settling
 
     @property
+    def absent(self) -> int:
+        """Samples on end that there were none of."""
+        return self._absent
+
+    def carried(self, at_s: Array) -> Array:
+        """The curve of the last sample that there was, seen from now, at times from now on."""
+        steps = self._absent + at_s / self._timing.interval_s - 1.0
+        low = np.minimum(steps.astype(np.intp), len(self._gap_weights) - 2)
+        curve = self._gap_weights @ self._anchor
+        values: Array = curve[low] + np.minimum(steps - low, 1.0) * (curve[low + 1] - curve[low])
+        return values
+
+    @property
     def noise_square(self) -> float:
         """What stands for the variance of the sensor's noise."""
         return max(self.step_square, self.quantum**2 if self.quantum < inf else 0.0)
@@ -154,6 +167,31 @@ class Channel:
         """After a gap too long to fill: the past is gone, what was learned from it stays."""
         self.since = 0
         self._steady = False
+
+    def bridge(self, x: float, *, measured: bool) -> bool:
+        """As :meth:`take`, where a filter for holes has judged the sample; False: too much is missing for it.
+
+        Nothing is scored, nor learned from, before the extrapolation has seen nothing but samples again.
+        """
+        self._steady = False
+        self._held.clear()
+        self._reading, self._repeats = nan, 0
+        if not self.since:
+            return False
+        self.since += 1
+        self.calm += 1
+        self.unsettled = self._timing.settling
+        self._absent = 0 if measured else self._absent + 1
+        if measured:
+            self._follow(x)
+        elif self._absent > self._timing.longest_gap:
+            self.since = 0
+        return self.since > 0
+
+    def forget(self) -> None:
+        """What is read is not what is followed: the past is gone, and so are level and mean."""
+        self.lose()
+        self.mean = self._mean_count = self._square = 0.0
 
     def judge(self) -> Array | None:
         """Once samples have been held back for long enough: what should replace the latest of them (nan: nothing)."""

@@ -166,6 +166,14 @@ class SampleWindow:
             self.known[rows, column] = True
             self._sum_from(int(rows[0]))
 
+    def fill(self, column: int, values: Array) -> None:
+        """Put ``values`` in the place of the latest samples of a column where they were not measured."""
+        rows = np.arange(self.end - len(values), self.end)
+        unknown = ~self.known[rows, column]
+        if unknown.any():
+            self.x[rows[unknown], column] = values[unknown]
+            self._sum_from(int(rows[unknown][0]))
+
     def flatten(self, column: int, value: float) -> None:
         """A column that begins anew: its past is ``value``."""
         self.x[: self.end, column] = value

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.rock_equations import NormalEquations, moments_of
-from heaved.estimation.rock_experts import Switch
+from heaved.estimation.rock_experts import GAUSSIAN_QUANTILE, Switch
 from heaved.estimation.rock_gate import Channel
 from heaved.estimation.rock_lags import Indices, SampleWindow, between
 from heaved.estimation.rock_regressors import Regressors
@@ -31,6 +31,8 @@ EXPERT_MEMORY: Final = (0.4, 0.7, 1.0)
 FADING, HOLD, MEAN = 3, 4, 5
 """The experts that are not regressions."""
 EXPERTS: Final = 6
+FILTER_LIKE: Final = 1
+"""The one that sees as much of the past as the filter for holes."""
 SHOWN, HALF_WIDTH = EXPERTS, EXPERTS + 1
 """Beside what the experts made of a row: what was published, and the half-width of its interval."""
 EXTRAPOLATED_S: Final = 0.5
@@ -46,6 +48,8 @@ ROW_S: Final = 0.2
 SOLVED_PER_BATCH: Final = 3
 """Sets of equations (three experts, short and long horizons) solved in a batch, in turn: each every 8 s in the end, a
 fortieth of the memory."""
+ON_TIME: Final = 0.02
+"""Deviation from a whole sample that makes no difference."""
 UNUSABLE: Final = -1
 """Age of a row that is neither scored nor learned from."""
 
@@ -89,6 +93,7 @@ class Learner:
         self._whole = bool(np.all(self._target.weights == (0.0, 1.0, 0.0, 0.0)))
         self._delay = np.ceil((self._target.first + 3) / every).astype(np.intp)
         self._h = np.arange(len(horizons_s))
+        self._soon = int(np.count_nonzero(horizons_s < (1.0 - ON_TIME) * interval_s))
 
         # Horizons that share a set of equations: those whose targets are known early, and the others.
         early = int(np.count_nonzero(horizons_s <= EXTRAPOLATED_S))
@@ -184,10 +189,20 @@ class Learner:
         self._until_batch = self._rows
         before = self._switch.best
         self._switch.choose(np.array([channel.calm for channel in channels]) >= self._floor)
+        if self._soon:
+            self._widen(channels)
         if not is_due and (self._switch.best is before or np.array_equal(before, self._switch.best)):
             return False
         self.weights = self._weights()
         return True
+
+    def _widen(self, channels: Sequence[Channel]) -> None:
+        """Horizons shorter than an interval are not known better than the next sample is: what is measured there is
+        interpolated from the very samples that were predicted from, and their noise cancels."""
+        least = np.sqrt([channel.step_square for channel in channels])
+        soon, switch = self._soon, self._switch
+        switch.std[:soon] = np.maximum(switch.std[:soon], least)
+        switch.half_width[:soon] = np.maximum(switch.half_width[:soon], GAUSSIAN_QUANTILE * least)
 
     def _complete(self) -> None:
         """What is seen from the new rows, and what each expert makes of it."""

@@ -77,6 +77,11 @@ class RealisedErrors:
         self._best: tuple[NDArray[np.intp], ...] = (horizon, np.full((shape[0], shape[2]), shape[1] // 2), axis)
         self._floor = np.full((shape[0], shape[2]), nan)
 
+    def forget(self, axis: int) -> None:
+        """Nothing is known of the errors of an axis."""
+        self._seconds[:, :, axis] = 0.0
+        self._floor[:, axis] = nan
+
     def update(self, t_s: float, elapsed_s: float, error: Array) -> None:
         """Errors that are not known are nan."""
         known = np.isfinite(error)

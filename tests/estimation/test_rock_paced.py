@@ -387,7 +387,7 @@ def test_what_is_asked_for_later_is_what_was_predicted():
     """Whatever has come since: also where two samples fall on one place of a block."""
     x = measured("under way, MEMS", 60.0)
     rng = np.random.default_rng(3)
-    x[rng.random(len(x)) < 0.02] += 1.0
+    x[rng.random(len(x)) < 0.02] += 0.1
     twice = np.arange(0, len(x), 37)
     t = np.insert(np.arange(len(x)) / RATE_HZ, twice + 1, twice / RATE_HZ + 0.003)
     x = np.insert(x, twice + 1, x[twice] + 1e-3, axis=0)
