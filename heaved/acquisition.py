@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from math import inf, nan
+from math import inf, isfinite, nan
 
 import structlog
 
@@ -15,7 +15,7 @@ from heaved.estimation.sea_window import SeaFit, SeaWindow
 from heaved.health import DeviceHealth, RateMeter
 from heaved.metrics import DeviceMetrics, Metrics
 from heaved.pipeline import Pipeline
-from heaved.samples import Fault, ImuSample, MotionFrame, Sample, TrainedNetwork, TrainingWindow
+from heaved.samples import Fault, ImuSample, MotionFrame, RockScore, Sample, TrainedNetwork, TrainingWindow
 
 IDLE_RATE_HZ = 10.0
 """Frames a second without any IMU: a consumer then still sees that the daemon is alive and the heave is not."""
@@ -104,6 +104,16 @@ class Acquisition:
     def rate_hz(self, now_s: float) -> float:
         """Frames a second, measured."""
         return self._rate.per_s(now_s)
+
+    def rock_scores(self) -> tuple[RockScore, ...]:
+        """How the attitude predictions have fared, of those axes and horizons that the last frame has."""
+        made = {
+            (axis, rock.horizon_s)
+            for rock in (self.last_frame.rock if self.last_frame is not None else ())
+            for axis, angle in (("roll", rock.roll_rad), ("pitch", rock.pitch_rad), ("yaw", rock.yaw_rad))
+            if isfinite(angle)
+        }
+        return tuple(score for score in self.pipeline.rock_scores() if (score.axis, score.horizon_s) in made)
 
     def on_poll(self, result: PollResult) -> None:
         """What the buses call, once for each deadline of each device."""

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from heaved import __version__
+from heaved.text import printable, printable_lines
 
 if TYPE_CHECKING:
     from heaved.config import Config
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 EX_UNAVAILABLE = 69
 """The daemon cannot be reached (sysexits.h)."""
+EX_IOERR = 74
+"""Nobody takes what is printed (sysexits.h)."""
 EX_CONFIG = 78
 """The configuration has faults (sysexits.h)."""
 
@@ -78,7 +81,7 @@ _UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"heaved {__version__}")
+        _say(f"heaved {__version__}")
         raise typer.Exit
 
 
@@ -121,15 +124,17 @@ def run(
 def check_config(file: Annotated[Path, typer.Argument(metavar="FILE")]) -> None:
     """Check a configuration file: names every fault, and rates that a serial line cannot carry (exit code 78)."""
     config = _load_to_run(file)
-    from heaved.config.rules import rate_faults
+    from heaved.config.rules import cautions, rate_faults
 
     if faults := rate_faults(config):
         _fail("\n".join(f"{file}: {fault}" for fault in faults), EX_CONFIG)
-    typer.echo(f"{file}: well")
+    _say(f"{file}: well")
     for device in config.device:
-        typer.echo(f"  {_device_line(device)}, {device.profile.name} at {device.rate_hz:g} Hz")
+        _say(f"  {_device_line(device)}, {device.profile.name} at {device.rate_hz:g} Hz")
     if not any(device.role == "imu" for device in config.device):
-        typer.echo('  no device of role "imu": enough for a replay, but the daemon would have no heave')
+        _say('  no device of role "imu": enough for a replay, but the daemon would have no heave')
+    for caution in cautions(config):
+        _say(f"  caution: {printable(caution)}")
 
 
 def _load_to_run(path: Path) -> Config:
@@ -179,14 +184,14 @@ def status(
         result = error
     if check:
         state, line = report.check_line(result)
-        typer.echo(line)
+        _say(line)
         raise typer.Exit(int(state))
     if json:
-        typer.echo(report.json_text(result))
+        _say(report.json_text(result))
     elif isinstance(result, Snapshot):
-        typer.echo(report.table(result))
+        _say(report.table(result))
     else:
-        typer.echo(str(result), err=True)
+        _say(str(result), err=True)
     if isinstance(result, Unreachable):
         raise typer.Exit(EX_UNAVAILABLE)
 
@@ -246,18 +251,24 @@ def probe(
 
     def asking(device_id: int) -> None:
         if sys.stderr.isatty():
-            typer.echo(f"\rasking id {device_id} ", err=True, nl=False)
+            _say(f"\rasking id {device_id} ", err=True, nl=False)
 
     try:
         report = asyncio.run(probing.probe(parsed, wanted, packaged_profiles(), timeout, asking))
     except ConnectionError as error:
         _fail(f"{link}: {error}", EX_UNAVAILABLE)
     if sys.stderr.isatty():
-        typer.echo("\r\x1b[K", err=True, nl=False)
-    if not report:
-        _fail(f"{link}: nobody answers; check id, baud rate, parity and wiring (A and B swapped?)", EX_UNAVAILABLE)
-    for line in report:
-        typer.echo(line)
+        _say("\r\x1b[K", err=True, nl=False)
+    for line in report.lines:
+        _say(printable(line))
+    for hint in report.hints:
+        _say(printable(f"{link}: {hint}"), err=True)
+    if not report.lines:
+        _fail(
+            f"{link}: nobody answers within {timeout:g} s; check id, baud rate, parity and wiring (A and B swapped?), "
+            "and raise --timeout for a slow device",
+            EX_UNAVAILABLE,
+        )
 
 
 # ---- recordings ------------------------------------------------------------------------------------------------------
@@ -294,9 +305,9 @@ def replay(
             )
     except (RecordingError, OutputError, OSError) as error:
         _fail(str(error), 1)
-    typer.echo(summary, err=True)
+    _say(str(summary), err=True)
     if out is None:
-        typer.echo(f"written to {target}", err=True)
+        _say(f"written to {target}", err=True)
 
 
 @contextmanager
@@ -329,9 +340,9 @@ def demo(
 
     def announce(config: Config) -> None:
         for device in config.device:
-            typer.echo(f"sea {sea}, simulated {_device_line(device)}")
+            _say(f"sea {sea}, simulated {_device_line(device)}")
         port = "" if config.stream.port == PORT else f" --port {config.stream.port}"
-        typer.echo(f"look at it: heaved watch{port}, heaved status{port}, nc {config.stream.host} {config.stream.port}")
+        _say(f"look at it: heaved watch{port}, heaved status{port}, nc {config.stream.host} {config.stream.port}")
 
     try:
         code = demonstration.run(
@@ -374,7 +385,7 @@ def sim(
 
     def ready(served: tuple[DeviceSpec, ...]) -> None:
         for device in served:
-            typer.echo(_device_line(device))
+            _say(_device_line(device))
 
     with tempfile.TemporaryDirectory(prefix="heaved-sim-") as directory:
         if link is LinkKind.rtu:
@@ -395,5 +406,20 @@ def sim(
 
 
 def _fail(message: str, code: int) -> NoReturn:
-    typer.echo(message, err=True)
+    _say(printable_lines(message), err=True)
     raise typer.Exit(code)
+
+
+def _say(text: str, *, err: bool = False, nl: bool = True) -> None:
+    """Print. Who reads it may have gone, or its disk be full: that ends the command, if it was its output."""
+    stream = sys.stderr if err else sys.stdout
+    try:
+        typer.echo(text, err=err, nl=nl)
+    except OSError as error:
+        # What is still buffered cannot be written either: the interpreter would try, and say so, as it exits.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        if err:
+            return
+        if not isinstance(error, BrokenPipeError):
+            _say(f"standard output: cannot be written: {error.strerror or error}", err=True)
+        raise typer.Exit(EX_IOERR) from error

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import asyncio
 import os
-import signal
 import threading
 import time
 from collections import Counter
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from functools import partial
 from math import nan
 from pathlib import Path
@@ -35,16 +35,17 @@ from heaved.devices.profile import DeviceSpec
 from heaved.devices.timer import PeriodicTimer
 from heaved.estimation.stages import Stages
 from heaved.logs import configure_logging
-from heaved.metrics import Metrics
+from heaved.metrics import RENEWED_S, Metrics
 from heaved.outputs.access import ListenError
 from heaved.outputs.feed import Feed
 from heaved.outputs.http import HttpServer, liveness, readiness
 from heaved.outputs.publisher import Publisher
 from heaved.outputs.records import StatusRecord
-from heaved.pipeline import Pipeline, PipelineState
+from heaved.pipeline import Pipeline, PipelineState, check_state
 from heaved.realtime import freeze_memory, set_real_time
 from heaved.samples import MotionFrame
 from heaved.sdnotify import Notifier
+from heaved.signals import Signals
 from heaved.state import Memory, StateFile, state_directory
 from heaved.status import status_line, status_record
 from heaved.tasks import cancelled, in_time, supervise
@@ -60,6 +61,7 @@ _STOP_S: Final = 0.8
 """What each part may take to stop; they stop side by side."""
 _EXIT_S: Final = 1.8
 """After a signal to stop the process is gone by then, whatever hangs."""
+_STDOUT: Final = 1
 
 _log = structlog.get_logger(__name__)
 
@@ -103,19 +105,23 @@ class Daemon:
             clock=clock,
         )
         self.memory = Memory(
-            StateFile(state_directory(config.state.directory), PipelineState),
+            StateFile(state_directory(config.state.directory), PipelineState, check_state),
             lambda: self.acquisition.pipeline.state(),
             count_save=lambda result: self.metrics.state_saves.labels(result).inc(),
             count_load=lambda result: self.metrics.state_loads.labels(result).inc(),
+            realtime=realtime,
         )
         self._config_path = config_path
         self._notifier = notifier or Notifier({})
         self._clock = clock
         self._started_s = clock()
-        self._is_ready = False
+        self._is_ready = self._is_restored = False
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._buses: dict[str, tuple[DeviceSpec, ...]] = {}
         self._resets_seen: Counter[tuple[str, str]] = Counter()
+        self._seen_s = self._started_s
+        """When there was a new frame last, as seen once a second."""
+        self._seen_frames = 0
         self._fed_s = -1.0
         self._fed_frames = 0
         self._publisher = self._make_publisher()
@@ -125,7 +131,7 @@ class Daemon:
     # ---- start and stop ----------------------------------------------------------------------------------------------
 
     async def start(self) -> None:
-        """Returns when everything runs; READY is told with the first frame, which needs no sensor.
+        """Returns when everything runs, soon whatever hangs; READY is told with the first frame, which needs no sensor.
 
         Raises:
             ListenError: a port is in use or may not be had; then nothing runs, and there is nothing to stop.
@@ -138,7 +144,8 @@ class Daemon:
             await self._publisher.close(0.0)
             self.memory.close()
             raise
-        self.memory.restore(self.acquisition.pipeline.restore)
+        await self.memory.restore(self._take_up)
+        self._is_restored = True
         await self._poll_devices()
         await self.workers.have(self.config)
         self._supervise("heartbeat", self._beat)
@@ -156,7 +163,7 @@ class Daemon:
         is_clean = await cancelled(tasks, _CANCEL_S)
         parts: dict[str, Awaitable[object]] = {
             "stream": self._publisher.close(0.5 * _STOP_S),
-            "state": self.memory.save(),
+            **({"state": self.memory.save()} if self._is_restored else {}),  # Else there is nothing new to save.
             **self.workers.stopping(),
         }
         if self._http is not None:
@@ -223,6 +230,18 @@ class Daemon:
             self._supervise("heartbeat", self._beat)
         _log.info("configuration read again", devices=",".join(device.name for device in new.device) or "none")
 
+    def _take_up(self, state: PipelineState, age_s: float) -> None:
+        """Start from a saved state.
+
+        Raises:
+            ValueError: that cannot be done, and the pipeline is a new one.
+        """
+        try:
+            self.acquisition.pipeline.restore(state, age_s)
+        except Exception as error:  # Whatever is in a file must not keep the daemon from starting.
+            self.acquisition.pipeline = make_pipeline(self.config, self.acquisition.pipeline.stages)
+            raise error if isinstance(error, ValueError) else ValueError(repr(error)) from error
+
     def _replace_pipeline(self) -> None:
         pipeline = make_pipeline(self.config, self.acquisition.pipeline.stages)
         try:
@@ -267,17 +286,26 @@ class Daemon:
             if reason != "spike":  # One held back is no reset, and a bad sensor gives many.
                 _log.warning("estimator reset", filter=name, reason=reason, count=count)
         self._resets_seen = Counter(resets)
-        self.metrics.training_age.set(self._clock() - self.acquisition.accepted_s)
         status = self.status()
         self._publisher.publish_record(status)
         frame = self.acquisition.last_frame
         if frame is not None:
             self._feed.outlook(frame)
-            self.metrics.record_sea(frame)
-            self.metrics.record_stages(frame)
-            self.metrics.record_quiet(frame.quiet)
-        self.metrics.record_rock(self.acquisition.pipeline.rock_scores())
+        self._keep_gauges(frame)
         self._notifier.notify(f"STATUS={status_line(status)}")
+
+    def _keep_gauges(self, frame: MotionFrame | None) -> None:
+        now_s, metrics = self._clock(), self.metrics
+        if self.acquisition.frames != self._seen_frames:
+            self._seen_frames, self._seen_s = self.acquisition.frames, now_s
+        if frame is None or now_s - self._seen_s > RENEWED_S:
+            metrics.record_no_frame()
+            return
+        metrics.record_sea(frame)
+        metrics.record_stages(frame)
+        metrics.record_quiet(frame.quiet)
+        metrics.record_training(frame, now_s - self.acquisition.accepted_s)
+        metrics.record_rock(self.acquisition.rock_scores())
 
     # ---- for the parts -----------------------------------------------------------------------------------------------
 
@@ -357,42 +385,61 @@ def run(config: Config, config_path: Path | None, *, log_format: str) -> int:
     Raises:
         ValueError: ``log_format`` is unknown.
     """
-    configure_logging(log_format)
-    # Whatever hangs (a disk, a driver), the process ends in time; it is started when a signal asks to stop.
-    deadline = threading.Timer(_EXIT_S, os._exit, (0,))
-    deadline.daemon = True
-    try:
-        is_clean = asyncio.run(_serve(config, config_path, deadline))
-    except ListenError as error:
-        _log.error(str(error))
-        return 1
-    if is_clean:
-        deadline.cancel()
+    _have_standard_files()
+    log = configure_logging(log_format)
+    # Whatever hangs (a disk, a driver, who reads the log), the process ends in time.
+    with log.in_background(), Signals(_EXIT_S) as signals:
+        try:
+            is_clean = asyncio.run(_serve(config, config_path, signals))
+        except ListenError as error:
+            _log.error(str(error))
+            return 1
+        if is_clean:
+            signals.call_off()
     return 0
 
 
-async def _serve(config: Config, config_path: Path | None, deadline: threading.Timer) -> bool:
+async def _serve(config: Config, config_path: Path | None, signals: Signals) -> bool:
     """Returns whether everything stopped as it should."""
-    loop = asyncio.get_running_loop()
-    stop, again = asyncio.Event(), asyncio.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, stop.set)
-    loop.add_signal_handler(signal.SIGHUP, again.set)
+    signals.tell(asyncio.get_running_loop())
     set_real_time(config.runtime.fifo_priority)
     daemon = Daemon(config, config_path, notifier=Notifier())
-    await daemon.start()
-    for name, (host, port) in daemon.addresses.items():
-        print(f"{name} {host}:{port}", flush=True)
-    freeze_memory()
+    stopping = asyncio.create_task(signals.stop.wait(), name="stop")
+    starting = asyncio.create_task(daemon.start(), name="start")
+    await asyncio.wait((starting, stopping), return_when=asyncio.FIRST_COMPLETED)
+    tasks = [starting]
+    if starting.done():
+        starting.result()
+        _announce(daemon.addresses)
+        freeze_memory()
 
-    async def reload_when_asked() -> None:
-        while True:
-            await again.wait()
-            again.clear()
-            await daemon.reload()
+        async def reload_when_asked() -> None:
+            while True:
+                await signals.again.wait()
+                signals.again.clear()
+                await daemon.reload()
 
-    reloading = asyncio.create_task(supervise("reload", reload_when_asked), name="reload")
-    await stop.wait()
-    deadline.start()
-    await cancelled([reloading], _CANCEL_S)
-    return await daemon.stop()
+        tasks.append(asyncio.create_task(supervise("reload", reload_when_asked), name="reload"))
+        await stopping
+    is_clean = await cancelled(tasks, _CANCEL_S)
+    return await daemon.stop() and is_clean
+
+
+def _announce(addresses: dict[str, tuple[str, int]]) -> None:
+    """Say on standard output where the servers listen; that nobody takes it, or not yet, is no reason to wait."""
+    lines = "".join(f"{name} {host}:{port}\n" for name, (host, port) in addresses.items())
+
+    def write() -> None:
+        with suppress(OSError):
+            os.write(_STDOUT, lines.encode())
+
+    threading.Thread(target=write, name="announce", daemon=True).start()
+
+
+def _have_standard_files() -> None:
+    """Open what the process was started without: else the next socket would be standard error."""
+    for fd in range(3):
+        try:
+            os.fstat(fd)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)

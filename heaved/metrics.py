@@ -1,7 +1,13 @@
-"""Every Prometheus metric of the daemon, in one table. Costs: an increment under 1 µs, an observation 1.5 µs."""
+"""Every Prometheus metric of the daemon, in one table. Costs: an increment under 1 µs, an observation 1.5 µs.
+
+A gauge describes something that is there now: when that is gone (no frame, no heave that means something, no laser, no
+fit of the sea, an estimate that is not renewed), it is NaN.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import zip_longest
 from math import nan
 from typing import Final
 
@@ -15,12 +21,25 @@ from prometheus_client import (
     generate_latest,
 )
 
-from heaved.samples import Fault, HeaveState, MotionFrame, QuietForecast, RockScore
+from heaved.samples import (
+    CorrectionState,
+    Fault,
+    HeaveState,
+    LaserState,
+    MotionFrame,
+    QuietForecast,
+    RockScore,
+)
 
 _SHORT_S: Final = (0.00005, 0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.1)
 """Work on the event loop: 50 µs is well, 10 ms is a whole sample period."""
 _BUS_S: Final = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 1.0)
 """A request and its answer: under 1 ms over Ethernet, 50 ms on a slow serial line."""
+
+RENEWED_S: Final = 5.0
+"""What comes several times a second and is older than this is not being estimated any more."""
+SEA_S: Final = 600.0
+"""A fit of the sea is one of the present sea for so long: it is renewed at least every five minutes."""
 
 
 class DeviceMetrics:
@@ -116,6 +135,7 @@ class Metrics:
         )
         self._quality_states = {state: self.quality.labels(state.value) for state in HeaveState}
         self._quality: HeaveState | None = None
+        self._now = (self.heave, self.heave_std, self.reference_error, self.lead)
 
     def _have_learning(self, table: _Table) -> None:
         results = ("accepted", "rejected", "failed")
@@ -133,9 +153,13 @@ class Metrics:
         )
         self.peak_period = table.unknown("heaved_peak_period_seconds", "Of the heave spectrum.")
         self.mean_period = table.unknown("heaved_mean_period_seconds", "m0/m1 of the heave spectrum.")
+        self._sea = (self.significant_height, self.peak_period, self.mean_period)
         self.delayed_heave = table.unknown(
             "heaved_delayed_heave_meters", "Delayed heave, valid at its own, earlier time."
         )
+        self._delayed_t_s = nan
+        self._delayed_since_s = nan
+        """When that one was there first."""
 
     def _have_stages(self, table: _Table) -> None:
         self.hull_angle = table.gauge("heaved_hull_angle_radians", "Deformation between the IMUs, total.", "axis")
@@ -157,6 +181,8 @@ class Metrics:
         self.rock_coverage = table.gauge(
             "heaved_rock_coverage_ratio", "Rolling share of angles within their 95 % interval.", "axis", "horizon"
         )
+        self._scored: set[tuple[str, str]] = set()
+        """Axes and horizons that have series."""
         self.quiet_confidence = table.unknown(
             "heaved_quiet_confidence_ratio", "Of the surest quiet window within the look-ahead."
         )
@@ -205,40 +231,61 @@ class Metrics:
         """One frame. ``age_s``: validity to publication; ``step_s``: what the pipeline took for it."""
         self.sample_age.observe(age_s)
         self.step_duration.observe(step_s)
-        self.heave.set(frame.heave_m)
-        self.heave_std.set(frame.heave_std_m)
-        self.reference_error.set(frame.heave_m - frame.reference_m)
-        self.lead.set(frame.lead_s)
-        if frame.quality.heave is not self._quality:
-            self._quality = frame.quality.heave
+        is_known = frame.quality.heave is not HeaveState.INVALID
+        error_m = frame.heave_m - frame.reference_m if frame.quality.laser is LaserState.VALID else nan
+        _set(self._now, (frame.heave_m, frame.heave_std_m, error_m, frame.lead_s) if is_known else ())
+        self._set_quality(frame.quality.heave)
+
+    def record_no_frame(self) -> None:
+        """There is none, or no new one: nothing that frames describe is known."""
+        self._set_quality(HeaveState.INVALID)
+        _set((*self._now, *self._sea, self.delayed_heave, *self._attitude, self.training_age), ())
+        _set([gauge for pair in self._hull for gauge in pair], ())
+        self.record_rock(())
+        self.record_quiet(None)
+
+    def _set_quality(self, quality: HeaveState) -> None:
+        if quality is not self._quality:
+            self._quality = quality
             for state, gauge in self._quality_states.items():
-                gauge.set(state is self._quality)
+                gauge.set(state is quality)
 
     def record_sea(self, frame: MotionFrame) -> None:
         """What changes slowly: sea state and delayed heave."""
-        if frame.sea is not None:
-            self.significant_height.set(frame.sea.significant_height_m)
-            self.peak_period.set(frame.sea.peak_period_s)
-            self.mean_period.set(frame.sea.mean_period_s)
-        self.delayed_heave.set(frame.delayed.heave_m if frame.delayed is not None else nan)
+        is_known = frame.quality.heave is not HeaveState.INVALID
+        sea, delayed = frame.sea, frame.delayed
+        if is_known and sea is not None and not frame.t_s - sea.t_s > SEA_S:
+            _set(self._sea, (sea.significant_height_m, sea.peak_period_s, sea.mean_period_s))
+        else:
+            _set(self._sea, ())
+        if delayed is not None and delayed.t_s != self._delayed_t_s:
+            self._delayed_t_s, self._delayed_since_s = delayed.t_s, frame.t_s
+        is_renewed = frame.t_s - self._delayed_since_s <= RENEWED_S
+        self.delayed_heave.set(delayed.heave_m if is_known and delayed is not None and is_renewed else nan)
 
     def record_stages(self, frame: MotionFrame) -> None:
         """What the stages beside the heave have to say."""
-        if (hull := frame.hull) is not None:
-            for gauges, angle, std in zip(self._hull, hull.total_rad, hull.std_rad, strict=True):
-                gauges[0].set(angle)
-                gauges[1].set(std)
-        if (motion := frame.attitude) is not None:
-            values = (motion.heave_m, motion.heave_std_m, motion.pitch_rad, motion.pitch_std_rad)
-            for gauge, value in zip(self._attitude, values, strict=True):
-                gauge.set(value)
+        hull, motion = frame.hull, frame.attitude
+        is_renewed = hull is not None and frame.t_s - hull.t_s <= RENEWED_S
+        for i, pair in enumerate(self._hull):
+            _set(pair, (hull.total_rad[i], hull.std_rad[i]) if hull is not None and is_renewed else ())
+        if motion is not None and frame.t_s - motion.t_s <= RENEWED_S:
+            _set(self._attitude, (motion.heave_m, motion.heave_std_m, motion.pitch_rad, motion.pitch_std_rad))
+        else:
+            _set(self._attitude, ())
+
+    def record_training(self, frame: MotionFrame, age_s: float) -> None:
+        """``age_s``: since the network in use was accepted; nan: there is none."""
+        self.training_age.set(age_s if frame.quality.correction is not CorrectionState.OFF else nan)
 
     def record_rock(self, scores: tuple[RockScore, ...]) -> None:
-        """How the attitude predictions have fared."""
-        for score in scores:
-            horizon = f"{score.horizon_s:g}"
-            self.rock_error.labels(score.axis, horizon).set(score.error_rad)
-            self.rock_coverage.labels(score.axis, horizon).set(score.coverage)
+        """How the attitude predictions that are made have fared."""
+        known = {(score.axis, f"{score.horizon_s:g}"): score for score in scores}
+        self._scored.update(known)
+        for labels in self._scored:
+            score = known.get(labels)
+            self.rock_error.labels(*labels).set(score.error_rad if score is not None else nan)
+            self.rock_coverage.labels(*labels).set(score.coverage if score is not None else nan)
 
     def record_quiet(self, quiet: QuietForecast | None) -> None:
         """What is foreseen of quiet windows; None: it is not asked for."""
@@ -263,3 +310,9 @@ class Metrics:
     def render(self) -> bytes:
         """Everything, in the text format of Prometheus, version 0.0.4."""
         return generate_latest(self._registry)
+
+
+def _set(gauges: Sequence[Gauge], values: Sequence[float]) -> None:
+    """Each to its value; to NaN if there is none."""
+    for gauge, value in zip_longest(gauges, values, fillvalue=nan):
+        gauge.set(value)  # type: ignore[union-attr]  # There are no more values than gauges.

@@ -17,7 +17,7 @@ from typing import Final
 
 import msgspec
 
-from heaved.estimation import quiescence
+from heaved.estimation import quiescence, remembered
 from heaved.estimation.chain import HeaveChain
 from heaved.estimation.conditioning import Conditioned, Conditioner
 from heaved.estimation.correction import Params as CorrectionParams
@@ -61,6 +61,21 @@ class PipelineState(msgspec.Struct, frozen=True, kw_only=True):
     lead_learned_s: float | None = None
     gain_learned: float = 1.0
     correction: Saved | None = None
+
+
+def check_state(state: PipelineState) -> None:
+    """Whether a saved state holds numbers such as a pipeline has learned; that they fit one is seen when it takes them.
+
+    Raises:
+        ValueError: they are not; says which.
+    """
+    remembered.check(
+        frequencies_hz=state.frequencies_hz,
+        sea=state.sea,
+        lead_s=state.lead_learned_s,
+        gain=state.gain_learned,
+        correction=state.correction,
+    )
 
 
 class PipelineSummary(msgspec.Struct, frozen=True, kw_only=True):
@@ -256,8 +271,8 @@ class Pipeline:
             correction=self._chain.correction.saved(),
         )
 
-    def restore(self, state: PipelineState) -> None:
-        """Start from what an earlier run has learned; call before the first sample.
+    def restore(self, state: PipelineState, age_s: float = nan) -> None:
+        """Start from what an earlier run has learned ``age_s`` ago (nan: not known); call before the first sample.
 
         Raises:
             ValueError: the state does not fit the configuration; says what does not, and nothing was taken over.

@@ -7,11 +7,13 @@ time of the recording, replay waits for the network, and the pipeline judges it 
 from __future__ import annotations
 
 import os
+import re
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from itertools import islice
 from math import inf, isnan, nan
 from pathlib import Path
@@ -21,11 +23,12 @@ import msgspec
 
 from heaved.config import Config
 from heaved.devices.recording import Recording
-from heaved.estimation.sea_window import look
+from heaved.estimation.sea_window import SeaWindow, look
 from heaved.estimation.stages import Stages
 from heaved.pipeline import Pipeline
 from heaved.samples import HeaveState, MotionFrame, Sample
 from heaved.table import Table
+from heaved.text import printable
 from heaved.training.process import BlockingTrainer
 
 BLOCK_FRAMES: Final = 256
@@ -33,12 +36,28 @@ BLOCK_FRAMES: Final = 256
 BLOCK_SAMPLES: Final = 64
 """Samples that are read together, and go through the pipeline so."""
 
+MOST_REASONS: Final = 12
+"""That are printed."""
+_NUMBER: Final = re.compile(r"[-+]?\d+(\.\d+)?")
+
 Progress = Callable[[int, int], None]
 """(bytes read, bytes in all)"""
 
 
 class OutputError(Exception):
     """The result cannot be written; the message says where, why and what to do."""
+
+
+class Reason(msgspec.Struct, frozen=True, kw_only=True):
+    """One reason that frames gave for their quality."""
+
+    text: str
+    """As the first of them gave it."""
+    varies: bool = False
+    """Others gave it with other numbers."""
+    frames: int
+    first_s: float
+    """``t_s`` of the first frame that gave it."""
 
 
 class Summary(msgspec.Struct, frozen=True, kw_only=True):
@@ -58,6 +77,10 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """Training windows by what became of them: accepted, rejected, failed."""
     fits: dict[str, int]
     """Fits of the sea likewise."""
+    failure: str = ""
+    """What the last fit that could not be made died of, if one did: a fault of the program."""
+    reasons: tuple[Reason, ...] = ()
+    """What frames said of their quality, the most frequent first."""
 
     def __str__(self) -> str:
         speed = self.duration_s / self.elapsed_s if self.elapsed_s > 0.0 else inf
@@ -67,13 +90,23 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
             if self.quality.get(state)
         )
         fitted = ", ".join(f"{count} {result}" for result, count in sorted(self.fits.items()))
+        fitted += f" (the last one died of {printable(self.failure)})" if self.failure else ""
         trained = ", ".join(f"{count} {result}" for result, count in sorted(self.trainings.items()))
         return (
             f"{self.rows} rows, {self.duration_s:.1f} s of motion in {self.elapsed_s:.1f} s "
             f"({speed:.0f} x real time)\n"
             f"{self.frames} frames: {shares or 'no row has az_mps2'}\n"
-            f"fits of the sea: {fitted or 'none'}; training windows: {trained or 'none'}"
+            f"fits of the sea: {fitted or 'none'}; training windows: {trained or 'none'}{self._told_reasons()}"
         )
+
+    def _told_reasons(self) -> str:
+        lines = [
+            f"\n  {100.0 * reason.frames / self.frames:5.1f} % of the frames, first at t_s {reason.first_s:.2f}: "
+            f"{printable(reason.text)}{' (later with other numbers)' if reason.varies else ''}"
+            for reason in self.reasons[:MOST_REASONS]
+        ]
+        more = len(self.reasons) - len(lines)
+        return (f"\nreasons:{''.join(lines)}" if lines else "") + (f"\n  and {more} more" if more else "")
 
 
 def replay(
@@ -125,6 +158,8 @@ class _Run:
         self._quality: Counter[HeaveState] = Counter()
         self._trainings: Counter[str] = Counter()
         self._fits: Counter[str] = Counter()
+        self._failure = ""
+        self._reasons: dict[str, _Given] = {}
 
     def frames(self, recording: Recording, until_s: float, progress: Progress | None) -> Iterator[MotionFrame]:
         """The frames of all samples up to ``until_s``, in order."""
@@ -132,14 +167,24 @@ class _Run:
         while block := list(islice(samples, BLOCK_SAMPLES)):
             for frame in pipeline.run(block):
                 if (past := pipeline.fit_due()) is not None:
-                    self._fits[pipeline.accept_fit(look(past))] += 1
+                    self._fits[self._fit(past)] += 1
                 if (window := pipeline.training_due()) is not None:
                     self._trainings[pipeline.accept(self._trainer.fit(window))] += 1
                 if frame is not None:
                     self._quality[frame.quality.heave] += 1
+                    for text in frame.quality.reasons:
+                        self._given(text, frame.t_s)
                     yield frame
             if progress is not None:
                 progress(recording.read_bytes, recording.total_bytes)
+
+    def _fit(self, past: SeaWindow) -> str:
+        try:
+            fit = look(past)
+        except Exception as error:  # The daemon's fitter would die of it, too: what was learned stays in use.
+            self._failure = repr(error)
+            return "failed"
+        return self._pipeline.accept_fit(fit)
 
     def _samples(self, recording: Recording, until_s: float) -> Iterator[Sample]:
         first_s = nan
@@ -156,6 +201,14 @@ class _Run:
                 if reading is not None:
                     yield reading
 
+    def _given(self, text: str, t_s: float) -> None:
+        kind = _without_numbers(text)
+        given = self._reasons.get(kind)
+        if given is None:
+            given = self._reasons[kind] = _Given(text, t_s)
+        given.frames += 1
+        given.varies |= text != given.text
+
     def summary(self, elapsed_s: float) -> Summary:
         return Summary(
             rows=self._rows,
@@ -165,7 +218,26 @@ class _Run:
             quality=dict(self._quality),
             trainings=dict(self._trainings),
             fits=dict(self._fits),
+            failure=self._failure,
+            reasons=tuple(
+                Reason(text=given.text, varies=given.varies, frames=given.frames, first_s=given.first_s)
+                for given in sorted(self._reasons.values(), key=lambda given: -given.frames)
+            ),
         )
+
+
+class _Given(msgspec.Struct):
+    """A reason, while it is counted."""
+
+    text: str
+    first_s: float
+    frames: int = 0
+    varies: bool = False
+
+
+@lru_cache(maxsize=256)
+def _without_numbers(text: str) -> str:
+    return _NUMBER.sub("…", text)
 
 
 @contextmanager

@@ -63,7 +63,7 @@ def status_record(
         correction=_correction(acquisition, frame, now_s),
         hull=_hull(frame) if config.hull.enabled else None,
         attitude=_attitude(frame, now_s) if config.attitude.enabled else None,
-        rock=wire.rock_status(summary.rock, _SHOWN_S),
+        rock=wire.rock_status(acquisition.rock_scores(), _SHOWN_S),
         quiet=wire.quiet_status(frame.quiet) if frame is not None else None,
         clock=ClockStatus(utc_offset_s=round(utc.offset_s, 6), steps=utc.steps),
         config_file=config_file,

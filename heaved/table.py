@@ -1,7 +1,7 @@
 """The result of a replay as text: a row per frame, many frames at a time.
 
 Numbers of a block of frames are put side by side and made into text together (:mod:`heaved.decimals`). A block waits
-until the delayed heave of all its rows is known, a minute later.
+until the delayed heave of all its rows is known, a minute later; if it never is, until there are too many that wait.
 """
 
 from __future__ import annotations
@@ -34,6 +34,9 @@ _OF_FRAME: Final = attrgetter(*_NOW)
 MAX_STEP_S: Final = 0.5
 """Delayed heaves further apart than this have a hole between them."""
 
+FASTEST_HZ: Final = 250.0
+"""Rows a second that wait as long as they should. Of more, some are written before their delayed heave is known."""
+
 
 class Table:
     """Writes frames as they come; what is not known is blank, never zero.
@@ -62,6 +65,8 @@ class Table:
         self.names = ("t_s", *_NOW, "quality", "delayed_heave_m", *forecasts, *rocks, *staged)
         self._delayed = DelayedColumn()
         self._waiting: deque[_Block] = deque()
+        self._waiting_rows = 0
+        self._most_rows = int(2.0 * config.heave.sea.delay_s * FASTEST_HZ)
         write(",".join(self.names) + "\n")
 
     def put(self, frames: Sequence[MotionFrame]) -> None:
@@ -83,16 +88,21 @@ class Table:
             ahead=np.concatenate(parts, axis=1),
         )
         self._waiting.append(block)
+        self._waiting_rows += len(frames)
         self._delayed.take(frame.delayed for frame in frames)
-        while self._waiting and self._waiting[0].t_s[-1] <= self._delayed.newest_s:
-            self._write_out(self._waiting.popleft())
+        while self._waiting and (
+            self._waiting[0].t_s[-1] <= self._delayed.newest_s or self._waiting_rows > self._most_rows
+        ):
+            self._write_out()
 
     def flush(self) -> None:
         """Write what still waits: the delayed heave of most of it is not known any more."""
         while self._waiting:
-            self._write_out(self._waiting.popleft())
+            self._write_out()
 
-    def _write_out(self, block: _Block) -> None:
+    def _write_out(self) -> None:
+        block = self._waiting.popleft()
+        self._waiting_rows -= len(block.t_s)
         block.ahead[:, 0] = self._delayed.at(block.t_s)
         rows = zip(block.t_s.tolist(), lines(block.now), block.states, lines(block.ahead), strict=True)
         self._write("".join([f"{t_s:.6f},{now},{state},{ahead}\n" for t_s, now, state, ahead in rows]))

@@ -120,6 +120,33 @@ def test_check_config_says_what_it_found(capsys: pytest.CaptureFixture[str]) -> 
     assert len(out) == 3
 
 
+@pytest.mark.parametrize(
+    ("arguments", "gone", "code", "said"),
+    [
+        (["check-config", "heaved.toml"], "full stdout", 74, "standard output: cannot be written: No space left"),
+        (["check-config", "heaved.toml"], "left stdout", 74, ""),
+        (["status", "--check", "--port", "1"], "full stdout", 74, "standard output: cannot be written"),
+        (["check-config", "absent.toml"], "full stderr", 78, ""),
+        (["status", "--port", "1"], "left stderr", 69, ""),
+    ],
+)
+def test_output_that_nobody_takes_is_no_traceback(
+    tmp_path: Path, arguments: list[str], gone: str, code: int, said: str
+) -> None:
+    (tmp_path / "heaved.toml").write_text("")
+    how, stream = gone.split()
+    reading, left = os.pipe()
+    os.close(reading)
+    with open("/dev/full", "wb") as full:
+        streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, stream: full if how == "full" else left}
+        command = [sys.executable, "-m", "heaved", *arguments]
+        done = subprocess.run(command, cwd=tmp_path, check=False, **streams)  # type: ignore[call-overload]
+    os.close(left)
+    assert done.returncode == code
+    assert "Traceback" not in (done.stderr or b"").decode()
+    assert said in (done.stderr or b"").decode()
+
+
 def test_check_config_without_devices_says_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "empty.toml").touch()
     assert main(["check-config", str(tmp_path / "empty.toml")]) == 0

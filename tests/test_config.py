@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from heaved.config import Config
 from heaved.config.read import ConfigError, data_directory, load, parse
-from heaved.config.rules import rate_faults
+from heaved.config.rules import cautions, rate_faults
 from heaved.devices.profile import Block, DeviceSpec, Field, Profile
 from heaved.estimation.points import Point
 
@@ -128,7 +128,7 @@ FAULTS: dict[str, tuple[str, str]] = {
         "device[1].name: 'imu' is already the name of device[0]",
     ),
     "two of one role": (
-        IMU + IMU_PROFILE + IMU.replace('"imu"', '"imu2"', 1) + IMU_PROFILE,
+        IMU + IMU_PROFILE + IMU.replace('"imu"', '"imu2"', 1) + "device_id = 2" + IMU_PROFILE,
         "device[1].role: 'imu' is already the role of device[0]",
     ),
     "fields overlap": (
@@ -139,6 +139,31 @@ FAULTS: dict[str, tuple[str, str]] = {
         (IMU + IMU_PROFILE).replace("tcp://127.0.0.1:15020", "rtu:///dev/ttyUSB0?baudrate=9600")
         + LASER.replace("tcp://127.0.0.1:15021", "rtu:///dev/ttyUSB0?baudrate=19200"),
         "give both the same settings",
+    ),
+    "a comment in a link": (
+        IMU.replace("tcp://127.0.0.1:15020", "rtu:///dev/ttyUSB0#1?baudrate=115200") + IMU_PROFILE,
+        'what follows "#" would be ignored',
+    ),
+    "a space in a link": (IMU.replace(":15020", ":15020 ") + IMU_PROFILE, "a character that no link has (SPACE)"),
+    "a tab in a link": (IMU.replace(":15020", ":15020\\t") + IMU_PROFILE, "a character that no link has (U+0009)"),
+    "wide digits": (IMU.replace(":15020", ":１５") + IMU_PROFILE, "no link has (FULLWIDTH DIGIT ONE)"),
+    "bare IPv6": (IMU.replace("127.0.0.1", "fd00::7") + IMU_PROFILE, "stands in brackets, e.g. tcp://[fd00::7]:502"),
+    "one id twice on a serial line": (
+        (IMU + IMU_PROFILE + LASER).replace("rate_hz = 100", "rate_hz = 9").replace("rate_hz = 20", "rate_hz = 9")
+        .replace("tcp://127.0.0.1:15020", "rtu:///dev/ttyS0").replace("tcp://127.0.0.1:15021", "rtu:///dev/ttyS0"),
+        "device laser: device_id 1 on /dev/ttyS0 (9600 8N1) is that of device imu already",
+    ),
+    "one id twice, the same registers": (
+        IMU + IMU_PROFILE + LASER.replace(":15021", ":15020"),
+        "device laser: device_id 1 on tcp://127.0.0.1:15020 is that of device imu already",
+    ),
+    "measured after the answer": (
+        IMU + "latency_ms = 80" + IMU_PROFILE,
+        "device[0].latency_ms: 80 is beyond timeout_ms (50): no device measures after it has answered",
+    ),
+    "a profile that is not there": (
+        IMU + 'profile = "mine/imu.toml"',
+        "no profile 'mine/imu.toml'; there is no file /nonexistent/mine/imu.toml; give a file or one of: ",
     ),
     "off-host without allow": ('[stream]\nhost = "0.0.0.0"', "stream.host: 0.0.0.0 listens beyond this machine"),
     "http off-host": ('[http]\nhost = "::"', "http.host: :: listens beyond this machine"),
@@ -228,11 +253,79 @@ def test_a_profile_beside_the_file_comes_before_the_packaged_ones(tmp_path: Path
     assert read(IMU + f'profile = "{packaged}"', tmp_path).device[0].profile.name == "mine"
 
 
+def test_a_plc_may_hold_two_sensors_under_one_id() -> None:
+    """Their registers are others, and a TCP connection has no collisions."""
+    text = IMU + IMU_PROFILE + LASER.replace(":15021", ":15020").replace("start = 0", "start = 2")
+    assert len(read(text).device) == 2
+
+
+def test_a_port_under_two_names_is_refused_with_both(tmp_path: Path) -> None:
+    (tmp_path / "ttyUSB0").touch()
+    (tmp_path / "by-id").symlink_to("ttyUSB0")
+    text = (IMU + IMU_PROFILE + LASER + "\n").replace("rate_hz = 100", "rate_hz = 9").replace("= 20", "= 9")
+    text = text.replace("tcp://127.0.0.1:15020", f"rtu://{tmp_path}/ttyUSB0?baudrate=9600&parity=N")
+    (fault,) = faults_of(text.replace("tcp://127.0.0.1:15021", f"rtu://{tmp_path}/by-id"))
+    assert f"device[1].link: {tmp_path}/by-id is the same port as {tmp_path}/ttyUSB0 of device[0]" in fault
+    (fault,) = faults_of(text.replace("tcp://127.0.0.1:15021", f"rtu://{tmp_path}/./ttyUSB0"))
+    assert "is the same port as" in fault
+    # The options in another order are the same line, which they share.
+    same = text.replace("tcp://127.0.0.1:15021", f"rtu://{tmp_path}/ttyUSB0?parity=N&baudrate=9600")
+    assert len(read(same.replace('role = "laser"', 'role = "laser"\ndevice_id = 2')).device) == 2
+
+
+@pytest.mark.parametrize("rate_hz", [0.2, 0.5, 1.0, 1.5])
+def test_an_imu_too_slow_for_waves_is_refused(rate_hz: float) -> None:
+    """Waves are fitted up to 0.8 Hz; half the rate must be more (Nyquist)."""
+    text = IMU.replace("rate_hz = 100", f"rate_hz = {rate_hz}") + IMU_PROFILE
+    with pytest.raises(ConfigError, match=r"device\[0\].rate_hz: .* is too slow for waves: .* takes 1.6 Hz at least"):
+        parse(tomllib.loads(text), file="test.toml", directory=Path("/nonexistent"), to_run=True)
+    assert read(text).device[0].rate_hz == rate_hz  # For a replay it is not asked.
+
+
+def test_other_devices_may_be_slow() -> None:
+    text = IMU + IMU_PROFILE + LASER.replace("rate_hz = 20", "rate_hz = 0.5")
+    config = parse(tomllib.loads(text), file="test.toml", directory=Path("/nonexistent"), to_run=True)
+    assert cautions(config) == []
+
+
+CAUTIONS: dict[str, tuple[str, str]] = {
+    "a slow IMU": (IMU.replace("rate_hz = 100", "rate_hz = 2") + IMU_PROFILE, "no wave shorter than 1 s"),
+    "a long timeout": (IMU + "timeout_ms = 3000" + IMU_PROFILE, "device[0].timeout_ms: 3000 ms of waiting"),
+    "stuck at once": (IMU + "stuck_after_s = 0.001" + IMU_PROFILE, "0.001 s is less than the period (10 ms)"),
+    "a neighbour that waits": (
+        (IMU + "timeout_ms = 9" + IMU_PROFILE + LASER.replace(":15021", ":15020") + "\n").replace(
+            'role = "laser"', 'role = "laser"\ndevice_id = 2'
+        ),
+        "device laser: timeout_ms 50 is longer than the period of imu (10 ms) on the same line",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CAUTIONS)
+def test_what_costs_is_said(name: str) -> None:
+    text, expected = CAUTIONS[name]
+    (caution,) = cautions(read(text))
+    assert expected in caution
+
+
+def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:
+    (tmp_path / "heaved.toml").write_bytes(b"\xef\xbb\xbf[stream]\r\nport = 1234\r\n")
+    assert load(tmp_path / "heaved.toml").stream.port == 1234
+
+
 UNREADABLE: dict[str, tuple[Callable[[Path], object], str]] = {
     "missing": (lambda path: None, "cannot be read: No such file"),
     "directory": (lambda path: path.mkdir(), "cannot be read: Is a directory"),
     "not UTF-8": (lambda path: path.write_bytes(b"\xff\xfe"), "is not UTF-8 text"),
+    "UTF-16": (lambda path: path.write_text("[stream]", encoding="utf-16"), "is not UTF-8 text, save it as such"),
     "not TOML": (lambda path: path.write_text("[stream"), "is not valid TOML"),
+    "curly quotes": (
+        lambda path: path.write_text("[stream]\nhost = \N{LEFT DOUBLE QUOTATION MARK}::1"),
+        "(at line 2, column 8); the line holds a LEFT DOUBLE QUOTATION MARK: type it anew",
+    ),
+    "a space that does not break": (
+        lambda path: path.write_text("[stream]\n\N{NO-BREAK SPACE}port = 1"), "the line holds a NO-BREAK SPACE"
+    ),
     "a number without end": (lambda path: path.write_text("a = " + "9" * 5000), "is not valid TOML"),
     "brackets without end": (lambda path: path.write_text("a = " + "[" * 100_000), "is not valid TOML"),
 }

@@ -164,7 +164,7 @@ async def test_the_state_is_saved_now_and_then(tmp_path):
     state = msgspec.structs.replace(demo_config(tmp_path).state, save_period_s=1.0)
     async with running(demo_config(tmp_path, device=(), state=state)) as daemon:
         await until(daemon, lambda record: metric(daemon, 'heaved_state_saves_total{result="saved"}') >= 1)
-        assert daemon.memory.file.read() == daemon.acquisition.pipeline.state()
+        assert daemon.memory.file.read().state == daemon.acquisition.pipeline.state()
 
 
 # ---- reload ----------------------------------------------------------------------------------------------------------

@@ -1,9 +1,11 @@
 """What goes wrong on a ship: each fault has a message and a metric, and the daemon stays up."""
 
 import asyncio
+import contextlib
 import errno
 import itertools
 import logging
+import math
 import os
 import signal
 import socket
@@ -13,15 +15,16 @@ from contextlib import asynccontextmanager, closing
 import msgspec
 import pytest
 import structlog
-from running import HARMONIC, PATIENCE_S, SEA, demo_config, metric, plant_of, running, stream_of, until
+from running import HARMONIC, PATIENCE_S, SEA, SWELL, demo_config, get, metric, plant_of, running, stream_of, until
 from structlog.testing import capture_logs
 
 from heaved import daemon as daemon_module
 from heaved.config import HttpParams, StreamParams
 from heaved.daemon import Daemon, run
 from heaved.outputs.access import ListenError
-from heaved.pipeline import PipelineState
+from heaved.pipeline import Pipeline, PipelineState
 from heaved.realtime import set_real_time
+from heaved.samples import CorrectionState, HeaveState, LaserState, MotionFrame, Quality
 from heaved.simulate.faults import FaultKind, PlannedFault
 from heaved.state import StateFile
 from heaved.training.process import Worker
@@ -112,6 +115,30 @@ async def test_unplugged_and_back(tmp_path):
                 await until(daemon, lambda record: "device back" in events(logs, "info"))
                 assert metric(daemon, 'heaved_reconnects_total{device="imu"}') == 1
     assert events(logs).count("device down") == 1
+
+
+async def test_a_pipeline_that_stops_is_seen(tmp_path):
+    """By who asks whether it is ready, and by who looks at gauges: no value stands still."""
+    late_s = [0.0]
+    now = asyncio.get_running_loop().time
+    async with running(demo_config(tmp_path, device=()), clock=lambda: now() + late_s[0]) as daemon:
+        await until(daemon, lambda record: True)
+        quality = Quality(heave=HeaveState.VALID, laser=LaserState.VALID, correction=CorrectionState.ACTIVE)
+        frame = MotionFrame(t_s=now(), quality=quality, heave_m=1.0, heave_std_m=0.1, lead_s=0.0, reference_m=1.0)
+        daemon.acquisition.last_frame = frame
+        daemon.metrics.record_frame(frame, age_s=0.0, step_s=0.0)
+        daemon._tasks.pop("heartbeat").cancel()
+        assert (await get(daemon, "/readyz"))[0] == 200
+        daemon.keep_house()
+        assert metric(daemon, "heaved_heave_meters") == 1.0
+        late_s[0] = 10.0
+        status, body = await get(daemon, "/readyz")
+        assert status == 503
+        assert "last frame is 1" in body
+        daemon.keep_house()
+        assert math.isnan(metric(daemon, "heaved_heave_meters"))
+        assert metric(daemon, 'heaved_quality{state="valid"}') == 0
+        assert metric(daemon, 'heaved_quality{state="invalid"}') == 1
 
 
 @pytest.mark.parametrize(
@@ -254,6 +281,49 @@ async def test_a_corrupt_state(tmp_path):
     assert (tmp_path / "state" / "state.corrupt").read_text() == '{"version":1,"sha'
 
 
+NOWHERE = msgspec.structs.replace(SWELL, frequency_hz=(1e300,))
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (StateFile.encode(PipelineState(sea=NOWHERE)), "holds nonsense: frequency of the sea 1e+300 Hz"),
+        (StateFile.encode(PipelineState(), 4e9), "ahead of this machine's clock"),
+        (b'{"version":4}', "is of version 4, this release reads 2 and 3"),
+        (b"[" * 100_000, "is damaged"),
+    ],
+)
+async def test_a_state_of_nonsense(tmp_path, content, reason):
+    """Set aside, named, and no reason not to start."""
+    (tmp_path / "state").mkdir()
+    (tmp_path / "state" / "state.json").write_bytes(content)
+    with capture_logs() as logs:
+        async with running(demo_config(tmp_path, device=())) as daemon:
+            await until(daemon, lambda record: True)
+            assert metric(daemon, 'heaved_state_loads_total{result="refused"}') == 1
+    line = next(line for line in logs if line["log_level"] == "warning")
+    assert reason in line["reason"]
+    assert line["file"] == str(tmp_path / "state" / "state.json")
+    assert (tmp_path / "state" / "state.corrupt").read_bytes() == content
+
+
+async def test_a_state_that_an_estimator_stumbles_over(tmp_path, monkeypatch):
+    """Whatever it raises, the daemon starts, and with new estimators."""
+
+    def stumble(self, state, age_s):
+        self.stumbled = True
+        raise ZeroDivisionError("float division by zero")
+
+    monkeypatch.setattr(Pipeline, "restore", stumble)
+    config = demo_config(tmp_path, device=())
+    StateFile(tmp_path / "state", PipelineState).write(StateFile.encode(SEA[1]))
+    with capture_logs() as logs:
+        async with running(config) as daemon:
+            await until(daemon, lambda record: True)
+            assert not hasattr(daemon.acquisition.pipeline, "stumbled")
+    assert "ZeroDivisionError" in next(line for line in logs if "reason" in line)["reason"]
+
+
 @pytest.mark.parametrize(("params", "learned", "other"), [HARMONIC, SEA])
 async def test_a_state_of_other_parameters(tmp_path, params, learned, other):
     config = demo_config(tmp_path, device=(), heave=params)
@@ -346,23 +416,38 @@ import sys, time
 from pathlib import Path
 from heaved import daemon, state
 from heaved.config.read import load
+def hang(*arguments, **options):
+    time.sleep(3600)
 path = Path(sys.argv[1])
+config = load(path)
 daemon._EXIT_S = float(sys.argv[2])
-if sys.argv[3] == "disk hangs":
-    state.os.fsync = lambda fd: time.sleep(3600)
-sys.exit(daemon.run(load(path), path, log_format="json"))
+match sys.argv[3]:
+    case "disk hangs":
+        state.os.fsync = hang
+    case "disk hangs at the start":
+        state._content = hang
+    case "loop hangs":
+        daemon.Daemon.keep_house = hang
+    case "start hangs":
+        daemon.Daemon._poll_devices = hang
+sys.exit(daemon.run(config, path, log_format="json"))
+"""
+PLAIN = """
+[stream]
+port = 0
+[http]
+port = 0
+[state]
+directory = "{}/state"
 """
 
 
 @asynccontextmanager
-async def process(path, exit_s=PATIENCE_S, disk=""):
+async def process(path, exit_s=PATIENCE_S, what="", stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE):
     """The daemon as a process; killed at the end, if it is still there. ``exit_s``: in place of the 1.8 s after which
-    the process ends whatever hangs, so that a slow machine does not need that."""
-    daemon = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-c", PROGRAM, str(path), str(exit_s), disk),
-        stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.PIPE,
-    )
+    the process ends whatever hangs, so that a slow machine does not need that. ``what``: hangs."""
+    command = (sys.executable, "-c", PROGRAM, str(path), str(exit_s), what)
+    daemon = await asyncio.create_subprocess_exec(*command, stdout=stdout, stderr=stderr)
     try:
         yield daemon
     finally:
@@ -420,15 +505,137 @@ async def test_signals_end_it_in_time_whatever_hangs(tmp_path, number):
         assert (tmp_path / "state" / "state.json").is_file()
 
 
-async def test_a_disk_that_hangs_does_not_hold_the_process(tmp_path):
+def plain(tmp_path):
+    """A configuration without devices."""
     path = tmp_path / "heaved.toml"
-    path.write_text(f'[stream]\nport = 0\n[http]\nport = 0\n[state]\ndirectory = "{tmp_path}/state"\n')
-    async with process(path, exit_s=0.5, disk="disk hangs") as daemon:
+    path.write_text(PLAIN.format(tmp_path))
+    return path
+
+
+async def test_a_disk_that_hangs_does_not_hold_the_process(tmp_path):
+    async with process(plain(tmp_path), exit_s=0.5, what="disk hangs") as daemon:
         await listening(daemon)
         daemon.send_signal(signal.SIGTERM)
         await asyncio.wait_for(daemon.communicate(), PATIENCE_S)
     assert daemon.returncode == 0
     assert not (tmp_path / "state" / "state.json").exists()
+
+
+async def test_a_disk_that_hangs_at_the_start_does_not_hold_the_stream(tmp_path):
+    async with process(plain(tmp_path), exit_s=0.5, what="disk hangs at the start") as daemon:
+        reader, writer = await asyncio.open_connection(*(await listening(daemon))["stream"])
+        assert b"VERSION" in await asyncio.wait_for(reader.readline(), PATIENCE_S)
+        assert b"MOTION" in await asyncio.wait_for(reader.readline(), PATIENCE_S)
+        writer.close()
+        daemon.send_signal(signal.SIGTERM)
+        _, errors = await asyncio.wait_for(daemon.communicate(), PATIENCE_S)
+    assert daemon.returncode == 0
+    assert b"the disk has not answered" in errors
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+async def test_a_loop_that_hangs_does_not_hold_the_process(tmp_path, number):
+    async with process(plain(tmp_path), exit_s=0.5, what="loop hangs") as daemon:
+        reader, writer = await asyncio.open_connection(*(await listening(daemon))["stream"])
+        with contextlib.suppress(TimeoutError):
+            while await asyncio.wait_for(reader.readline(), 1.0):  # Until it hangs: housekeeping begins a second later.
+                pass
+        daemon.send_signal(number)
+        _, errors = await asyncio.wait_for(daemon.communicate(), PATIENCE_S)
+        writer.close()
+    assert daemon.returncode == 0
+    assert b"not everything has stopped in time" in errors
+
+
+async def test_a_start_that_hangs_can_be_ended(tmp_path):
+    async with process(plain(tmp_path), exit_s=0.5, what="start hangs") as daemon:
+        await log_line(daemon, b"no saved state")
+        daemon.send_signal(signal.SIGTERM)
+        await asyncio.wait_for(daemon.communicate(), PATIENCE_S)
+    assert daemon.returncode == 0
+
+
+def full_device():
+    return os.open("/dev/full", os.O_WRONLY)
+
+
+def pipe_without_reader():
+    reading, writing = os.pipe()
+    os.close(reading)
+    return writing
+
+
+def full_pipe():
+    """Nobody reads it, and who writes to it waits for ever. (The reading end is left open on purpose.)"""
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(writing, bytes(4096))
+    os.set_blocking(writing, True)
+    FULL_PIPES.append(reading)
+    return writing
+
+
+FULL_PIPES = []
+
+
+@pytest.mark.parametrize("make", [full_device, pipe_without_reader, full_pipe])
+@pytest.mark.parametrize("name", ["stdout", "stderr"])
+async def test_whoever_reads_what_it_prints_does_not_hold_the_process(tmp_path, name, make):
+    """It serves the stream, and ends when it is told to, by itself."""
+    path = tmp_path / "heaved.toml"
+    with closing(socket.create_server(("127.0.0.1", 0))) as taken:
+        port = taken.getsockname()[1]
+    path.write_text(PLAIN.format(tmp_path).replace("[stream]\nport = 0", f"[stream]\nport = {port}"))
+    file = make()
+    async with process(path, **{name: file}) as daemon:
+        os.close(file)
+        reader, writer = await connected(port)
+        for _ in range(5):
+            assert await asyncio.wait_for(reader.readline(), PATIENCE_S)
+        daemon.send_signal(signal.SIGTERM)
+        output, errors = await asyncio.wait_for(daemon.communicate(), PATIENCE_S)
+        writer.close()
+    assert daemon.returncode == 0
+    assert (tmp_path / "state" / "state.json").is_file()
+    if name == "stdout":
+        assert msgspec.json.decode(errors.splitlines()[-1])["event"] == "stopped"
+    else:
+        assert f"stream 127.0.0.1:{port}".encode() in output
+    while FULL_PIPES:
+        os.close(FULL_PIPES.pop())
+
+
+async def connected(port):
+    async with asyncio.timeout(60):
+        while True:
+            with contextlib.suppress(ConnectionRefusedError):
+                return await asyncio.open_connection("127.0.0.1", port)
+            await asyncio.sleep(0.05)
+
+
+async def test_without_standard_files_nothing_takes_their_place(tmp_path):
+    """A line of the log would go into whatever socket was opened instead, and to its client."""
+    path = tmp_path / "heaved.toml"
+    with closing(socket.create_server(("127.0.0.1", 0))) as taken:
+        port = taken.getsockname()[1]
+    path.write_text(PLAIN.format(tmp_path).replace("[stream]\nport = 0", f"[stream]\nport = {port}"))
+    shell = f"exec {sys.executable} -c \"$0\" {path} 20 '' <&- >&- 2>&-"
+    daemon = await asyncio.create_subprocess_exec("sh", "-c", shell, PROGRAM)
+    try:
+        reader, writer = await connected(port)
+        for _ in range(5):
+            assert (await asyncio.wait_for(reader.readline(), PATIENCE_S)).startswith(b'{"class":')
+        links = [os.readlink(f"/proc/{daemon.pid}/fd/{fd}") for fd in range(3)]
+        daemon.send_signal(signal.SIGTERM)
+        assert await asyncio.wait_for(daemon.wait(), PATIENCE_S) == 0
+        writer.close()
+    finally:
+        if daemon.returncode is None:
+            daemon.kill()
+            await daemon.wait()
+    assert links == ["/dev/null"] * 3
 
 
 def test_the_process_is_gone_within_two_seconds():

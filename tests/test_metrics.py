@@ -13,9 +13,11 @@ from prometheus_client.parser import text_string_to_metric_families
 from heaved.metrics import Metrics
 from heaved.samples import (
     CorrectionState,
+    CraftMotion,
     DelayedHeave,
     Fault,
     HeaveState,
+    HullAngles,
     LaserState,
     MotionFrame,
     Quality,
@@ -188,15 +190,121 @@ def test_what_is_not_known_is_nan() -> None:
     assert math.isnan(value(metrics, "heaved_reference_error_meters"))
 
 
-def test_what_was_not_fitted_is_nan_and_a_delayed_heave_that_ends_is_too() -> None:
+WHOLE = MotionFrame(
+    t_s=1000.0,
+    quality=Quality(heave=HeaveState.VALID, laser=LaserState.VALID, correction=CorrectionState.ACTIVE),
+    heave_m=1.5,
+    heave_std_m=0.02,
+    lead_s=0.1,
+    reference_m=1.25,
+    sea=SeaState(
+        significant_height_m=2.5, peak_period_s=9.0, mean_period_s=7.5, systems=(), frequencies_hz=(),
+        spectrum_m2phz=(), t_s=990.0,
+    ),
+    delayed=DelayedHeave(t_s=940.0, heave_m=-0.75, std_m=0.01),
+    hull=HullAngles(t_s=999.8, state="converged", total_rad=(0.1, 0.2, 0.3), std_rad=(0.01, 0.02, 0.03)),
+    attitude=CraftMotion(
+        t_s=999.9, heave_m=0.4, heave_velocity_mps=0.0, pitch_rad=0.05, pitch_rate_radps=0.0, heave_std_m=0.01,
+        heave_velocity_std_mps=0.1, pitch_std_rad=0.001, pitch_rate_std_radps=0.01,
+    ),
+    quiet=QuietForecast(
+        t_s=1000.0, window=QuietWindow(t_s=1000.0, start_s=12.0, length_s=15.0, confidence=0.85), best=0.9
+    ),
+)  # fmt: skip
+"""All that a frame may have."""
+SCORES = (RockScore(axis="roll", horizon_s=0.15, error_rad=0.001, coverage=0.95),)
+NOW = {"heaved_heave_meters", "heaved_heave_std_meters", "heaved_reference_error_meters", "heaved_lead_seconds"}
+SEA = {"heaved_significant_heave_meters", "heaved_peak_period_seconds", "heaved_mean_period_seconds"}
+DELAYED = {"heaved_delayed_heave_meters"}
+HULL = {"heaved_hull_angle_radians", "heaved_hull_std_radians"}
+CRAFT = {f"heaved_attitude_{x}" for x in ("heave_meters", "heave_std_meters", "pitch_radians", "pitch_std_radians")}
+ROCK = {"heaved_rock_error_radians", "heaved_rock_coverage_ratio"}
+QUIET = {"heaved_quiet_confidence_ratio", "heaved_quiet_start_seconds"}
+TRAINED = {"heaved_training_age_seconds"}
+ALL = NOW | SEA | DELAYED | HULL | CRAFT | ROCK | QUIET | TRAINED
+
+
+def changed(**changes: object) -> MotionFrame:
+    return msgspec.structs.replace(WHOLE, **changes)
+
+
+def judged(**changes: object) -> MotionFrame:
+    return changed(quality=msgspec.structs.replace(WHOLE.quality, **changes))
+
+
+def record(metrics: Metrics, frame: MotionFrame | None, scores: tuple[RockScore, ...] = SCORES) -> None:
+    """What the daemon does with each frame, and once a second."""
+    if frame is None:
+        metrics.record_no_frame()
+        return
+    metrics.record_frame(frame, age_s=0.003, step_s=0.0002)
+    metrics.record_sea(frame)
+    metrics.record_stages(frame)
+    metrics.record_quiet(frame.quiet)
+    metrics.record_training(frame, 30.0)
+    metrics.record_rock(scores)
+
+
+def unknown(metrics: Metrics) -> set[str]:
+    """Gauges of which any series is NaN."""
+    return {
+        family.name
+        for family in families(metrics).values()
+        for sample in family.samples
+        if family.type == "gauge" and math.isnan(sample.value)
+    }
+
+
+GONE: dict[str, tuple[MotionFrame | None, set[str]]] = {
+    "nothing": (WHOLE, set()),
+    "frames": (None, ALL),
+    "the heave": (judged(heave=HeaveState.INVALID), NOW | SEA | DELAYED),
+    "the laser": (judged(laser=LaserState.STALE), {"heaved_reference_error_meters"}),
+    "the laser's reading": (changed(reference_m=math.nan), {"heaved_reference_error_meters"}),
+    "the sea": (changed(sea=None), SEA),
+    "fits of the sea": (changed(sea=msgspec.structs.replace(WHOLE.sea, t_s=399.0)), SEA),
+    "the delayed heave": (changed(delayed=None), DELAYED),
+    "the smoother": (changed(t_s=1006.0, hull=None, attitude=None), DELAYED | HULL | CRAFT),
+    "the second IMU": (changed(hull=msgspec.structs.replace(WHOLE.hull, t_s=994.9)), HULL),
+    "the hull's stage": (changed(hull=None), HULL),
+    "the craft's sensors": (changed(attitude=msgspec.structs.replace(WHOLE.attitude, t_s=994.9)), CRAFT),
+    "the craft's stage": (changed(attitude=None), CRAFT),
+    "the correction": (judged(correction=CorrectionState.OFF), TRAINED),
+    "quiet windows": (changed(quiet=None), QUIET),
+}
+
+
+@pytest.mark.parametrize("gone", GONE)
+def test_a_gauge_is_nan_when_what_it_describes_is_gone(gone: str) -> None:
+    frame, void = GONE[gone]
     metrics = Metrics("1.2.3")
-    names = ("heaved_significant_heave_meters", "heaved_peak_period_seconds", "heaved_mean_period_seconds")
-    metrics.record_sea(frame(HeaveState.SETTLING))
-    assert all(math.isnan(value(metrics, name)) for name in (*names, "heaved_delayed_heave_meters"))
-    metrics.record_sea(with_sea(frame(HeaveState.VALID, 1.5)))
-    metrics.record_sea(frame(HeaveState.SETTLING))  # After a reset: the sea is what it was, the heave is not known.
-    assert value(metrics, "heaved_significant_heave_meters") == 2.5
-    assert math.isnan(value(metrics, "heaved_delayed_heave_meters"))
+    record(metrics, WHOLE)
+    assert unknown(metrics) == set()
+    record(metrics, frame)
+    assert unknown(metrics) == void
+    record(metrics, changed(t_s=1000.01, delayed=DelayedHeave(t_s=941.0, heave_m=0.2, std_m=0.01)))
+    assert unknown(metrics) == set()
+
+
+def test_scores_of_predictions_that_are_not_made_are_nan() -> None:
+    metrics = Metrics("1.2.3")
+    record(metrics, WHOLE)
+    record(metrics, WHOLE, scores=())
+    assert unknown(metrics) == ROCK
+
+
+def test_every_gauge_of_the_estimators_can_become_nan() -> None:
+    """A new one must be in the table above."""
+    kept = {"heaved_build_info", "heaved_device_up", "heaved_quality", "heaved_clients"}
+    assert {name for name, kind, _ in CONTRACT if kind == "gauge"} - kept == ALL
+
+
+def test_without_frames_the_heave_is_invalid() -> None:
+    metrics = Metrics("1.2.3")
+    record(metrics, WHOLE)
+    record(metrics, None)
+    assert value(metrics, "heaved_quality", state="invalid") == 1.0
+    assert value(metrics, "heaved_quality", state="valid") == 0.0
 
 
 def test_quality_is_one_hot() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import math
 import stat
@@ -9,11 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from heaved.config import Config
-from heaved.devices.recording import RecordingError
+from heaved.devices.recording import COLUMNS, RecordingError
 from heaved.estimation import correction, heave, lead, rock
-from heaved.replay import OutputError, Summary, replay
+from heaved.estimation import sea as sea_observer
+from heaved.replay import OutputError, Summary, _Run, replay
 from heaved.samples import (
     CorrectionState,
     DelayedHeave,
@@ -237,6 +241,120 @@ def test_the_column_is_the_delayed_heave(tmp_path: Path) -> None:
     delayed_m = np.array([float(row["delayed_heave_m"] or "nan") for row in rows])
     error = (delayed_m - sea.truth.heave_m)[known]
     assert np.sqrt(np.mean(error**2)) < 0.1 * np.std(sea.truth.heave_m)
+
+
+@pytest.mark.parametrize("times", ["at one moment", "days apart"])
+def test_rows_that_wait_for_a_delayed_heave_are_not_kept_for_ever(times: str) -> None:
+    """Whatever their times, a bounded number: twice what the longest wait at the highest rate has."""
+    written: list[str] = []
+    table = Table(Config(heave=heave.Params(sea=sea_observer.Params(delay_s=10.0))), written.append)
+    quality = Quality(heave=HeaveState.SETTLING, laser=LaserState.OFF, correction=CorrectionState.OFF)
+    step_s = 1e-7 if times == "at one moment" else 86400.0
+    most = 2 * 10 * 250
+    for k in range(0, 2 * most, 1000):
+        table.put([MotionFrame(t_s=step_s * (k + i), quality=quality) for i in range(1000)])
+        assert table._waiting_rows <= most
+    table.flush()
+    assert "".join(written).count("\n") == 1 + 2 * most
+
+
+# ---- what it says ----------------------------------------------------------------------------------------------------
+
+
+def summary(reasons: list[tuple[float, tuple[str, ...]]]) -> Summary:
+    run = _Run(pipeline=None, trainer=None)  # type: ignore[arg-type]  # It is only told.
+    for t_s, texts in reasons:
+        run._quality[HeaveState.DEGRADED] += 1
+        for text in texts:
+            run._given(text, t_s)
+    return run.summary(1.0)
+
+
+def test_reasons_are_counted_and_dated_the_most_frequent_first() -> None:
+    sign, line = "az is about -9.8: wrong sign", "imu: 37 % of the samples missing"
+    text = str(summary([(10.0, ()), (11.0, (line,)), (12.0, (line, sign)), (13.0, (sign,)), (14.0, (sign,))]))
+    assert text.split("reasons:\n")[1].split("\n") == [
+        f"   60.0 % of the frames, first at t_s 12.00: {sign}",
+        f"   40.0 % of the frames, first at t_s 11.00: {line}",
+    ]
+
+
+def test_reasons_that_differ_in_numbers_alone_are_one() -> None:
+    told = summary([(float(k), (f"settling: {k} s of 40 s", f"{-0.5 * k} m off")) for k in range(40)])
+    assert [(reason.text, reason.varies, reason.frames, reason.first_s) for reason in told.reasons] == [
+        ("settling: 0 s of 40 s", True, 40, 0.0), ("-0.0 m off", True, 40, 0.0),
+    ]  # fmt: skip
+    assert "settling: 0 s of 40 s (later with other numbers)" in str(told)
+
+
+def test_few_reasons_are_printed_and_the_others_counted() -> None:
+    told = summary([(0.0, tuple(f"reason {chr(65 + i)}\x1b" for i in range(20)))])
+    assert str(told).count("reason ") == 12
+    assert str(told).endswith("and 8 more")
+    assert "\x1b" not in str(told)
+
+
+def test_a_whole_replay_gives_its_reasons(tmp_path: Path) -> None:
+    """An upright accelerometer alone: there is nothing to remove a tilt with, from the first frame to the last."""
+    sea = record(seaway("T3", seed=3), 60.0, imu_rate_hz=20.0, laser="off", seed=3)
+    path = tmp_path / "in.csv"
+    rows = zip(sea.t_s.tolist(), sea.az_mps2.tolist(), strict=True)
+    path.write_text("t_s,az_mps2\n" + "".join(f"{t!r},{az:.5f}\n" for t, az in rows))
+    told = replay(path, tmp_path / "out.csv", Config())
+    tilt = next(reason for reason in told.reasons if "tilt not removed" in reason.text)
+    settling = next(reason for reason in told.reasons if "settling" in reason.text)
+    assert settling.first_s == sea.t_s[0]
+    assert settling.frames == told.quality[HeaveState.SETTLING]
+    assert 0 < tilt.frames <= told.frames
+    assert "tilt not removed" in str(told)
+
+
+def test_a_fit_that_dies_costs_no_row(sea: Recording, source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def die(past: object) -> None:
+        raise ZeroDivisionError("float division by zero")
+
+    monkeypatch.setattr("heaved.replay.look", die)
+    told = replay(source, source.with_name("dies.csv"), Config(), until_s=70.0)
+    assert told.fits == {"failed": told.fits["failed"]}
+    assert told.frames == np.isfinite(sea.az_mps2[sea.t_s <= sea.t_s[0] + 70.0]).sum()
+    assert "failed (the last one died of ZeroDivisionError" in str(told)
+
+
+NASTY = (
+    "", "0", "-0.0", "9.8", "-9.8", "1", "1000", "-1000", "1e3", "5e-324", "1e-300", "9999.999", "1e308", "-1e308",
+    "1e999", "nan", "inf", "x", "1,5", '"', "\0", "\x1b[31m", "\u0663", "9.8 ", "0x10", "1_0", "\ufeff", "\r", "\n",
+)  # fmt: skip
+
+
+@settings(max_examples=80)
+@given(
+    width=st.integers(0, 8),
+    rows=st.lists(st.lists(st.sampled_from(NASTY) | st.just("9.7"), min_size=9, max_size=9), max_size=40),
+    sound=st.booleans(),
+)
+def test_whatever_is_in_the_cells_a_replay_gives_numbers_or_says_where(
+    tmp_path_factory: pytest.TempPathFactory, width: int, rows: list[list[str]], sound: bool
+) -> None:
+    """``sound``: only cells that a recording may have, so that estimators see the extremes of it."""
+    folder = tmp_path_factory.mktemp("fuzz")
+    path, out = folder / "in.csv", folder / "out.csv"
+    columns = COLUMNS[3:4] + COLUMNS[1:3] + COLUMNS[4 : 4 + width]
+    lines = [",".join(("t_s", *columns))]
+    for k, row in enumerate(rows):
+        cells = [cell if not sound or cell in NASTY[:11] else "9.7" for cell in row[: len(columns)]]
+        lines.append(",".join((f"{0.05 * k:.2f}", *cells, *("",) * (len(columns) - len(cells)))))
+    path.write_text("\n".join(lines))
+    if not sound:
+        with contextlib.suppress(RecordingError):
+            replay(path, out, Config())
+        return
+    if not rows:
+        rows.append([])
+        lines.append(",".join(("0", *("",) * len(columns))))
+    path.write_text("\n".join(lines))
+    replay(path, out, Config())
+    for result in rows_of(out):
+        assert all(math.isfinite(float(cell)) for name, cell in result.items() if name != "quality" and cell)
 
 
 # ---- the file that is written ----------------------------------------------------------------------------------------

@@ -59,7 +59,7 @@ def device(role: str, fields: str) -> str:
 [[device]]
 name = "{role}"
 role = "{role}"
-link = "tcp://127.0.0.1:15020"
+link = "tcp://{role.replace("_", "-")}:502"
 rate_hz = 100
 [device.profile]
 name = "inline"
@@ -137,7 +137,7 @@ def faults_to_run(text: str, path: Path, capsys: pytest.CaptureFixture[str]) -> 
 def test_what_stages_and_devices_lack_is_named_beside_every_other_fault(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    serial = device("imu", one("az_mps2", "m/s2")).replace("tcp://127.0.0.1:15020", "rtu:///dev/ttyS0?baudrate=1200")
+    serial = device("imu", one("az_mps2", "m/s2")).replace("tcp://imu:502", "rtu:///dev/ttyS0?baudrate=1200")
     text = (
         '[hull]\nenabled = true\nmethod = "ekf"\n[attitude]\nenabled = true\nmode = "best"\n'
         "[stream]\nport = 70000\n[haeve]\n" + serial
@@ -255,7 +255,7 @@ def test_packaged_files_are_sound(name: str, roles: list[str]) -> None:
 )
 def test_a_role_makes_samples_of_its_own_kind(text: str, values: dict, expected: dict) -> None:
     (spec,) = read(text).device
-    contact = Contact(numbered=True, resync_counts=(), alone=True, timeout_s=0.05, opened_s=0.0)
+    contact = Contact(numbered=True, lengths=(), alone=True, timeout_s=0.05, opened_s=0.0)
     station = Station(spec, TcpLink("h", 1), contact, 0.0)
     decoded = station.codecs[0].decode(encode(spec.profile.blocks[0], values))
     result = station.result(Reading(5.0, decoded.values), 5.0, 5.0, 5.001, 1)

@@ -10,6 +10,7 @@
     tools/accuracy.py rock        roll and pitch ahead: the paper's method, the direct predictor, quiet windows
     tools/accuracy.py correction [--seeds 3]  the learned correction while a network is in use, laser on and off
     tools/accuracy.py closed-loop [S6 T3] [--replay]    a hook under a winch that the stream drives, in real time
+    tools/accuracy.py faults [DISASTER ...] [--seas S6] [--rates 20]    what is published while things go wrong
     tools/accuracy.py hull [--runs 50]        deformation between two IMUs, 600 s a run
     tools/accuracy.py attitude [--runs 50]    heave and pitch of a foil-assisted catamaran
     tools/accuracy.py all         headline and rock
@@ -42,7 +43,10 @@ from evidence import (
     attitude,
     closed_loop,
     correction,
+    disasters,
     estimators,
+    fault_table,
+    faults,
     gates,
     heave,
     hull,
@@ -246,6 +250,30 @@ def run_correction(options: argparse.Namespace, output: Output) -> None:
     print(correction.report(outcomes))
 
 
+def run_faults(options: argparse.Namespace, output: Output) -> None:
+    """
+    Raises:
+        ValueError: a disaster is not known, or begins too late.
+    """
+    if unknown := [name for name in options.disasters if name not in disasters.DISASTERS]:
+        raise ValueError(f"unknown disaster {unknown[0]!r}: choose from {', '.join(disasters.DISASTERS)}")
+    if options.list:
+        print("\n".join(f"{name:24} {disaster.what}" for name, disaster in disasters.DISASTERS.items()))
+        return
+    if options.duration < options.at + 2.0 * faults.LAST_S:
+        raise ValueError(f"a disaster at {options.at:g} s needs a --duration of {options.at + 2.0 * faults.LAST_S:g} s")
+    plan = faults.Plan(at_s=options.at, duration_s=options.duration)
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    todo = faults.tasks(options.disasters or disasters.DISASTERS, options.seas, options.rates, seeds, plan)
+
+    def watch(outcome: faults.Outcome) -> None:
+        task = outcome.task
+        print(f"{task.name}, {task.sea}, {task.rate_hz:g} Hz, record {task.seed}: done", file=sys.stderr, flush=True)
+        output.write("fault", [outcome])
+
+    print(fault_table.report(faults.run_all(todo, options.jobs, watch), options.detail))
+
+
 def run_closed_loop(options: argparse.Namespace, output: Output) -> None:
     laser_pattern(options.laser)
     setting = closed_loop.Setting(
@@ -379,6 +407,21 @@ def _correction(parser: argparse.ArgumentParser) -> None:
     _common(parser)
 
 
+def _faults(parser: argparse.ArgumentParser) -> None:
+    plan = faults.Plan()
+    parser.add_argument("disasters", nargs="*", metavar="DISASTER", help="default: all; see --list")
+    parser.add_argument("--list", action="store_true", help="name them and say what they are")
+    parser.add_argument("--seas", nargs="+", default=faults.SEAS, choices=scenarios.SIMULATED, metavar="SEA")
+    parser.add_argument("--rates", nargs="+", type=_positive, default=faults.RATES_HZ, metavar="HZ")
+    parser.add_argument("--seeds", type=_count, default=1, metavar="N", help="records of each sea (default 1)")
+    parser.add_argument("--first-seed", type=_count, default=1, metavar="N", help="of them (default 1)")
+    parser.add_argument("--at", type=_positive, default=plan.at_s, metavar="S", help=f"it happens ({plan.at_s:g})")
+    parser.add_argument("--duration", type=_positive, default=plan.duration_s, metavar="S", help="of a record")
+    parser.add_argument("--jobs", type=_count, default=1, metavar="N", help="processes (default 1)")
+    parser.add_argument("--detail", action="store_true", help="every run by itself as well, with its reasons")
+    _common(parser)
+
+
 def _runs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--runs", type=_count, default=50, metavar="N", help="Monte-Carlo runs (default 50)")
     parser.add_argument("--jobs", type=_count, default=1, metavar="N", help="processes (default 1)")
@@ -406,6 +449,7 @@ COMMANDS: dict[str, Command] = {
     "hull": Command(run_hull, _runs, "deformation between two IMUs, simulated"),
     "attitude": Command(run_attitude, _runs, "heave and pitch of a foil-assisted catamaran, simulated"),
     "correction": Command(run_correction, _correction, "the learned correction while a network is in use"),
+    "faults": Command(run_faults, _faults, "what is published while things go wrong"),
     "closed-loop": Command(run_closed_loop, _closed_loop, "hook motion under a winch driven by the stream"),
     "all": Command(run_all, _rock, "headline and rock"),
 }

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
+import unicodedata
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
@@ -94,14 +96,25 @@ def packaged_profiles() -> tuple[Profile, ...]:
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
+    text = ""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8-sig")  # Some editors put a byte order mark before the text.
+        return tomllib.loads(text)
     except OSError as error:
         raise ConfigError(str(path), [f"cannot be read: {error.strerror or error}"]) from error
     except UnicodeDecodeError as error:
-        raise ConfigError(str(path), [f"is not UTF-8 text: {error}"]) from error
+        raise ConfigError(str(path), [f"is not UTF-8 text, save it as such: {error}"]) from error
     except (ValueError, RecursionError) as error:  # TOMLDecodeError, a number of thousands of digits, endless brackets
-        raise ConfigError(str(path), [f"is not valid TOML: {error}"]) from error
+        raise ConfigError(str(path), [f"is not valid TOML: {error}{_odd_character(text, str(error))}"]) from error
+
+
+def _odd_character(text: str, reason: str) -> str:
+    """What stands in the faulty line that looks like something else: a curly quote, a space that does not break."""
+    lines = text.split("\n")
+    found = re.search(r"at line (\d+)", reason)
+    line = lines[int(found[1]) - 1] if found is not None and 0 < int(found[1]) <= len(lines) else ""
+    odd = next((char for char in line if not " " <= char <= "~" and char not in "\t\r"), None)
+    return f"; the line holds a {unicodedata.name(odd, f'U+{ord(odd):04X}')}: type it anew" if odd else ""
 
 
 def _with_profile(device: dict[str, Any], path: str, directory: Path, faults: list[str]) -> dict[str, Any]:
@@ -114,7 +127,8 @@ def _with_profile(device: dict[str, Any], path: str, directory: Path, faults: li
     found = next((candidate for candidate in candidates if _is_file(candidate)), None)
     if found is None:
         known = ", ".join(sorted(p.stem for p in (data_directory() / "devices").glob("*.toml")))
-        faults.append(f"{path}.profile: no profile {shown(name)}; give a file or one of: {known}")
+        looked = f"; there is no file {directory / name}" if "/" in name or name.endswith(".toml") else ""
+        faults.append(f"{path}.profile: no profile {shown(name)}{looked}; give a file or one of: {known}")
         return {key: value for key, value in device.items() if key != "profile"} | {"profile": _PLACEHOLDER}
     try:
         return device | {"profile": _read_toml(found)}

@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 import ipaddress
+import os
 from collections.abc import Collection, Mapping
 from contextlib import suppress
 from math import isfinite
-from typing import Any, get_args
+from typing import Any, Final, get_args
 
 import msgspec
 
 from heaved.config import Config
 from heaved.config.typed import sound_keys, table_of
-from heaved.devices.line import bus_load_faults, line_faults, parse_link
+from heaved.devices.line import RtuLink, bus_load_faults, buses, line_faults, parse_link
 from heaved.devices.profile import DeviceSpec, Role, profile_faults, role_needs, role_quantities
 from heaved.estimation import fusion
+from heaved.estimation.sea_fit import BAND_HZ
+
+LEAST_IMU_RATE_HZ: Final = 2.0 * BAND_HZ[1]
+"""Nyquist: of the highest frequency at which the sea is fitted."""
+GOOD_IMU_RATE_HZ: Final = 4.0
+"""Two and a half times that: a whole octave above the waves, in which noise and vibration are seen for what they are.
+"""
+LONG_TIMEOUT_S: Final = 1.0
+"""Twice what a silent device is left alone for."""
 
 
 class Written(msgspec.Struct, frozen=True, kw_only=True):
@@ -64,6 +74,7 @@ def rule_faults(file: Written) -> list[str]:
     faults += _point_faults(file)
     faults += _heave_faults(config)
     faults += _stage_params_faults(config)
+    faults += _port_faults(devices)
     if not any(".link: " in fault for fault in faults):
         overload = overload_faults(tuple(devices.values()))  # Of the plan, not of the file: see rate_faults.
         faults += [fault for fault in line_faults(tuple(devices.values())) if fault not in overload]
@@ -89,11 +100,50 @@ def run_faults(file: Written) -> list[str]:
             carried.setdefault(role, role_quantities(role))
         else:
             is_complete = False  # It may be the one that is looked for.
-    return [
+    slow = [
+        f"device[{i}].rate_hz: {device.rate_hz:g} is too slow for waves: the sea is fitted up to {BAND_HZ[1]:g} Hz, "
+        f"which takes {LEAST_IMU_RATE_HZ:g} Hz at least; 10 or more is good, 100 for a compensator"
+        for i, device in file.devices.items()
+        if device.role == "imu" and device.rate_hz < LEAST_IMU_RATE_HZ
+    ]
+    return slow + [
         fault
         for fault in _stage_faults(file.tables, carried, is_complete=is_complete)
         if fault.partition(":")[0] not in file.wrong
     ]
+
+
+def cautions(config: Config) -> list[str]:
+    """What is no fault but costs something that whoever wrote the file may not know."""
+    found = []
+    for i, device in enumerate(config.device):
+        path, period_ms = f"device[{i}]", 1e3 / device.rate_hz
+        if device.role == "imu" and device.rate_hz < GOOD_IMU_RATE_HZ:
+            found.append(
+                f"{path}.rate_hz: {device.rate_hz:g} Hz sees no wave shorter than {2.0 / device.rate_hz:.2g} s, and "
+                "vibration of hull and engines folds into the waves: the heave errs more; set "
+                f"{GOOD_IMU_RATE_HZ:g} or more, 100 for a compensator"
+            )
+        if device.timeout_ms > 1e3 * LONG_TIMEOUT_S:
+            found.append(
+                f"{path}.timeout_ms: {device.timeout_ms:g} ms of waiting for each lost answer, and nothing else is "
+                "asked on the line meanwhile: set it little above the device's slowest answer"
+            )
+        if 0.0 < device.stuck_after_s * 1e3 < period_ms:
+            found.append(
+                f"{path}.stuck_after_s: {device.stuck_after_s:g} s is less than the period ({period_ms:.3g} ms): two "
+                "equal readings would be a fault; raise it"
+            )
+    for members in buses(config.device).values():
+        for device in members:
+            hurried = [other for other in members if other is not device and 1e3 / other.rate_hz < device.timeout_ms]
+            if hurried:
+                names = ", ".join(f"{other.name} ({1e3 / other.rate_hz:.3g} ms)" for other in hurried)
+                found.append(
+                    f"device {device.name}: timeout_ms {device.timeout_ms:g} is longer than the period of {names} on "
+                    "the same line: each answer that it loses costs them polls; lower it, or give each its own line"
+                )
+    return found
 
 
 def rate_faults(config: Config) -> list[str]:
@@ -202,8 +252,31 @@ def overload_faults(devices: tuple[DeviceSpec, ...]) -> list[str]:
         return []
 
 
+def _port_faults(devices: Mapping[int, DeviceSpec]) -> list[str]:
+    """Serial ports that go by two names, such as /dev/ttyUSB0 and its link under /dev/serial/by-id: the second could
+    not be opened beside the first."""
+    faults = []
+    first: dict[str, tuple[int, str]] = {}
+    for i, device in devices.items():
+        with suppress(ValueError):
+            link = parse_link(device.link)
+            if isinstance(link, RtuLink):
+                other, name = first.setdefault(os.path.realpath(link.path), (i, link.path))
+                if name != link.path:
+                    faults.append(
+                        f"device[{i}].link: {link.path} is the same port as {name} of device[{other}]: give both the "
+                        "same link; they share the line"
+                    )
+    return faults
+
+
 def _device_faults(path: str, device: DeviceSpec) -> list[str]:
     faults = _link_faults(path, device.link)
+    if device.latency_ms > device.timeout_ms:
+        faults.append(
+            f"{path}.latency_ms: {device.latency_ms:g} is beyond timeout_ms ({device.timeout_ms:g}): no device "
+            "measures after it has answered; one that answers with an older reading has a negative latency_ms"
+        )
     faults += [f"{path}.profile: {fault}" for fault in profile_faults(device.profile)]
     carried = _quantities(device)
     lacking = [name for name in role_needs(device.role) if name not in carried]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import socket
+import unicodedata
 from collections.abc import Sequence
 from math import ceil
 from typing import Literal
@@ -52,6 +53,12 @@ def parse_link(text: str) -> Link:
     Raises:
         ValueError: names the part that is wrong, and what it should be.
     """
+    odd = next((char for char in text if not "!" <= char <= "~"), None)
+    if odd is not None:
+        name = unicodedata.name(odd, f"U+{ord(odd):04X}")
+        raise ValueError(f"link {text!r}: has a character that no link has ({name}): type it anew, without spaces")
+    if "#" in text:
+        raise ValueError(f'link {text!r}: what follows "#" would be ignored; options follow "?", joined by "&"')
     try:
         url = urlsplit(text)
     except ValueError as error:
@@ -64,6 +71,8 @@ def parse_link(text: str) -> Link:
 
 
 def _parse_tcp(text: str, url: SplitResult) -> TcpLink:
+    if url.netloc.count(":") > 1 and "[" not in url.netloc:
+        raise ValueError(f"link {text!r}: an IPv6 address stands in brackets, e.g. tcp://[fd00::7]:502")
     if not url.hostname:
         raise ValueError(f"link {text!r}: the host is missing, e.g. tcp://192.168.1.20:502")
     try:
@@ -129,16 +138,23 @@ def buses(devices: Sequence[DeviceSpec]) -> dict[str, tuple[DeviceSpec, ...]]:
 def explain_open_failure(link: Link, error: BaseException) -> str:
     """Why a line could not be opened, and what to do about it."""
     number = error.errno if isinstance(error, OSError) else None
+    if number in (errno.EMFILE, errno.ENFILE) and not isinstance(error, socket.gaierror):
+        return "no file descriptor is left for the line: close other connections, or raise the limit (LimitNOFILE)"
     if isinstance(link, RtuLink):
         if number in (errno.EACCES, errno.EPERM):
             return f"no permission to open {link.path}: add the daemon's user to the port's group (often dialout)"
         if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV):
             return f"{link.path} is not there: plug the adapter in, or correct the link"
         if number in (errno.EAGAIN, errno.EBUSY):
-            return f"{link.path} is in use by another program: stop it"
+            return f"{link.path} is in use by another program, or by this one under another name of the port: stop it"
         return f"{link.path} cannot be opened ({error}): check the link's settings"
     if isinstance(error, socket.gaierror):
-        return f"host name {link.host} is unknown: check the link"
+        if number == socket.EAI_AGAIN:
+            return (
+                f"host name {link.host} cannot be looked up, no name server answers: check the network, "
+                "or write the IP address into the link"
+            )
+        return f"host name {link.host} is unknown ({error.strerror}): check it, or write the IP address into the link"
     if isinstance(error, TimeoutError):
         return "nobody answers the connection: check power, cable and address"
     if isinstance(error, ConnectionRefusedError):
@@ -176,10 +192,12 @@ def request_time_s(link: Link, profile: Profile) -> float:
 
 def line_faults(devices: Sequence[DeviceSpec]) -> list[str]:
     """Everything that is wrong with the lines of all devices, one message each: links that cannot be read, devices
-    that want one serial port with different settings, broadcast ids, rates that a line cannot carry."""
+    that want one serial port with different settings, two with one id, broadcast ids, rates that a line cannot
+    carry."""
     faults: list[str] = []
     sound: list[DeviceSpec] = []
     first: dict[str, tuple[DeviceSpec, RtuLink]] = {}
+    slaves: dict[tuple[str, int], list[DeviceSpec]] = {}
     for device in devices:
         try:
             link = parse_link(device.link)
@@ -187,6 +205,14 @@ def line_faults(devices: Sequence[DeviceSpec]) -> list[str]:
             faults.append(f"device {device.name}: {error}")
             continue
         sound.append(device)
+        same = slaves.setdefault((bus_key(link), device.device_id), [])
+        twin = next((other for other in same if isinstance(link, RtuLink) or _overlap(device, other)), None)
+        if twin is not None and parse_link(twin.link) == link:
+            faults.append(
+                f"device {device.name}: device_id {device.device_id} on {link} is that of device {twin.name} already: "
+                "give one of them another id, in the sensor and here"
+            )
+        same.append(device)
         if isinstance(link, TcpLink):
             continue
         if device.device_id == 0:
@@ -198,6 +224,15 @@ def line_faults(devices: Sequence[DeviceSpec]) -> list[str]:
                 "give both the same settings"
             )
     return faults + bus_load_faults(sound)
+
+
+def _overlap(one: DeviceSpec, other: DeviceSpec) -> bool:
+    """Whether they read some register both. Behind one TCP address and id, a PLC may well hold two sensors."""
+    return any(
+        a.function == b.function and a.start < b.start + block_registers(b) and b.start < a.start + block_registers(a)
+        for a in one.profile.blocks
+        for b in other.profile.blocks
+    )
 
 
 def bus_load_faults(devices: Sequence[DeviceSpec]) -> list[str]:

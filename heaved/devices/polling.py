@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from math import isnan, nan
 from typing import Any, Final
 
 import msgspec
 
 from heaved.devices.line import Link, request_wire_s
-from heaved.devices.profile import BlockCodec, DeviceSpec, Quantity, Role, block_registers, role_needs, role_quantities
+from heaved.devices.profile import (
+    Block,
+    BlockCodec,
+    DeviceSpec,
+    Quantity,
+    Role,
+    block_registers,
+    field_registers,
+    role_needs,
+    role_quantities,
+)
 from heaved.devices.timer import Pace
 from heaved.devices.watch import Contact, DeviceWatch
 from heaved.samples import CraftSample, Fault, ImuSample, LaserSample, RatesSample, Sample
@@ -22,6 +32,12 @@ _KINDS: Final[dict[Role, Callable[..., Sample]]] = {
     "heave_sensor": CraftSample,
     "pitch_sensor": CraftSample,
 }
+
+
+_NOT_ASKED_YET: Final = (
+    Fault.TIMEOUT,
+    "not asked yet: waiting until no answer to an earlier request can be under way",
+)
 
 
 class PollResult(msgspec.Struct, frozen=True, kw_only=True, gc=False):
@@ -69,7 +85,8 @@ class Station:
         self.contact = contact
         self._watch = DeviceWatch(spec)
         self._wanted = frozenset(role_quantities(spec.role))
-        self.main = _main_block(spec)
+        self.cuts = [cuts(block) for block in spec.profile.blocks]
+        self.main, self.dating = _dated_by(spec)
         self._place = f"{spec.name} ({link}, id {spec.device_id})"
         self.timeout_s = spec.timeout_ms * 1e-3
         self._latency_s = spec.latency_ms * 1e-3
@@ -77,8 +94,11 @@ class Station:
         self._skipped = 0
         self._connection_number = 0
         """Of the last good answer."""
-        self.last_fault = Fault.TIMEOUT
-        self.last_detail = "not asked yet: waiting until no answer to an earlier request can be under way"
+        self.last_fault, self.last_detail = _NOT_ASKED_YET
+
+    def reopened(self) -> None:
+        """The line is new: what was said of the device is of the past."""
+        self.last_fault, self.last_detail = _NOT_ASKED_YET
 
     def failed(self, sent_s: float, fault: Fault, detail: str) -> Reading:
         """The reading after a read that failed; while the device is left alone, the same is said of it."""
@@ -130,19 +150,18 @@ class Station:
         return kind(t_s=t_s, **measured)
 
 
-def _main_block(spec: DeviceSpec) -> int:
-    """The block whose request dates the sample: the one with what the role needs first (the vertical acceleration, the
-    laser, a rate), else the first that carries anything of the device's role."""
-    carried = [{field.quantity for field in block.fields} for block in spec.profile.blocks]
+def _dated_by(spec: DeviceSpec) -> tuple[int, int]:
+    """The block whose request dates the sample, and the register in it: of what the role needs first (the vertical
+    acceleration, the laser, a rate), else of the first that is anything of the device's role."""
     for names in (set(role_needs(spec.role)[:1]), set(role_quantities(spec.role))):
-        for number, quantities in enumerate(carried):
-            if not quantities.isdisjoint(names):
-                return number
+        for number, block in enumerate(spec.profile.blocks):
+            offsets = [field.offset for field in block.fields if field.quantity in names]
+            if offsets:
+                return number, offsets[0]
     raise ValueError(f"device {spec.name}: profile {spec.profile.name} carries nothing for the role {spec.role}")
 
 
-def resync_counts(devices: Sequence[DeviceSpec]) -> tuple[int, ...]:
-    """Numbers of registers that no regular read of this slave asks for, within its first block, the shortest first."""
-    taken = {block_registers(block) for device in devices for block in device.profile.blocks}
-    first = block_registers(devices[0].profile.blocks[0])
-    return tuple(count for count in range(1, first) if count not in taken)[:8]
+def cuts(block: Block) -> tuple[int, ...]:
+    """Where a block may be divided into reads of its own without tearing a value apart, in order."""
+    inside = {field.offset + part for field in block.fields for part in range(1, field_registers(field))}
+    return tuple(cut for cut in range(1, block_registers(block)) if cut not in inside)

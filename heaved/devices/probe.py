@@ -1,8 +1,10 @@
 """Which sensor hangs on this line? Reads only, one request at a time, and compares what comes with known profiles.
 
 The usual mistakes are tried too: addresses counted from one (shifted by one either way), holding for input registers,
-and the other byte orders. What fits is judged by physics: the accelerations of a sensor that lies somewhere have the
-size of gravity, a ship does not lie on her side, a distance is within a laser's reach.
+and the other byte orders. What fits is judged by physics, over several reads: the accelerations of a sensor that lies
+somewhere have the size of gravity, a ship does not lie on her side, a distance is within a laser's reach; what is
+measured changes from read to read, and not by leaps. Registers that hold anything at all can look like a distance: only
+gravity, or a clock that runs, proves a profile.
 """
 
 from __future__ import annotations
@@ -10,13 +12,14 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from math import sqrt
+from itertools import pairwise
+from math import inf, pi, sqrt
 from typing import Final, Protocol, get_args
 
 import msgspec
 
 from heaved.devices.answers import explain_exception
-from heaved.devices.line import Link
+from heaved.devices.line import Link, TcpLink
 from heaved.devices.modbus import Answer, Connection
 from heaved.devices.profile import Block, ByteOrder, Field, Profile, Quantity, block_registers, decode
 from heaved.devices.timer import DeadlineTimer
@@ -27,6 +30,14 @@ MOST_SHOWN: Final = 4
 SHIFTS: Final = (0, 1, -1)
 FITS: Final = 0.7
 """Score from which a profile is worth naming."""
+READS: Final = 5
+"""Of every profile that is worth naming."""
+READ_PAUSE_S: Final = 0.1
+"""Between them: long enough for any sensor to measure anew, short enough for a ship not to have gone far."""
+LATEST_S: Final = 0.5
+"""For so long after the last request late answers are listened for."""
+SIMULATED: Final = "heaved-sim-"
+"""Start of the names of the simulator's profiles, which are listed last."""
 _ANYTHING: Final = Block(start=0, fields=(Field(quantity="signal", offset=0),))
 """One register: asked of an id to see whether there is anybody."""
 
@@ -73,6 +84,10 @@ class Finding(msgspec.Struct, frozen=True, kw_only=True):
     """0..1; see :func:`plausibility`."""
     values: dict[Quantity, float]
     registers: list[int]
+    read_s: float = 0.0
+    """When they were asked for."""
+    doubt: str = ""
+    """Why the variant is a mere possibility; empty: proved."""
 
 
 def plausibility(values: Mapping[Quantity, float], registers: Sequence[int]) -> float:
@@ -95,6 +110,52 @@ def plausibility(values: Mapping[Quantity, float], registers: Sequence[int]) -> 
     return sum(weight for weight, good in marks if good) / total if total else 0.0
 
 
+def leaps(before: Finding, after: Finding) -> bool:
+    """Whether a ship's sensor cannot have gone from the one reading to the other."""
+    elapsed_s = max(after.read_s - before.read_s, READ_PAUSE_S)
+    for quantity, value in after.values.items():
+        step = abs(value - before.values[quantity])
+        if quantity in ("roll_rad", "pitch_rad", "yaw_rad"):
+            step = abs((step + pi) % (2.0 * pi) - pi)
+        if step > _MOST_PER_S.get(quantity, inf) * elapsed_s + _MOST_AT_ONCE.get(quantity, 0.0):
+            return True
+    return False
+
+
+_MOST_PER_S: Final[dict[Quantity, float]] = {
+    **dict.fromkeys(("ax_mps2", "ay_mps2", "az_mps2"), 10.0),
+    **dict.fromkeys(("roll_rad", "pitch_rad", "yaw_rad"), 0.5),
+    **dict.fromkeys(("gx_radps", "gy_radps", "gz_radps"), 1.0),
+    "laser_m": 5.0,
+    "temperature_c": 1.0,
+}
+"""Change of a reading in a second: generous, random registers change by far more."""
+_MOST_AT_ONCE: Final[dict[Quantity, float]] = {
+    **dict.fromkeys(("ax_mps2", "ay_mps2", "az_mps2"), 0.5),
+    **dict.fromkeys(("roll_rad", "pitch_rad", "yaw_rad", "gx_radps", "gy_radps", "gz_radps"), 0.02),
+    "laser_m": 0.05,
+    "temperature_c": 0.5,
+}
+"""Besides, a sensor's noise."""
+
+
+def doubt(series: Sequence[Finding]) -> str:
+    """Why readings that are plausible one by one do not prove the profile; empty when they do."""
+    pairs = list(pairwise(series))
+    ticks = [
+        0.0 < after.values["device_time_s"] - before.values["device_time_s"] <= 2.0 * (after.read_s - before.read_s)
+        for before, after in pairs
+        if "device_time_s" in after.values
+    ]
+    if sum(ticks) >= max(len(pairs) - 1, 2):  # A clock may begin anew once.
+        return ""
+    if len({tuple(finding.registers) for finding in series}) == 1:
+        return "nothing in it changes: memory, or a sensor that stands"
+    if not {"ax_mps2", "ay_mps2", "az_mps2"} <= series[0].values.keys():
+        return "such values alone prove nothing: see whether they follow when the sensor is moved"
+    return ""
+
+
 def parse_ids(text: str) -> tuple[int, ...]:
     """``1-16,80`` as ids, each once, in order.
 
@@ -113,59 +174,180 @@ def parse_ids(text: str) -> tuple[int, ...]:
     return tuple(found)
 
 
+class _Line:
+    """A line that is opened again whenever the other side closes it, or says what cannot be read on from."""
+
+    def __init__(self, link: Link, timer: DeadlineTimer) -> None:
+        self._link, self._timer = link, timer
+        self._connection: Connection | None = None
+        self.late_s: dict[int, float] = {}
+        """By id, how long after its request an answer came that was too late."""
+
+    async def read(self, device_id: int, block: Block, count: int, timeout_s: float) -> Answer:
+        """Raises:
+        ConnectionError: the line cannot be opened; says why and what to do.
+        """
+        answer = await self._read(device_id, block, count, timeout_s)
+        if answer.fault is Fault.DISCONNECTED:
+            answer = await self._read(device_id, block, count, timeout_s)
+        return answer
+
+    async def _read(self, device_id: int, block: Block, count: int, timeout_s: float) -> Answer:
+        if self._connection is None:
+            await self.open()
+        connection = self._connection
+        assert connection is not None  # It has been opened.
+        answer = await connection.read(device_id, block, count, timeout_s)
+        self.look_back()
+        if answer.fault is Fault.DISCONNECTED or not connection.whole:
+            self.close()
+        return answer
+
+    async def open(self) -> None:
+        """Raises:
+        ConnectionError: as :meth:`read`.
+        """
+        self._connection = Connection(self._link, self._timer, time.monotonic, lambda: None)
+        if failure := await self._connection.open():
+            self.close()
+            raise ConnectionError(failure)
+
+    def look_back(self) -> None:
+        """Note what has come too late."""
+        if self._connection is not None:
+            self._connection.unasked()
+            self.late_s |= self._connection.late_s
+
+    def close(self) -> None:
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+
+class Report(msgspec.Struct, frozen=True):
+    """What there is to print."""
+
+    lines: list[str]
+    """Each device that answers, and what fits it; empty when nobody answers."""
+    hints: list[str]
+    """Why there may be more than that, and how to find it."""
+
+
 async def probe(
     link: Link, ids: Sequence[int], profiles: Sequence[Profile], timeout_s: float, progress: Progress
-) -> list[str]:
-    """Lines to print: each device that answers, and what fits it; empty when nobody answers.
+) -> Report:
+    """Ask every id, and examine those that answer.
 
     Raises:
         ConnectionError: the line cannot be opened; says why and what to do.
     """
     lines: list[str] = []
+    hints: list[str] = []
     with DeadlineTimer() as timer:
-        connection = Connection(link, timer, time.monotonic, lambda: None)
+        line = _Line(link, timer)
         try:
-            if failure := await connection.open():
-                raise ConnectionError(failure)
-            for device_id in await find_ids(connection, ids, timeout_s, progress):
-                findings = await examine(connection, device_id, profiles, timeout_s)
+            await line.open()
+            found, odd = await find_ids(line, ids, timeout_s, progress)
+            if len(found) < len(ids):
+                await asyncio.sleep(max(timeout_s, LATEST_S))
+                line.look_back()
+            hints += [
+                f"id {device_id} answers, but only {late_s:.2g} s after its request: "
+                f"ask again with --timeout {2.0 * late_s:.2g}"
+                for device_id, late_s in sorted(line.late_s.items())
+                if device_id not in found
+            ]
+            hints += _odd_hints(odd)
+            for device_id in found:
+                findings = await examine(
+                    line, device_id, profiles, timeout_s, rest_s=0.0 if isinstance(link, TcpLink) else timeout_s
+                )
                 lines += _device_lines(device_id, findings)
+        except ConnectionError as error:
+            if not lines and not hints:
+                raise
+            hints.append(f"the line was lost: {error}")
         finally:
-            connection.close()
-    return lines
+            line.close()
+    return Report(lines, hints)
 
 
 def _device_lines(device_id: int, findings: Sequence[Finding]) -> Iterator[str]:
-    yield f"id {device_id}: " + ("answers, but no known profile fits" if not findings else "fits")
-    for finding in findings[:MOST_SHOWN]:
+    proved = [finding for finding in findings if not finding.doubt]
+    verdict = "fits" if proved else "could be" if findings else "answers, but no known profile fits"
+    yield f"id {device_id}: {verdict}"
+    for finding in (proved or findings)[:MOST_SHOWN]:
         yield f"  {finding.score:4.0%}  {finding.variant.describe()}"
         yield "        " + ", ".join(f"{quantity} {value:.4g}" for quantity, value in finding.values.items())
         yield "        registers " + " ".join(f"{register:04X}" for register in finding.registers)
+        if finding.doubt:
+            yield f"        {finding.doubt}"
 
 
-async def find_ids(line: Reader, ids: Sequence[int], timeout_s: float, progress: Progress) -> list[int]:
-    """The ids that answer at all; an exception is an answer too."""
-    found = []
+def _odd_hints(odd: Sequence[tuple[int, str]]) -> Iterator[str]:
+    ids: dict[str, list[int]] = {}
+    for device_id, detail in odd:
+        ids.setdefault(detail.replace("timeout_ms", "--timeout"), []).append(device_id)
+    for detail, same in list(ids.items())[:MOST_SHOWN]:
+        more = f" and {len(same) - MOST_SHOWN} more" if len(same) > MOST_SHOWN else ""
+        yield f"heard of id {', '.join(map(str, same[:MOST_SHOWN]))}{more}: {detail}"
+
+
+async def find_ids(
+    line: Reader, ids: Sequence[int], timeout_s: float, progress: Progress
+) -> tuple[list[int], list[tuple[int, str]]]:
+    """The ids that answer at all, an exception is an answer too; and of the others, what came instead of an answer."""
+    found: list[int] = []
+    odd: list[tuple[int, str]] = []
     for device_id in ids:
         progress(device_id)
         answer = await line.read(device_id, _ANYTHING, 1, timeout_s)
-        if answer.answered and answer.detail not in _NOBODY:
+        if (answer.answered or answer.fault is Fault.LENGTH) and answer.detail not in _NOBODY:
             found.append(device_id)
-    return found
+        if not answer.answered and (answer.fault is not Fault.TIMEOUT or "own request" in answer.detail):
+            odd.append((device_id, answer.detail))
+    return found, odd
 
 
-async def examine(line: Reader, device_id: int, profiles: Sequence[Profile], timeout_s: float) -> list[Finding]:
-    """What fits the device, best first: the least changed profile comes before its variants, the richer before the
-    poorer."""
+async def examine(
+    line: Reader, device_id: int, profiles: Sequence[Profile], timeout_s: float, *, rest_s: float
+) -> list[Finding]:
+    """What fits the device, best first: what is proved, then the simulator's profiles after the others, the least
+    changed profile before its variants, the richer before the poorer.
+
+    ``rest_s``: after a lost answer, so that it is not taken for the next one (on a serial line).
+    """
     cache: dict[tuple[str, int, int], Answer] = {}
-    findings: dict[tuple[object, ...], Finding] = {}
+    findings: dict[tuple[object, ...], list[Finding]] = {}
     for variant in _variants(profiles):
-        finding = await _try(line, device_id, variant, timeout_s, cache)
+        finding = await _try(line, device_id, variant, timeout_s, rest_s, cache)
         if finding is not None and finding.score >= FITS:
             # Variants that read the same values from the same registers say nothing new.
-            findings.setdefault((variant.profile.name, variant.shift, *finding.values.values()), finding)
+            findings.setdefault((variant.profile.name, variant.shift, *finding.values.values()), [finding])
+    kept = list(findings.values())
+    for _ in range(READS - 1):
+        await asyncio.sleep(READ_PAUSE_S)
+        cache.clear()
+        for series in kept.copy():
+            finding = await _try(line, device_id, series[0].variant, timeout_s, rest_s, cache)
+            if finding is None or finding.score < FITS or leaps(series[-1], finding):
+                kept.remove(series)
+            else:
+                series.append(finding)
     return sorted(
-        findings.values(), key=lambda finding: (-finding.score, finding.variant.changes, -len(finding.values))
+        (
+            msgspec.structs.replace(
+                series[-1], score=min(finding.score for finding in series), doubt=doubt(series)
+            )
+            for series in kept
+        ),
+        key=lambda finding: (
+            bool(finding.doubt),
+            finding.variant.profile.name.startswith(SIMULATED),
+            -finding.score,
+            finding.variant.changes,
+            -len(finding.values),
+        ),
     )
 
 
@@ -186,17 +368,19 @@ async def _try(
     device_id: int,
     variant: Variant,
     timeout_s: float,
+    rest_s: float,
     cache: dict[tuple[str, int, int], Answer],
 ) -> Finding | None:
     values: dict[Quantity, float] = {}
     registers: list[int] = []
+    read_s = 0.0
     for block in variant.profile.blocks:
         asked = _changed(block, variant)
         key = (asked.function, asked.start, block_registers(asked))
         if key not in cache:
             cache[key] = await line.read(device_id, asked, key[2], timeout_s)
             if not cache[key].answered:
-                await asyncio.sleep(timeout_s)  # A late answer must not be taken for the next.
+                await asyncio.sleep(rest_s)
         if cache[key].fault is not Fault.NONE:
             return None
         decoded = decode(asked, cache[key].registers)
@@ -204,7 +388,9 @@ async def _try(
             return None
         values |= decoded.values
         registers += cache[key].registers
-    return Finding(variant=variant, score=plausibility(values, registers), values=values, registers=registers)
+        read_s = cache[key].sent_s
+    score = plausibility(values, registers)
+    return Finding(variant=variant, score=score, values=values, registers=registers, read_s=read_s)
 
 
 def _changed(block: Block, variant: Variant) -> Block:

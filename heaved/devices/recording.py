@@ -3,7 +3,8 @@
 One header row, then one row per instant; a blank cell is a missing value. ``t_s`` (any start, strictly increasing) and
 ``az_mps2`` are required. Degrees in the file, radians in the samples. The reader is strict: a row that is not exactly
 what the header promises is refused with file, line, column and reason, because a silently skipped or misread row would
-make every figure drawn from the recording wrong.
+make every figure drawn from the recording wrong. So is what no sensor has measured, and samples too far apart to show
+waves, which mostly are seconds that were written in another unit.
 """
 
 from __future__ import annotations
@@ -12,9 +13,12 @@ import csv
 import io
 import os
 from collections.abc import Iterator
+from functools import partial
+from itertools import pairwise
 from math import isfinite, nan, radians
-from operator import itemgetter
+from operator import gt, itemgetter
 from pathlib import Path
+from statistics import median_low
 from types import TracebackType
 from typing import Final, Self
 
@@ -43,6 +47,24 @@ IGNORED: Final = (
     "roll2_deg", "pitch2_deg", "yaw2_deg",
 )  # fmt: skip
 """Columns of a second IMU beside its rates: allowed, never looked at."""
+
+LIMITS: Final = {"mps2": 1e3, "deg": 1e4, "radps": 1e3, "m": 1e4, "mps": 1e3, "s": 1e11}
+"""By the unit in a column's name: what is beyond, either way, no sensor on board has measured. (Of t_s: 3000 years.)"""
+TOO_SLOW_S: Final = 2.0
+"""Samples this far apart show no wave of less than twice as long, and of longer ones not enough."""
+FIRST_SAMPLES: Final = 21
+"""The usual interval is judged by these: one with a hole among them is as good as any."""
+FEWEST_SAMPLES: Final = 3
+"""A recording of fewer has no usual interval."""
+SHORTEST_STEP_S: Final = 1e-9
+"""Between two rows. What is shorter is the last digit of a double, and no time that has passed."""
+_UNITS_OF_TIME: Final = (("ms", 1e3, 250.0), ("µs", 1e6, 1e3), ("ns", 1e9, 1e3))
+"""How many make a second, and the most samples a second of who would stamp them so. (Samples "2 s apart" would be 500 a
+second, were they in ms: they are slow.)"""
+_EPOCH_S: Final = (5e8, 5e9)
+"""Seconds since 1970, in our century and a little more."""
+_LONGEST_LINE: Final = 65536
+"""Characters. What is longer is read in pieces, none of which is a row."""
 
 _DECODER: Final = msgspec.json.Decoder(list[float])
 _RADIANS_PER_DEGREE: Final = radians(1.0)
@@ -109,8 +131,8 @@ class Recording:
 
     @property
     def read_bytes(self) -> int:
-        """How much of the file has been read: for progress, in steps of the read buffer."""
-        return self._raw.tell()
+        """How much of the file has been read: for progress, in steps of the read buffer; 0 of what is no file."""
+        return self._raw.tell() if self._raw.seekable() else 0
 
     def __iter__(self) -> Iterator[Row]:
         """The rows, in order, as far as they concern the heave.
@@ -127,7 +149,8 @@ class Recording:
         Raises:
             RecordingError: at the row that is malformed; the rows before it have been given.
         """
-        rows = csv.reader(self._text, skipinitialspace=True, strict=True)
+        lines = iter(partial(self._text.readline, _LONGEST_LINE), "")
+        rows = csv.reader(lines, skipinitialspace=True, strict=True)
         try:
             yield from self._rows(rows)
         except UnicodeDecodeError as error:
@@ -146,6 +169,8 @@ class Recording:
         pick = itemgetter(*map(self.columns.index, there))
         # What the file does not have is picked from the nan that is appended to each row of numbers.
         arrange = itemgetter(*(there.index(name) if name in there else -1 for name in read))
+        limits = tuple(_limit(name) for name in there)
+        first: list[tuple[float, int]] = []
         last_s = -float("inf")
         for row in rows:
             if len(row) != width:
@@ -154,11 +179,11 @@ class Recording:
                 raise self._error(f"{len(row)} cells, but the header has {width}", line=_line(rows))
             cells = pick(row)
             found = _numbers(cells)
-            if found is None:
+            if found is None or any(map(gt, map(abs, found), limits)):
                 raise self._bad_cell(row, _line(rows))
             found.append(nan)
             t_s, ax, ay, az, roll, pitch, yaw, gx, gy, gz, laser, *staged = arrange(found)
-            if not t_s > last_s:
+            if not t_s - last_s >= SHORTEST_STEP_S:
                 raise self._bad_time(cells[there.index("t_s")], last_s, _line(rows))
             last_s = t_s
             if has_midships:
@@ -175,10 +200,16 @@ class Recording:
                 gy_radps=gy,
                 gz_radps=gz,
             )  # fmt: skip
+            if imu is not None and len(first) < FIRST_SAMPLES:
+                first.append((t_s, _line(rows)))
+                if len(first) == FIRST_SAMPLES:
+                    self._check_interval(first)
             rates, craft = _staged(t_s, staged) if staged else (None, None)
             yield imu, None if laser != laser else LaserSample(t_s=t_s, laser_m=laser), rates, craft
         if last_s == -float("inf"):
             raise self._error("has a header but no rows")
+        if len(first) < FIRST_SAMPLES:
+            self._check_interval(first)
 
     def _header(self) -> tuple[str, ...]:
         try:
@@ -208,8 +239,20 @@ class Recording:
                 raise self._error(f"column {name} is missing; a recording needs {' and '.join(REQUIRED)}", line=1)
         return names
 
+    def _check_interval(self, first: list[tuple[float, int]]) -> None:
+        """Of the first samples: times and lines.
+
+        Raises:
+            RecordingError: they are too far apart, as a rule.
+        """
+        steps = [(after[0] - before[0], after[1]) for before, after in pairwise(first)]
+        usual_s = median_low([step_s for step_s, _ in steps]) if len(first) >= FEWEST_SAMPLES else 0.0
+        if usual_s >= TOO_SLOW_S:
+            line = next(line for step_s, line in steps if step_s >= TOO_SLOW_S)
+            raise self._error(f"samples {usual_s:g} s apart{_why_so_slow(usual_s)}", line=line, column="t_s")
+
     def _bad_cell(self, row: list[str], line: int) -> RecordingError:
-        """The fault of the first cell that is neither blank nor a finite number in plain digits."""
+        """The fault of the first cell that is neither blank nor a finite number in plain digits that may be."""
         for name in COLUMNS + STAGE_COLUMNS:
             cell = row[self.columns.index(name)] if name in self.columns else ""
             if cell and not _is_number(cell):
@@ -218,6 +261,8 @@ class Recording:
                 )
             if cell and not isfinite(float(cell)):
                 return self._error(f"{_shown(cell)} is not finite; leave a missing value blank", line=line, column=name)
+            if cell and abs(float(cell)) > _limit(name):
+                return self._error(f"{_shown(cell)} {_too_large(name, float(cell))}", line=line, column=name)
         raise AssertionError("a row was refused, but every cell of it is sound")
 
     def _bad_time(self, cell: str, last_s: float, line: int) -> RecordingError:
@@ -286,6 +331,28 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return text.isascii() and "_" not in text
+
+
+def _limit(column: str) -> float:
+    return LIMITS[column.rpartition("_")[2]]
+
+
+def _too_large(column: str, value: float) -> str:
+    if column != "t_s":
+        unit = column.rpartition("_")[2]
+        return f"is more than any sensor measures ({_limit(column):g} {unit}); leave a missing value blank"
+    for unit, factor, _ in _UNITS_OF_TIME:
+        if _EPOCH_S[0] <= value / factor <= _EPOCH_S[1]:
+            return f"is no time in seconds: is t_s in {unit}?"
+    return "is no time in seconds"
+
+
+def _why_so_slow(step_s: float) -> str:
+    for unit, factor, fastest_hz in _UNITS_OF_TIME:
+        rate_hz = factor / step_s
+        if 1.0 <= rate_hz <= fastest_hz:
+            return f": is t_s in {unit}? ({rate_hz:g} samples a second, then; it must be in seconds)"
+    return f": too slow to show waves, which takes 4 a second or more (and less than {TOO_SLOW_S:g} s between them)"
 
 
 def _shown(text: str) -> str:

@@ -43,23 +43,30 @@ class Pace:
 
 
 class DeadlineTimer:
-    """Waits for absolute deadlines, one at a time. A context manager within a running loop."""
+    """Waits for absolute deadlines, one at a time. A context manager within a running loop. While the process is out of
+    descriptors the loop's own timers do."""
 
     def __init__(self) -> None:
         self._fd = -1
         self._woken: asyncio.Future[None] | None = None
 
     def __enter__(self) -> Self:
-        self._fd = _create()
-        asyncio.get_running_loop().add_reader(self._fd, self._expired)
+        self._open()
         return self
+
+    def _open(self) -> None:
+        with contextlib.suppress(OSError):
+            fd = _create()
+            asyncio.get_running_loop().add_reader(fd, self._expired)
+            self._fd = fd
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        asyncio.get_running_loop().remove_reader(self._fd)
-        os.close(self._fd)
-        self._fd = -1
+        if self._fd >= 0:
+            asyncio.get_running_loop().remove_reader(self._fd)
+            os.close(self._fd)
+            self._fd = -1
 
     async def wait_until(self, deadline_s: float) -> float:
         """Returns the lateness: now minus the deadline, seconds. A deadline in the past still lets the loop run once.
@@ -69,6 +76,11 @@ class DeadlineTimer:
         """
         if self._woken is not None:
             raise RuntimeError("this timer is waited for already")
+        if self._fd < 0:
+            self._open()
+        if self._fd < 0:
+            await asyncio.sleep(max(deadline_s - time.monotonic(), 0.0))
+            return time.monotonic() - deadline_s
         self._woken = asyncio.get_running_loop().create_future()
         _arm(self._fd, deadline_s)
         try:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from enum import Enum
 from math import inf
+from typing import Final
 
-from heaved.devices.profile import DeviceSpec, Quantity, role_quantities, si_step
+from heaved.devices.profile import MAX_REGISTERS, DeviceSpec, Quantity, role_quantities, si_step
 from heaved.samples import Fault
 
 STALE_AFTER_S = 0.5
@@ -18,6 +19,9 @@ SILENT_AFTER_S = 0.5
 
 PROBE_S = 0.5
 """A silent slave is asked at most this often; no answer comes later than this after its request."""
+
+MOST_LONGER = 8
+"""Registers more than wanted that a read asks for at most, so that its answer has a length of its own."""
 
 
 class Unchanged:
@@ -69,75 +73,109 @@ class DeviceWatch:
         return Fault.NONE, ""
 
 
-class Ask(Enum):
-    """What may be asked of a slave."""
+_REFUSES_LENGTH: Final = (2, 3)
+"""Exceptions that speak of the registers asked for: illegal data address, illegal data value."""
 
-    READ = 1
-    """Its registers."""
-    RESYNC = 2
-    """First a read of another length, whose answer proves that no older one is under way; then its registers."""
-    NOTHING = 3
-    """It is left alone for now."""
+
+class _Way(Enum):
+    """How a block is read."""
+
+    PLAIN = 1
+    LONGER = 2
+    """With some registers more than are wanted, which are thrown away."""
+    PARTS = 3
+    """In several reads."""
+
+
+def _divided(count: int, cuts: Sequence[int], taken: Collection[int]) -> tuple[int, ...]:
+    """Lengths of the parts of a block, none of them taken, as long as they can be from the start on: what belongs
+    together is then mostly read at one moment. Empty: there are none."""
+    rest: dict[int, tuple[int, ...]] = {count: ()}
+    for start in (*reversed(cuts), 0):
+        for end in sorted(rest, reverse=True):
+            if end - start not in taken:
+                rest[start] = (end - start, *rest[end])
+                break
+    return rest.get(0, ())
 
 
 class Contact:
     """Whether an answer of this slave can be told from a late one, and whether asking it is worth the line's time.
 
     On a serial line nothing but id, function and length ties an answer to its request. After a request that was not
-    answered (and on a line just opened, where somebody else may have asked) an answer may still be under way; it is
-    taken for the next one if the next request looks the same. So the slave is first asked for a number of registers
-    that no request under way asks for: slaves answer in order, hence nothing older can follow that answer. When no
-    such number is left, or the slave refuses it, it is left alone until any late answer must have come.
+    answered an answer may still be under way; it would be taken for that of the next request of the same length. So no
+    length is asked for again while an answer of that length may come: a block is meanwhile read with a few registers
+    more, or, from a slave that refuses those, in parts. No order of the answers is assumed. On a line just opened,
+    where somebody else may have asked, the first read is such a one. When no length is left, the slave is left alone.
+
+    What a slave must keep to: one answer to a request, with the number of registers asked for, within ``quiet_s`` or
+    before those to later requests, or never.
 
     A silent slave would take the time of its neighbours with its timeouts, so it is asked rarely until it answers.
 
     Args:
         numbered: answers carry the number of their request (TCP).
-        resync_counts: numbers of registers that tell a resynchronising read from the regular ones; may be empty.
+        lengths: numbers of registers that are asked for regularly.
         alone: no other slave on the bus.
         timeout_s: of one read.
         opened_s: when the line was opened.
     """
 
     def __init__(
-        self, *, numbered: bool, resync_counts: Sequence[int], alone: bool, timeout_s: float, opened_s: float
+        self, *, numbered: bool, lengths: Collection[int], alone: bool, timeout_s: float, opened_s: float
     ) -> None:
-        self._resync_counts = resync_counts
-        # Not always the same first: the answer to a resynchronising read of an earlier run may be under way.
-        self._turn = int(opened_s * 1e3)
-        self._pending: set[int] = set()
-        """Lengths of the requests that may be under way."""
+        self._lengths = tuple(lengths)
         self._numbered = numbered
-        self._refuses_resync = False
         self._rests = not (numbered and alone)
-        self._quiet_s = max(PROBE_S, 2.0 * timeout_s)
+        self.quiet_s = max(PROBE_S, 2.0 * timeout_s)
+        self._pending: dict[int, float] = {}
+        """Lengths of which an answer may be under way, with the time of the request."""
+        self._way = _Way.PLAIN
+        self._refused: set[_Way] = set()
+        self._failed: _Way | None = None
+        """The way that got no answer last, until a plain read has one."""
         self._misses = 0
-        self._certain = numbered
-        self._asked_s = opened_s
         self._answered_s = opened_s
+        self.reopened(opened_s)
 
-    def ask(self, now_s: float) -> Ask:
-        quiet = now_s - self._asked_s >= self._quiet_s
-        if quiet:
-            self._pending.clear()
-        elif self._rests and self.silent(now_s):
-            return Ask.NOTHING
-        if self._certain:
-            return Ask.READ
-        # Every other probe of a silent slave is a plain read: some slaves answer nothing but their usual length.
-        plain = self._refuses_resync or (self.silent(now_s) and self._misses % 2 == 0)
-        if self._free() and not plain:
-            return Ask.RESYNC
-        return Ask.READ if quiet else Ask.NOTHING
+    @property
+    def is_plain(self) -> bool:
+        """Whether the last plan asks for exactly what is wanted: a refusal is then the device's, not our making."""
+        return self._way is _Way.PLAIN
 
-    def _free(self) -> list[int]:
-        return [count for count in self._resync_counts if count not in self._pending]
+    def plan(self, now_s: float, count: int, cuts: Sequence[int] = (), most: int = MAX_REGISTERS) -> tuple[int, ...]:
+        """Lengths of the reads, one after the other, that give ``count`` registers now; empty: leave the slave alone.
 
-    def resync_count(self) -> int:
-        """Registers to ask for in the next resynchronising read; call it only when that is what may be asked."""
-        free = self._free()
-        self._turn += 1
-        return free[self._turn % len(free)]
+        ``cuts``: where the block may be divided, in order. ``most``: registers that may be read from its start.
+        """
+        self._way = _Way.PLAIN
+        is_quiet = now_s - self._asked_s >= self.quiet_s
+        if self._rests and not is_quiet and self.silent(now_s):
+            return ()
+        if self._pending:
+            self._forget_what_cannot_come(now_s, is_quiet)
+        if count not in self._pending:
+            return (count,)
+        # Some devices do not answer at all what they would have to refuse: then the other way comes first.
+        for way in sorted((_Way.LONGER, _Way.PARTS), key=lambda way: way is self._failed):
+            if way in self._refused:
+                continue
+            if lengths := self._longer(count, most) if way is _Way.LONGER else _divided(count, cuts, self._pending):
+                self._way = way
+                return lengths
+        return ()
+
+    def _longer(self, count: int, most: int) -> tuple[int, ...]:
+        lengths = range(count + 1, min(count + MOST_LONGER, most, MAX_REGISTERS) + 1)
+        return tuple(length for length in lengths if length not in self._pending)[:1]
+
+    def _forget_what_cannot_come(self, now_s: float, is_quiet: bool) -> None:
+        """An answer that is overdue and has been overtaken by later ones, or for which everything has waited."""
+        self._pending = {
+            length: asked_s
+            for length, asked_s in self._pending.items()
+            if not (is_quiet or (self._served_s > asked_s and now_s - asked_s >= self.quiet_s))
+        }
 
     def silent(self, now_s: float) -> bool:
         return self._misses >= SILENT_AFTER_POLLS and now_s - self._answered_s >= SILENT_AFTER_S
@@ -145,28 +183,42 @@ class Contact:
     def answered(self, now_s: float) -> None:
         """The registers came that were asked for last."""
         self._misses = 0
-        self._certain = True
-        self._refuses_resync = False
-        self._pending.clear()
-        self._asked_s = self._answered_s = now_s
+        if self._way is _Way.PLAIN:
+            self._failed = None
+        self._answered_s = self._served_s = now_s
 
-    def refused(self, now_s: float, count: int) -> None:
+    def refused(self, now_s: float, count: int, code: int) -> None:
         """An exception came. It carries no length: it may answer any request under way, so it proves nothing."""
         self._misses = 0
-        self._certain = self._numbered
-        self._refuses_resync = count in self._resync_counts
-        self._pending.add(count)
-        self._asked_s = self._answered_s = now_s
+        if code in _REFUSES_LENGTH:
+            self._refused.add(self._way)
+        if self._pending:
+            self._expect(now_s, count)
+        self._answered_s = now_s
 
     def missed(self, now_s: float, count: int) -> None:
         """It was asked for ``count`` registers, and no valid answer came in time."""
         self._misses += 1
-        self._certain = self._numbered
+        self._failed = self._way
+        self._expect(now_s, count)
+
+    def heard(self, now_s: float, count: int) -> None:
+        """It sent ``count`` registers that nobody waited for: what was under way, or something that it sends unasked,
+        and then may send again."""
+        if self._pending.pop(count, None) is None:
+            self._expect(now_s, count)
+
+    def _expect(self, now_s: float, count: int) -> None:
         self._asked_s = now_s
-        self._pending.add(count)
+        if not self._numbered:
+            self._pending[count] = now_s
 
     def reopened(self, now_s: float) -> None:
-        """The line is new: somebody else's answer may be under way."""
+        """The line is new, and has been silent for ``quiet_s``: only what is held back till the next request may come,
+        and comes before its answer."""
         self._misses = 0
-        self._certain = self._numbered
-        self._asked_s = now_s
+        self._refused.clear()
+        self._pending.clear()
+        for count in self._lengths:
+            self._expect(now_s - self.quiet_s, count)
+        self._asked_s, self._served_s = now_s, -inf

@@ -104,7 +104,7 @@ class Framer:
         quality = self._quality(t_s, heave, fresh, doubts)
         crane_roll, crane_pitch, crane_yaw = stages.crane_attitude(roll, pitch, yaw)
         if heave is None or quality.heave is HeaveState.INVALID:
-            # No number without its uncertainty: before the first look at the sea, and after too long a gap.
+            # No number without its uncertainty, and none that is not worth sending.
             heave = NOTHING
         return MotionFrame(
             t_s=t_s,

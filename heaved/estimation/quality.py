@@ -15,12 +15,22 @@ MISSING_S: Final = 0.1
 """Without samples for this long (and for at least two periods) the frame says so."""
 BROAD_SEA: Final = 0.2
 """Share of the heave's own standard deviation above which the model does not fit the sea."""
+USELESS: Final = 0.5
+"""The same from which nothing is known that is worth sending."""
 SMALL_M: Final = 0.01
 """Errors below this are well whatever the sea: a still ship has no heave to compare with."""
 STILL_M: Final = 0.05
 """The same where the observer notes that the ship is still: what it does not see is then all of the heave."""
 DISAGREEMENT: Final = 3.0
 """The laser shows this many times the modelled error."""
+USELESS_SMALL: Final = 2.5
+"""Of what is small, so much is never useless."""
+GOOD_RATE_HZ: Final = 4.0
+"""A slower sensor loses the short waves, and their forecasts: it says so,"""
+LEAST_RATE_HZ: Final = 1.6
+"""and one slower than this does not show the band that is fitted (0.8 Hz) at all."""
+SEEN: Final = 0.7
+"""Share of the Nyquist frequency up to which waves are seen."""
 MANY_MISSING: Final = 0.25
 """Share of lost samples from which the line, not the sea, is what to look at."""
 
@@ -63,6 +73,8 @@ def judge(facts: Facts) -> tuple[HeaveState, tuple[str, ...]]:
     if not isfinite(f.since_sample_s) or f.since_sample_s > COAST_S:
         what = f.imu_fault.value if f.imu_fault is not Fault.NONE else "no samples"
         return HeaveState.INVALID, (f"imu: {what}", *reasons)
+    if f.period_s * LEAST_RATE_HZ > 1.0:
+        return HeaveState.INVALID, (f"imu: samples {f.period_s:.1f} s apart do not show waves", *reasons)
     if not isfinite(f.error_std_m):
         return HeaveState.SETTLING, (f"settling: {max(0.0, f.settled_s):.0f} s of {f.needed_s:.0f} s", *reasons)
     if f.settled_s < f.needed_s:
@@ -74,12 +86,19 @@ def judge(facts: Facts) -> tuple[HeaveState, tuple[str, ...]]:
         degraded.append(f"imu: {what}, extrapolated")
     if not f.tilt_removed:
         degraded.append("no attitude or no horizontal acceleration: tilt not removed")
+    if f.period_s * GOOD_RATE_HZ > 1.0:
+        shortest_s = 2.0 * f.period_s / SEEN
+        degraded.append(f"imu: {1.0 / f.period_s:.1f} samples a second: waves shorter than {shortest_s:.1f} s are lost")
     if f.missing > MANY_MISSING:
         degraded.append(f"imu: {100.0 * f.missing:.0f} % of the samples missing")
     degraded += f.doubts
-    limit_m = max(BROAD_SEA * f.heave_std_m, STILL_M if f.notes else SMALL_M)
+    small_m = STILL_M if f.notes else SMALL_M
+    limit_m = max(BROAD_SEA * f.heave_std_m, small_m)
+    useless_m = max(USELESS * f.heave_std_m, USELESS_SMALL * small_m) * max(f.std_scale, 1.0)
+    if f.error_std_m > useless_m and state is not HeaveState.SETTLING:
+        return HeaveState.INVALID, ("error above half of the heave", *degraded, *f.notes, *reasons)
     if f.error_std_m > limit_m * max(f.std_scale, 1.0):
-        degraded.append("error above a fifth of the heave: the model does not fit this sea")
+        degraded.append("error above a fifth of the heave")
     elif f.error_std_m > limit_m or f.std_scale > DISAGREEMENT:
         degraded.append("laser and observer disagree")
     if degraded and state is HeaveState.VALID:

@@ -13,7 +13,7 @@ of the sensor, and every sample gets its own output, moved from the last beat.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from math import isfinite, nan, pi
 from typing import Annotated, Final
 
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from heaved.estimation.beat import BEAT_MIN_S, BEAT_S, Beat
 from heaved.estimation.outlook import Motion
 from heaved.estimation.sea_filter import Offset, SeaFilter
+from heaved.estimation.sea_guard import Guard
 from heaved.estimation.sea_heave import SeaHeave
 from heaved.estimation.sea_model import SeaModel, SeaSystem, Steady, heave_std
 from heaved.estimation.sea_record import SeaRecord
@@ -38,6 +39,8 @@ Array = NDArray[np.float64]
 
 OVERCONFIDENCE: Final = 1.12
 """Published over modelled standard deviation: the fitted spectrum is an estimate too (see tools/accuracy.py heave)."""
+CUT_S: Final = 0.2
+"""Where what is measured changes, a few beats are of both kinds."""
 AIDING_LATE_S: Final = 1.0
 """An aiding laser that comes later than this is not worth the process noise that it would miss."""
 AIDING_WALK_M2PS: Final = (0.01**2) / 60.0
@@ -105,6 +108,9 @@ class SeaObserver:
         self.delayed: DelayedHeave | None = None
         self._trust = SeaTrust(int((self._params.delay_s + 5.0) / BEAT_MIN_S))
         self._smoother: FixedLagSmoother | None = None
+        self._ripening: deque[DelayedHeave] = deque()
+        """Delayed heave of a past with holes, not yet as old as it shall be."""
+        self._guard = Guard()
         self._aided_s, self._unaided = nan, None
         if self._heave is not None:
             kept = self._heave.filter
@@ -138,8 +144,11 @@ class SeaObserver:
             f.t_s = t_s - f.steady.dt_s
         missed = t_s - f.t_s - f.steady.dt_s
         rejected = f.rejected
-        predicted_m, innovation = f.step(t_s, a_mps2)
-        if f.rejected == rejected:
+        predicted_m, innovation = self._guard.step(f, t_s, a_mps2)
+        if self._guard.step_s is not None:
+            self._record.cut(*self._guard.step_s)
+            self.resets["step of the level"] += 1
+        if f.rejected == rejected and not self._guard.is_burst:
             # What the gate has kept out is missing for the fits too: half a second of it would spoil minutes.
             self._record.push(t_s, a_mps2)
         if self._unaided is not None:
@@ -169,6 +178,9 @@ class SeaObserver:
         said_m = float(heave.filter.system.heave.dot(heave.filter.x)) + heave.splice.at(t_s)[0]
         self._trust.divergence.say(t_s, said_m, heave.state_std_m)
         delayed = smoother.value()
+        while self._ripening and self._ripening[0].t_s <= t_s - self._params.delay_s:
+            ripe = self._ripening.popleft()
+            delayed = delayed or ripe
         if delayed is not None and (self.delayed is None or delayed.t_s > self.delayed.t_s):
             self.delayed = delayed
             self._trust.divergence.check(delayed)
@@ -191,7 +203,7 @@ class SeaObserver:
         """The state has changed: what follows from it."""
         self._bias_mps2 = float(heave.filter.x[-1])
         heave.moved()
-        self._trust.beat(heave.filter.surprise, heave.is_converged, self.sea)
+        self._trust.beat(heave.filter.surprise, heave.is_recovering, self.sea)
         heave.scale = OVERCONFIDENCE * self._trust.factor
 
     @property
@@ -201,7 +213,10 @@ class SeaObserver:
 
     def cut(self) -> None:
         """What comes is measured otherwise than what was: no spectrum is taken across."""
-        self._record.cut()
+        if isfinite(self.t_s):
+            self._record.cut(self.t_s, self.t_s + CUT_S)
+            if self._heave is not None:
+                self._heave.filter.open_bias()
 
     def _reset(self, reason: str) -> None:
         self.resets[reason] += 1
@@ -226,6 +241,7 @@ class SeaObserver:
             delay_s=p.delay_s,
             looked_s=self._looked_s,
             candidates=self._candidates,
+            cuts_s=self._record.cuts_s,
         )
 
     def accept(self, fit: SeaFit) -> str:
@@ -247,11 +263,14 @@ class SeaObserver:
             heave.filter.P = heave.filter.covariance.copy()
             unaided_P = None if P is None else P.copy()
             self._unaided = SeaFilter(system, steady, fit.t_s, np.frombuffer(fit.x).copy(), unaided_P)
+        self._guard.restart()
         self._candidates, self._looked_s = fit.candidates, fit.t_s
         self._trust.fitted(fit.whiteness, fit.waves, heave.steady_std_m, heave.sea_std_m)
         self.refreshes += 1
         self._smoother = FixedLagSmoother(system, steady, self._params.delay_s)
         self._smoother.fill(fit.t_s, np.frombuffer(fit.predicted_m), np.frombuffer(fit.innovation))
+        rows = np.frombuffer(fit.delayed).reshape(-1, 3).tolist()
+        self._ripening = deque([DelayedHeave(t_s=t, heave_m=h, std_m=std) for t, h, std in rows])
         self._catch_up(heave, self._smoother, fit.t_s)
         if old is not None and aided is not None:
             # The laser's knowledge of the heave itself comes over; the rest of the state it teaches again.
@@ -273,8 +292,12 @@ class SeaObserver:
 
     def _catch_up(self, heave: SeaHeave, smoother: FixedLagSmoother, from_s: float) -> None:
         """Through the beats that came while the fit was under way."""
+        cuts = [cut[1] for cut in self._record.cuts_s if cut[1] > from_s]
         for t_s, a_mps2 in self._record.since(from_s).tolist():
             if t_s > heave.filter.t_s:
+                while cuts and cuts[0] <= t_s:
+                    heave.filter.open_bias()
+                    del cuts[0]
                 said = heave.filter.step(t_s, a_mps2)
                 smoother.push(t_s, *(said if self._unaided is None else self._unaided.step(t_s, a_mps2)))
         heave.moved()

@@ -13,12 +13,12 @@ below what is not known anyway.
 from __future__ import annotations
 
 from math import isfinite, sqrt
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.sea_model import SeaSystem, Steady, measurement_variance
+from heaved.estimation.sea_model import BIAS_SPREAD_MPS2, SeaSystem, Steady, measurement_variance
 
 Array = NDArray[np.float64]
 
@@ -38,8 +38,25 @@ SURPRISE_S: Final = 5.0
 """Memory of how far they were off."""
 EXACT_DELTA_S: Final = 1e-7
 """A shorter rest of the interval than this changes nothing."""
+LONGEST_STEPS: Final = 40
+"""Gaps of up to so many intervals are whole steps and the same rest; the matrices of each are kept."""
 NUDGE_TERMS: Final = 5
 """Of the Taylor series of a longer one: at 25 ms and 0.6 Hz the next one is 1e-7."""
+
+
+class State(NamedTuple):
+    """A filter at one moment; its arrays are never written to."""
+
+    t_s: float
+    x: Array
+    P: Array | None
+    rejected: int
+    surprise: float
+    drift: float
+    seen: float
+    withheld: int
+    burst_variance: float
+    offset: tuple[float, float, Array] | None
 
 
 class Offset:
@@ -64,6 +81,10 @@ class SeaFilter:
         P: (n, n) its covariance; None: the steady one.
         rejected: samples that the gate has kept out.
         steady_covariance: (n, n) of the state while samples come as usual.
+        innovation: of the last sample, withheld or not, m/s2.
+        innovation_variance: of that, as the model has it, (m/s2)2.
+        withheld: samples on end, up to the last one, that the gate has kept out.
+        burst_variance: of noise beside that of the model, for now, (m/s2)2.
         surprise: variance of averaged innovations over that of the model, in the last seconds; 1 when it is right.
     """
 
@@ -80,8 +101,10 @@ class SeaFilter:
         for i in range(1, NUDGE_TERMS):
             rows.append(system.A.dot(rows[-1]) / i)
         self._taylor = np.concatenate(rows)  # One product gives all terms.
-        self._seen = steady.S
-        self._outside = 0
+        self._steps = [(steady.F, steady.Q)]
+        self._seen = self.innovation_variance = steady.S
+        self.withheld = 0
+        self.burst_variance = self.innovation = 0.0
         self.offset: Offset | None = None
 
     def aid(self, row: Array, laser_m: float, variance_m2: float, walk_m2: float) -> None:
@@ -119,34 +142,40 @@ class SeaFilter:
         """Take a sample at ``t_s`` > the last one; (heave in m before it was taken in, innovation in m/s2 or 0)."""
         dt = t_s - self.t_s
         steady, H = self.steady, self.system.H
-        delta = dt - steady.dt_s
-        is_usual = abs(delta) <= 0.5 * steady.dt_s
+        steps = round(dt / steady.dt_s) if dt < (LONGEST_STEPS + 0.5) * steady.dt_s else 0
         x = self.x
-        if is_usual:
-            x = self._moved(x, delta) if abs(delta) > EXACT_DELTA_S else steady.F.dot(x)
-            P = self.P if self.P is None else _symmetric(steady.F.dot(self.P).dot(steady.F.T) + steady.Q)
+        if steps > 0:
+            F, Q = self.moves(steps)
+            delta = dt - steps * steady.dt_s
+            if abs(delta) <= EXACT_DELTA_S:
+                x = F.dot(x)
+            else:
+                x = self._moved(x if steps == 1 else self._steps[steps - 2][0].dot(x), delta)
         else:
             F, Q = self.system.transition(dt)
             x = F.dot(x)
-            P = _symmetric(F.dot(self.covariance).dot(F.T) + Q)
+        R = self._R + self.burst_variance
+        is_usual = steps == 1 and R == self._R
+        P = self.P if is_usual and self.P is None else _symmetric(F.dot(self.covariance).dot(F.T) + Q)
         if self.offset is not None:
-            self.offset.c = (steady.F if is_usual else F).dot(self.offset.c)
+            self.offset.c = F.dot(self.offset.c)
         self.t_s = t_s
         predicted_m = float(self.system.heave.dot(x))
         y = a_mps2 - float(H.dot(x))
         PH = None if P is None else P.dot(H)
-        S = steady.S if PH is None else float(H.dot(PH)) + self._R
+        S = steady.S if PH is None else float(H.dot(PH)) + R
+        self.innovation, self.innovation_variance = y, S
         self._compare(y, S)
         if self._is_outlier(y, S):
             self.rejected += 1
             self.x, self.P = x, steady.P if P is None else P
             return predicted_m, 0.0
-        if self._outside >= GATE_LASTS:
+        if self.withheld >= GATE_LASTS:
             # It lasts, so it is true, and what was thought to be known is not.
-            self._outside = 0
+            self.withheld = 0
             P = self.system.stationary
             PH = P.dot(H)
-            S = float(H.dot(PH)) + self._R
+            S = float(H.dot(PH)) + R
         if P is None or PH is None:
             self.x = x + steady.K * y
         else:
@@ -159,9 +188,44 @@ class SeaFilter:
             self._settle()
         return predicted_m, y
 
+    @property
+    def noise_variance(self) -> float:
+        """Of one sample by the model, (m/s2)2."""
+        return self._R
+
+    def state(self) -> State:
+        """All that :meth:`restore` needs to be here again; cheap: nothing is copied."""
+        aided = self.offset
+        offset = None if aided is None else (aided.value_m, aided.variance_m2, aided.c)
+        return State(
+            self.t_s, self.x, self.P, self.rejected, self.surprise, self._drift, self._seen, self.withheld,
+            self.burst_variance, offset,
+        )  # fmt: skip
+
+    def restore(self, state: State) -> None:
+        """Go back to an earlier :meth:`state`."""
+        self.t_s, self.x, self.P, self.rejected, self.surprise = state[:5]
+        self._drift, self._seen, self.withheld, self.burst_variance = state[5:9]
+        if self.offset is not None and state.offset is not None:
+            self.offset.value_m, self.offset.variance_m2, self.offset.c = state.offset
+
+    def open_bias(self) -> None:
+        """Nothing is known of the accelerometer's bias any more; of the waves as much as ever."""
+        P = self.covariance.copy()
+        P[-1, -1] += BIAS_SPREAD_MPS2**2
+        self.P = P
+
     def is_sound(self) -> bool:
         """Whether state and covariance are still finite numbers and variances positive."""
         return isfinite(float(self.x.dot(self.x))) and (self.P is None or bool(np.all(np.diag(self.P) > 0.0)))
+
+    def moves(self, steps: int) -> tuple[Array, Array]:
+        """F and Q of so many usual intervals, at least one."""
+        F, Q = self._steps[0]
+        while len(self._steps) < steps:
+            before, added = self._steps[-1]
+            self._steps.append((F.dot(before), _symmetric(F.dot(added).dot(F.T) + Q)))
+        return self._steps[steps - 1]
 
     def _moved(self, x: Array, delta_s: float) -> Array:
         """expm(A (dt + delta)) x, for a delta far below the periods of the model: F x and its Taylor series."""
@@ -172,19 +236,18 @@ class SeaFilter:
         variance = max(S, self._seen)
         self._seen += GATE_MEMORY * (min(y * y, OPENING**2 * variance) - self._seen)
         if abs(y) <= GATE * sqrt(variance):
-            self._outside = 0
-        elif isfinite(y) and self._outside >= GATE_LASTS:
+            self.withheld = 0
+        elif isfinite(y) and self.withheld >= GATE_LASTS:
             return False
         else:
-            self._outside += 1
-        return self._outside > 0
+            self.withheld += 1
+        return self.withheld > 0
 
     def _compare(self, y: float, S: float) -> None:
         """Hold an innovation of variance ``S`` against the model."""
         weight = self.steady.dt_s / DRIFT_S
-        limit = GATE * sqrt(S)
-        self._drift += weight * (min(max(y, -limit), limit) - self._drift)
-        ratio = self._drift**2 / (S * weight / (2.0 - weight))
+        self._drift += weight * (min(max(y / sqrt(S), -GATE), GATE) - self._drift)
+        ratio = self._drift**2 / (weight / (2.0 - weight))
         self.surprise += self.steady.dt_s / SURPRISE_S * (ratio - self.surprise)
 
     def _settle(self) -> None:

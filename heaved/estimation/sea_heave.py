@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from heaved.estimation.outlook import ORDER, Motion, Outlook, along
 from heaved.estimation.sea_filter import SeaFilter
 from heaved.estimation.sea_forecasts import NOTHING_LEFT, Ahead, SeaForecasts
+from heaved.estimation.sea_run import UNSURE
 from heaved.estimation.splice import NO_SPLICE
 from heaved.predictions import HeaveForecasts, PlainForecasts
 
@@ -29,8 +30,10 @@ STALE_BEAT_S: Final = 1.0
 """Samples that come without a beat for this long are not in the heave any more."""
 MARGIN_S: Final = 3.0
 """Beyond the longest horizon: how early a sensor may be, and the age of the last beat."""
-CONVERGED: Final = 1.5
+CONVERGED: Final = UNSURE
 """The covariance has converged when the error of the heave is within this factor of that of the steady filter."""
+RECOVERING: Final = 0.1
+"""Share of the heave that its error is more than while the filter finds its way back after a gap."""
 
 
 class Stds(msgspec.Struct, frozen=True, eq=False):
@@ -177,8 +180,16 @@ class SeaHeave:
 
     @property
     def is_converged(self) -> bool:
-        """Whether the covariance of the heave is near what it will be."""
-        return self.filter.is_steady or self.state_std_m < CONVERGED * self.steady_std_m
+        """Whether the covariance of the heave is near what it will be, and was before the last sample was taken in."""
+        f = self.filter
+        if f.innovation_variance > CONVERGED**2 * f.steady.S:
+            return False
+        return f.is_steady or self.state_std_m < CONVERGED * self.steady_std_m
+
+    @property
+    def is_recovering(self) -> bool:
+        """Whether a gap has cost so much of what was known that people should be told."""
+        return not self.is_converged and self.state_std_m > RECOVERING * self.sea_std_m
 
     def row(self, t_s: float) -> Array:
         """(n,) heave at ``t_s`` from the filter's state."""

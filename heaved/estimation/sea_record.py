@@ -16,8 +16,6 @@ Array = NDArray[np.float64]
 EARLY_EVERY_S: Final = 10.0
 """Between fits, until EARLY_S of record: each sees much more than the one before."""
 EARLY_S: Final = 120.0
-CUT_BEATS: Final = 4
-"""Beats left out of the record where it is cut: a hole for whoever fits it."""
 
 
 class SeaRecord:
@@ -38,7 +36,7 @@ class SeaRecord:
         """Forget the past; what is awaited is not of it."""
         self._beats.clear()
         self._newest_s = self.started_s = self._asked_s = nan
-        self._cut = 0
+        self._cuts: list[tuple[float, float]] = []
         self._number += 1
         self._awaited = -1
 
@@ -53,16 +51,18 @@ class SeaRecord:
         return not t_s <= self._newest_s
 
     def push(self, t_s: float, a_mps2: float) -> None:
-        """Store a beat, unless it lies in a cut."""
-        if self._cut > 0:
-            self._cut -= 1
-        else:
-            self._beats.push((t_s, a_mps2))
-            self._newest_s = t_s
+        """Store a beat."""
+        self._beats.push((t_s, a_mps2))
+        self._newest_s = t_s
 
-    def cut(self) -> None:
-        """What comes is measured otherwise than what was: no spectrum is taken across."""
-        self._cut = CUT_BEATS
+    def cut(self, from_s: float, to_s: float) -> None:
+        """From ``to_s`` on it is measured otherwise than before (another level, another tilt); between, as neither."""
+        self._cuts = [cut for cut in self._cuts if cut[1] > to_s - self._length_s] + [(from_s, to_s)]
+
+    @property
+    def cuts_s(self) -> tuple[tuple[float, float], ...]:
+        """Where the past is cut: no spectrum is taken across, and no bias."""
+        return tuple(self._cuts)
 
     def since(self, t_s: float) -> Array:
         """(n, 2) time and acceleration of the beats from ``t_s`` on: a view, overwritten by later ones."""

@@ -9,7 +9,8 @@ end: what the steady gain, which runs in blocks, makes of that minute is correct
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from math import isnan, sqrt
 from typing import Final
 
 import msgspec
@@ -17,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from heaved.estimation.sea_model import SeaSystem, Steady
+from heaved.estimation.sea_filter import SeaFilter
+from heaved.estimation.sea_model import BIAS_SPREAD_MPS2, SeaSystem, Steady
 
 Array = NDArray[np.float64]
 
@@ -29,14 +31,26 @@ TELLING: Final = 1e-14
 """Least variance, over the largest one, of a direction of the state in which less is known than in the end."""
 CHUNK: Final = 16
 """Samples after a hole whose predictions are corrected together."""
-UNSURE: Final = 1.5
-"""Standard deviation of the predicted heave over that of the steady filter."""
+UNSURE: Final = 1.1
+"""Standard deviation of the predicted heave over that of the steady filter, from which its smoother's weights are not
+those of the moment any more (with 1.5 the delayed heave is off by 6 of its standard deviations after a gap of 1 s)."""
 HOLE: Final = 3.5
 """Neighbours further apart than this many intervals have a hole between them; closer ones are interpolated."""
 BRIDGED_S: Final = 0.3
 """So are those closer than this: a quarter of the shortest wave that is fitted."""
 ON_THE_GRID: Final = 1e-3
 """Deviation, in intervals, up to which a sample is taken as it is."""
+LOSSY: Final = 0.1
+"""Share of neighbours more than an interval apart beyond which nothing is interpolated but at the samples."""
+SHORTEST_S: Final = 0.01
+"""The grid is never finer than this, whatever the stamps are."""
+NEAR_WHOLE: Final = 0.15
+"""Neighbours are whole intervals apart when they are off by less than that share of one,"""
+MOST: Final = 0.95
+"""and that many of them are."""
+QUANTILES: Final = (0.25, 0.1)
+"""Of the distances between neighbours, where the interval is looked for beside their median, which is several intervals
+with half the samples lost or more."""
 
 
 class Record(msgspec.Struct, frozen=True, eq=False):
@@ -49,6 +63,25 @@ class Record(msgspec.Struct, frozen=True, eq=False):
     """(n,); in a hole, a straight line."""
     is_known: NDArray[np.bool_]
     """(n,); False in a hole."""
+    cuts: tuple[int, ...] = ()
+    """First samples after a step of the level: nothing is known of the bias there."""
+
+    def last(self, count: int) -> Record:
+        """The newest ``count`` samples."""
+        left_out = max(len(self.a_mps2) - count, 0)
+        cuts = tuple([cut - left_out for cut in self.cuts if cut > left_out])
+        return Record(self.end_s, self.dt_s, self.a_mps2[left_out:], self.is_known[left_out:], cuts)
+
+    def cut(self, cuts_s: Sequence[tuple[float, float]]) -> Record:
+        """With a cut at the end of each of the spans (s), and nothing known within it."""
+        first_s = self.end_s - self.dt_s * (len(self.a_mps2) - 1)
+        is_known, places = self.is_known.copy(), set()
+        for span in cuts_s:
+            begin, end = (min(max(round((t_s - first_s) / self.dt_s), 0), len(is_known)) for t_s in span)
+            is_known[begin:end] = False
+            if 0 < end < len(is_known):
+                places.add(end)
+        return msgspec.structs.replace(self, is_known=is_known, cuts=tuple(sorted(places)))
 
 
 def even(t_s: Array, a_mps2: Array) -> Record:
@@ -57,9 +90,11 @@ def even(t_s: Array, a_mps2: Array) -> Record:
     A cubic spline through neighbours: at ten samples to a wave its error is 1e-4 of the wave.
     """
     gaps = np.diff(t_s)
-    usual = float(np.median(gaps))
-    dt = float(np.mean(gaps[gaps < 1.5 * usual]))
+    usual = max(_usual(gaps), SHORTEST_S)
+    dt = max(float(np.mean(gaps[gaps < 1.5 * usual])), SHORTEST_S)
     steps, longest = np.rint(gaps / dt), max(HOLE, BRIDGED_S / dt)
+    if np.mean(steps > 1.0) > LOSSY:
+        longest = 1.5  # Noise between so few samples would be made up by the spline, and told as measured.
     is_even = bool(np.all(np.abs(gaps - dt * steps) < ON_THE_GRID * dt)) and bool(np.all(steps >= 1.0))
     if is_even and abs((t_s[-1] - t_s[0]) / np.sum(steps) - dt) * np.sum(steps) < 0.1 * dt:
         index = np.concatenate(([0.0], np.cumsum(steps))).astype(np.int64)
@@ -74,8 +109,20 @@ def even(t_s: Array, a_mps2: Array) -> Record:
     count = int((t_s[-1] - t_s[0]) / dt) + 1
     times = t_s[-1] - dt * np.arange(count - 1, -1, -1.0)
     after = np.clip(np.searchsorted(t_s, times - 1e-9), 1, len(t_s) - 1)
-    known = gaps[after - 1] <= longest * dt
+    at_sample = np.minimum(t_s[after] - times, times - t_s[after - 1]) <= 0.5 * dt
+    known = (gaps[after - 1] <= longest * dt) | at_sample
     return Record(float(t_s[-1]), dt, _filled(times, np.interp(times, t_s, a_mps2), known, t_s, a_mps2), known)
+
+
+def _usual(gaps: Array) -> float:
+    """The longest distance (s) of which most of ``gaps`` (n,) are whole multiples; their median where there is none."""
+    found = [float(np.median(gaps)), *(float(np.quantile(gaps, q)) for q in QUANTILES)]
+    for usual in found:
+        steps = gaps / max(usual, SHORTEST_S)
+        whole = np.rint(steps)
+        if np.mean((whole >= 1.0) & (np.abs(steps - whole) < NEAR_WHOLE)) >= MOST:
+            return usual
+    return found[0]
 
 
 def _filled(times: Array, line: Array, known: NDArray[np.bool_], t_s: Array, a_mps2: Array) -> Array:
@@ -91,9 +138,10 @@ class Run(msgspec.Struct, frozen=True, eq=False):
     P: Array | None
     """(n, n) its covariance; None: the steady one."""
     predicted_m: Array
-    """(k,) heave before each sample was taken in; nan where that is not as sure as in the steady filter."""
+    """(k,) heave before each sample was taken in; nan in a hole, and where it is less sure than in the end."""
     innovation: Array
-    """(k,) m/s2; 0 in a hole, nan in the first minute of a full start, and after a hole that is not ``kept``."""
+    """(k,) m/s2, as large as in the steady filter where it is less sure; 0 in a hole, nan in the first minute of a full
+    start, and after a hole that is not ``kept``."""
 
 
 def run(
@@ -121,9 +169,18 @@ def run(
     if not full_start:
         x[-1] = float(np.mean(record.a_mps2))
     blocks = _Blocks(system, steady)
-    for first, end, is_known in _stretches(record.is_known):
+    for first, end, is_known in stretches(record):
+        if first in record.cuts:
+            if full_holes:
+                if P is None:
+                    P = steady.P - np.outer(steady.K, steady.K) * steady.S
+                P = P.copy()
+                P[-1, -1] += BIAS_SPREAD_MPS2**2
+            else:
+                x = x.copy()
+                x[-1] = float(np.mean(record.a_mps2[first:end]))
         if not is_known:
-            predicted[first:end], innovation[first:end] = system.heave @ x, 0.0
+            innovation[first:end] = 0.0
             if not full_holes:
                 x = system.moved((end - first) * record.dt_s) @ x
                 continue
@@ -146,10 +203,42 @@ def run(
     return Run(x, P, predicted, innovation)
 
 
-def _stretches(is_known: NDArray[np.bool_]) -> Iterator[tuple[int, int, bool]]:
-    """(first, end, is_known) of each stretch that is all known or all unknown."""
-    edges = 1 + np.flatnonzero(np.diff(is_known.astype(np.int8)))
-    for first, end in itertools.pairwise([0, *edges.tolist(), len(is_known)]):
+MEDIAN_OF_SQUARES: Final = 0.455
+"""Of squared standard normal numbers."""
+
+
+def one_by_one(f: SeaFilter, record: Record, judged: int) -> tuple[Run, float]:
+    """What :func:`run` gives, for a record of more holes than can be taken as exceptions: by the live filter ``f`` from
+    its start; and the variance of the last ``judged`` innovations over the model's, robustly.
+
+    Innovations are scaled to the variance of the steady filter.
+    """
+    count, steady, heave = len(record.a_mps2), f.steady, f.system.heave
+    predicted, innovation = np.full(count, np.nan), np.zeros(count)
+    limit_m2 = UNSURE**2 * float(heave @ f.steady_covariance @ heave)
+    cuts = list(record.cuts)
+    for i in np.flatnonzero(record.is_known).tolist():
+        if isnan(f.t_s):
+            f.t_s = (i - 1) * record.dt_s
+        while cuts and cuts[0] <= i:
+            f.open_bias()
+            del cuts[0]
+        predicted_m, y = f.step(i * record.dt_s, float(record.a_mps2[i]))
+        innovation[i] = y * sqrt(steady.S / f.innovation_variance)
+        if f.innovation_variance < UNSURE**2 * steady.S and (
+            f.is_steady or float(heave.dot(f.covariance).dot(heave)) < limit_m2
+        ):
+            predicted[i] = predicted_m
+    told = innovation[-judged:][record.is_known[-judged:]] ** 2 / steady.S
+    excess = float(np.median(told)) / MEDIAN_OF_SQUARES if len(told) else 1.0
+    return Run(f.x, None if f.P is None else f.P.copy(), predicted, innovation), excess
+
+
+def stretches(record: Record) -> Iterator[tuple[int, int, bool]]:
+    """(first, end, is_known) of each stretch that is all known or all unknown, without a cut in it."""
+    is_known = record.is_known
+    edges = {*(1 + np.flatnonzero(np.diff(is_known.astype(np.int8)))).tolist(), *record.cuts, 0, len(is_known)}
+    for first, end in itertools.pairwise(sorted(edges)):
         yield first, end, bool(is_known[first])
 
 
@@ -201,10 +290,12 @@ def _tell(S: float, variance_m2: float, seen: Array, heave: Array, predicted: Ar
     right = np.concatenate((y - np.matmul(seen, u), np.matmul(heave, PH).transpose(0, 2, 1)), axis=2)
     white = np.linalg.solve(factor, right)
     learned = np.tril(white[:, :, 1:].transpose(0, 2, 1), -1)
-    innovation[:] = (np.diagonal(factor, axis1=1, axis2=2) * white[:, :, 0]).ravel()[:count]
+    stds = np.diagonal(factor, axis1=1, axis2=2)
+    innovation[:] = sqrt(S) * white[:, :, 0].ravel()[:count]
     correction = np.matmul(heave, u) + np.matmul(learned, white[:, :, :1])
     more_m2 = np.sum(np.matmul(heave, P) * heave, axis=2) - np.sum(learned**2, axis=2)
     is_sure = variance_m2 + more_m2.ravel()[:count] < UNSURE**2 * variance_m2
+    is_sure &= stds.ravel()[:count] ** 2 < UNSURE**2 * S
     predicted[:] = np.where(is_sure, predicted + correction.ravel()[:count], np.nan)
 
 

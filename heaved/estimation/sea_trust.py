@@ -56,12 +56,12 @@ class SeaTrust:
         self._whiteness, self._waves = whiteness, waves
         self._is_still = waves < STILL_LIKELIHOOD or error_m > STILL_SHARE * sea_std_m
 
-    def beat(self, surprise: float, is_converged: bool, sea: SeaState | None) -> None:
+    def beat(self, surprise: float, is_recovering: bool, sea: SeaState | None) -> None:
         """What the filter says after a beat."""
         self.surprise = max(self._whiteness, surprise)
         ratio = self.divergence.ratio
         self.factor = min(max(1.0, sqrt(0.5 * self.surprise), ratio), FACTOR_LIMIT)
-        self._is_recovering = not is_converged
+        self._is_recovering = is_recovering
         found = []
         if self._whiteness > CHANGED or self.surprise > CHANGED_NOW:
             found.append("the sea or the sensor is changing")

@@ -8,6 +8,7 @@ model is used.
 
 from __future__ import annotations
 
+import itertools
 from math import isfinite, nan, sqrt
 from typing import Final
 
@@ -15,8 +16,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation import sea_fit, sea_run
+from heaved.estimation import sea_bridge, sea_fit, sea_run
+from heaved.estimation.sea_filter import SeaFilter
 from heaved.estimation.sea_model import SeaModel, SeaSystem, Steady
+from heaved.estimation.sea_smooth import smoothed
 from heaved.estimation.sea_state import sea_state
 from heaved.samples import SeaState
 
@@ -42,7 +45,29 @@ WHITENESS_S: Final = 2.0
 WHITENESS_OVER_S: Final = 60.0
 MIN_RECORD_S: Final = 20.0
 MIN_STRETCH_S: Final = 30.0
-"""A record with holes is fitted between them, and not at all when that is shorter and there is a model already."""
+"""A record with holes that are too long to be bridged is fitted between them, and not at all when that is shorter and
+there is a model already."""
+LONG_HOLE_S: Final = 1.0
+FEW_IN_LONG_HOLES: Final = 0.1
+"""Share of the shortest window that may lie in longer holes than that, bridged, when there is a model already: more of
+it is better not learned from. (A sensor at the end of its range loses just the highest waves.)"""
+SLOWEST_S: Final = 0.8
+"""Samples further apart than this, in the mean, do not show the waves (up to 0.6 Hz) at all."""
+BRIDGE_SEED: Final = 1
+"""The same record gives the same answer."""
+ROUGH: Final = 2
+"""Times that a record is fitted and bridged anew when there was no model to bridge its holes with."""
+MANY_HOLES_S: Final = 5.0
+"""With a hole every so many seconds, or more, the filter takes the samples one by one."""
+START_S: Final = 100.0
+"""Then they are taken from so long before the first that is looked at."""
+NOISE_KNOWN: Final = 0.95
+"""Where less of the record is known than this share, its noise is taken from the innovations: what bridges the holes
+has that of an earlier model."""
+NOISE_FACTORS: Final = (0.1, 30.0)
+"""By which the noise changes at once,"""
+NOISE_IS_KNOWN: Final = (0.8, 1.25)
+"""and need not change."""
 
 
 class Candidate(msgspec.Struct, frozen=True, kw_only=True):
@@ -76,6 +101,9 @@ class SeaWindow(msgspec.Struct, frozen=True, kw_only=True, tag="sea"):
     """End of the past at the last look; nan: there was none, or that past was forgotten."""
     candidates: tuple[Candidate, ...] = ()
     """Of the last look."""
+    cuts_s: tuple[tuple[float, float], ...] = ()
+    """Spans (s) after which it is measured otherwise than before, and in which it is neither: no spectrum is taken
+    across, and of the bias nothing is known."""
 
 
 class SeaFit(msgspec.Struct, frozen=True, kw_only=True):
@@ -104,6 +132,9 @@ class SeaFit(msgspec.Struct, frozen=True, kw_only=True):
     """(k,) heave before each of the last samples, for the smoother; one every ``dt_s`` up to ``t_s``."""
     innovation: bytes = b""
     """(k,) m/s2"""
+    delayed: bytes = b""
+    """(k, 3) time, heave and its standard deviation for times that are not yet as old as the delayed heave: where the
+    recent past has holes, and the smoother's weights are not those of its filter."""
     whiteness: float = 1.0
     """Variance of the averaged innovations over the last minute, over what the model has for it; 1 when it is right."""
     heave_std_m: float = 0.0
@@ -121,29 +152,43 @@ def look(window: SeaWindow) -> SeaFit:
         return SeaFit(number=window.number, message="the record has gaps in its numbers")
     if float(np.ptp(a)) <= 0.0:
         return SeaFit(number=window.number, message="the record is constant")
-    record = sea_run.even(t, a)
-    stretch_s = len(unbroken(record, round(max(window.windows_s) / record.dt_s))) * record.dt_s
-    if stretch_s < (MIN_STRETCH_S if window.candidates else MIN_RECORD_S) and stretch_s < len(t) * record.dt_s:
+    if (t[-1] - t[0]) > SLOWEST_S * (len(t) - 1) and float(np.median(np.diff(t))) > SLOWEST_S:
+        return SeaFit(number=window.number, message="the samples are too far apart to show waves")
+    try:
+        return _look(window, sea_run.even(t, a).cut(window.cuts_s))
+    except np.linalg.LinAlgError as error:
+        return SeaFit(number=window.number, message=f"the record has no spectrum that can be fitted: {error}")
+
+
+def _look(window: SeaWindow, record: sea_run.Record) -> SeaFit:
+    """
+    Raises:
+        LinAlgError: no model can be made of the record.
+    """
+    whole = _bridged(window, record)
+    recent = record.last(round(min(window.windows_s) / record.dt_s))
+    drawn = whole.last(len(recent.is_known)).is_known & ~sea_bridge.closed(recent.is_known, record.dt_s, LONG_HOLE_S)
+    if window.candidates and np.mean(drawn) > FEW_IN_LONG_HOLES:
         return SeaFit(number=window.number, message="the record has too many holes")
-    scores = _scores(window, record)
-    fitted, shares, waves = _fit_all(window, record, scores)
+    stretch_s = len(unbroken(whole, round(max(window.windows_s) / record.dt_s))) * record.dt_s
+    if stretch_s < (MIN_STRETCH_S if window.candidates else MIN_RECORD_S) and not whole.is_known.all():
+        return SeaFit(number=window.number, message="the record has too many holes")
+    scores = _scores(window, whole, record.is_known)
+    fitted, shares, waves = _fit_all(window, whole, scores)
     # Candidates come shortest first: a longer past is exact where the sea is steady, a shorter one has to earn it.
     chosen = max(range(len(fitted)), key=lambda rank: fitted[rank].score + PATIENCE * rank)
     best, share = fitted[chosen], shares[chosen]
-    system = SeaSystem(best.model)
-    steady = system.steady(record.dt_s)
-    if steady is None:
-        return SeaFit(number=window.number, message="the filter of the fitted model does not converge")
     kept = round(window.delay_s / record.dt_s) + round(30.0 / record.dt_s)
     judged, settle = max(kept, round(WHITENESS_OVER_S / record.dt_s)), round(SETTLE_S / record.dt_s)
-    recent = _newest(record, settle + judged)
-    done = sea_run.run(system, steady, recent, full_start=len(recent.a_mps2) < settle, kept=judged)
-    if not np.isfinite(done.x).all():
-        return SeaFit(number=window.number, message="the filter of the fitted model left the finite numbers")
+    recent = record.last(settle + judged)
+    ran = _settled(best, recent, settle, judged)
+    if isinstance(ran, str):
+        return SeaFit(number=window.number, message=ran)
+    best, system, steady, done = ran
     used = msgspec.structs.replace(best, steady_dt_s=record.dt_s, steady_P=steady.P.tobytes())
     return SeaFit(
         number=window.number,
-        candidates=tuple(used if candidate is best else candidate for candidate in fitted),
+        candidates=(*fitted[:chosen], used, *fitted[chosen + 1 :]),
         window_s=best.window_s,
         record_s=len(record.a_mps2) * record.dt_s,
         model=best.model,
@@ -155,20 +200,118 @@ def look(window: SeaWindow) -> SeaFit:
         steady_P=steady.P.tobytes(),
         predicted_m=done.predicted_m[-kept:].tobytes(),
         innovation=done.innovation[-kept:].tobytes(),
+        delayed=_delayed(window, system, steady, recent, settle).tobytes(),
         whiteness=whiteness(done.innovation, steady),
         heave_std_m=sqrt(float(system.heave @ system.stationary @ system.heave)),
         waves=waves,
     )
 
 
-def _scores(window: SeaWindow, record: sea_run.Record) -> dict[float, float]:
-    """Each length's score with what came since the last look."""
+def _bridged(window: SeaWindow, record: sea_run.Record) -> sea_run.Record:
+    """The record with its holes bridged, as far as they are short: what a spectrum can be had of.
+
+    The model that bridges them is the last one; without one it is found with the holes bridged by straight lines first.
+    """
+    if record.is_known.all():
+        return record
+    best = max(window.candidates, key=lambda candidate: candidate.score, default=None)
+    rng = np.random.default_rng(BRIDGE_SEED)
+    model, whole = (None if best is None else best.model), record
+    for _ in range(1 if model is not None else ROUGH):
+        if model is None:
+            lines = msgspec.structs.replace(whole, is_known=sea_bridge.closed(whole.is_known, whole.dt_s))
+            model = _fit_all(window, lines, {})[0][-1].model
+        # Not across a cut: the level is another one there.
+        parts = [
+            sea_bridge.bridged(record.a_mps2[first:end], record.is_known[first:end], record.dt_s, model, rng)
+            for first, end in itertools.pairwise([0, *record.cuts, len(record.a_mps2)])
+        ]
+        a, is_known = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+        whole, model = msgspec.structs.replace(record, a_mps2=a, is_known=is_known), None
+    return whole
+
+
+def _settled(
+    candidate: Candidate, recent: sea_run.Record, settle: int, judged: int
+) -> tuple[Candidate, SeaSystem, Steady, sea_run.Run] | str:
+    """The candidate, with the noise that its innovations show, and what its filter makes of the recent past; or why
+    there is no such filter."""
+    found: tuple[Candidate, SeaSystem, Steady, sea_run.Run] | None = None
+    excess = 1.0
+    while found is None or not NOISE_IS_KNOWN[0] <= excess <= NOISE_IS_KNOWN[1]:
+        is_last, candidate = found is not None, _noisier(candidate, excess)
+        system = SeaSystem(candidate.model)
+        steady = system.steady(recent.dt_s)
+        if steady is None:
+            return "the filter of the fitted model does not converge"
+        done, excess = _run(system, steady, recent, settle, judged)
+        if not (np.isfinite(done.x).all() and isfinite(excess)):
+            return "the filter of the fitted model left the finite numbers"
+        found = candidate, system, steady, done
+        if is_last:
+            break
+    return found
+
+
+def _run(
+    system: SeaSystem, steady: Steady, recent: sea_run.Record, settle: int, judged: int
+) -> tuple[sea_run.Run, float]:
+    """The filter over the recent past; and variance of the innovations over the model's, where noise is known by that
+    alone, else 1."""
+    count, known = len(recent.a_mps2), recent.is_known
+    holes = int(np.count_nonzero(known[:-1] & ~known[1:]))
+    if holes * MANY_HOLES_S <= count * recent.dt_s:
+        return sea_run.run(system, steady, recent, full_start=count < settle, kept=judged), 1.0
+    # It begins with all that is not known of the state: nothing has to settle.
+    recent = recent.last(judged + round(START_S / recent.dt_s))
+    f = SeaFilter(system, steady, nan, np.zeros(len(system.H)), system.stationary)
+    done, excess = sea_run.one_by_one(f, recent, judged)
+    return done, excess if np.mean(known[-judged:]) < NOISE_KNOWN else 1.0
+
+
+def _delayed(
+    window: SeaWindow, system: SeaSystem, steady: Steady, recent: sea_run.Record, settle: int
+) -> Array:
+    """What :attr:`SeaFit.delayed` holds."""
+    count = round(window.delay_s / recent.dt_s)
+    known = recent.is_known
+    is_whole = known[-count:].all() and not any(cut > len(known) - count for cut in recent.cuts)
+    if is_whole or not known[:-count].any():
+        return np.empty((0, 3))
+    last = int(np.flatnonzero(known[:-count])[-1])
+    before = sea_run.Record(
+        recent.end_s - (len(known) - 1 - last) * recent.dt_s,
+        recent.dt_s,
+        recent.a_mps2[: last + 1],
+        known[: last + 1],
+        tuple([cut for cut in recent.cuts if cut <= last]),
+    )
+    done, _ = _run(system, steady, before, settle, 1)
+    f = SeaFilter(system, steady, before.end_s, done.x, done.P)
+    after = recent.last(len(known) - 1 - last)
+    # The newer half is delayed heave of the next look.
+    return smoothed(f, after, len(after.a_mps2) - count // 2)
+
+
+def _noisier(candidate: Candidate, factor: float) -> Candidate:
+    """With ``factor`` times the noise, within what it may change at once."""
+    noise_psd = candidate.model.noise_psd * min(max(factor, NOISE_FACTORS[0]), NOISE_FACTORS[1])
+    return msgspec.structs.replace(candidate, model=msgspec.structs.replace(candidate.model, noise_psd=noise_psd))
+
+
+def _scores(
+    window: SeaWindow, record: sea_run.Record, is_known: NDArray[np.bool_]
+) -> dict[float, float]:
+    """Each length's score with what came since the last look; ``is_known`` (n,): what of that was measured."""
     fresh = 0
     if window.candidates and isfinite(window.looked_s):  # Not after a reset: the candidates outlive the past.
         fresh = min(len(record.a_mps2), round((record.end_s - window.looked_s) / record.dt_s))
     if fresh < 2:
         return {candidate.window_s: candidate.score for candidate in window.candidates}
-    recent = _newest(record, fresh + round(SETTLE_S / record.dt_s))
+    recent = record.last(fresh + round(SETTLE_S / record.dt_s))
+    measured = is_known[-fresh:]
+    if not measured.any():
+        return {candidate.window_s: candidate.score for candidate in window.candidates}
     found: dict[float, float] = {}
     for candidate in window.candidates:
         system = SeaSystem(candidate.model)
@@ -176,7 +319,7 @@ def _scores(window: SeaWindow, record: sea_run.Record) -> dict[float, float]:
         if steady is None:
             continue
         y = sea_run.run(system, steady, recent, full_start=False, full_holes=False).innovation[-fresh:]
-        likelihood = _likelihood(candidate.model, steady, np.where(recent.is_known[-fresh:], y, nan))
+        likelihood = _likelihood(candidate.model, steady, np.where(measured, y, nan))
         found[candidate.window_s] = SCORE_MEMORY * candidate.score + (likelihood if np.isfinite(likelihood) else -1e9)
     best = max(found.values(), default=0.0)
     return {window_s: score - best for window_s, score in found.items()}
@@ -188,10 +331,6 @@ def _steady(system: SeaSystem, candidate: Candidate, dt_s: float) -> Steady | No
         return system.steady(dt_s)
     n = len(system.H)
     return system.steady_of(dt_s, np.frombuffer(candidate.steady_P).reshape(n, n))
-
-
-def _newest(record: sea_run.Record, count: int) -> sea_run.Record:
-    return sea_run.Record(record.end_s, record.dt_s, record.a_mps2[-count:], record.is_known[-count:])
 
 
 def _likelihood(model: SeaModel, steady: Steady, innovation: Array) -> float:
@@ -215,8 +354,15 @@ def _fit_all(
     earlier = {candidate.window_s: candidate.model for candidate in window.candidates}
     known = list(scores)
     every = sorted(window.windows_s)
-    lengths = [length for shorter, length in zip([0.0, *every], every, strict=False) if shorter <= seconds]
-    stretches = [unbroken(record, round(min(length, seconds) * rate)) for length in lengths]
+    lengths, stretches = [], []
+    for shorter, length in zip([0.0, *every], every, strict=False):
+        if shorter <= seconds:
+            stretch = unbroken(record, round(min(length, seconds) * rate))
+            if len(stretch) >= MIN_RECORD_S * rate:
+                lengths.append(length)
+                stretches.append(stretch)
+    if not lengths:
+        raise np.linalg.LinAlgError("no stretch of it is long enough")
     spectra = [sea_fit.spectrum(stretch, rate) for stretch in stretches]
     few = [len(stretch) < FEW_COMPONENTS_BELOW_S * rate for stretch in stretches]
     fitted: dict[float, sea_fit.Fitted] = {}
@@ -241,13 +387,14 @@ def unbroken(record: sea_run.Record, count: int) -> Array:
     A spectrum cannot bridge a hole: whatever stands in it has power at low frequencies, four decades above the skirt of
     the waves that the error of the heave depends on.
     """
-    known = record.is_known[-count:]
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], known, [False])).astype(np.int8)))
-    runs = edges.reshape(-1, 2)
+    newest = record.last(count)
+    runs = np.array([run[:2] for run in sea_run.stretches(newest) if run[2]])
+    if not len(runs):
+        return record.a_mps2[:0]
     lengths = runs[:, 1] - runs[:, 0]
     enough = np.flatnonzero(lengths * record.dt_s >= NEWEST_S)
     first, end = runs[int(enough[-1]) if len(enough) else int(np.argmax(lengths))]
-    return record.a_mps2[-count:][first:end]
+    return newest.a_mps2[first:end]
 
 
 def whiteness(innovation: Array, steady: Steady) -> float:

@@ -44,6 +44,8 @@ class FixedLagSmoother:
         self._innovations = np.zeros(2 * (count + 1))
         """Each is written twice, so that the last count + 1 always lie in one piece."""
         self._next = 0
+        self._whole = 0
+        """Samples on end, up to the last one, of which none is missing."""
 
     def fill(self, end_s: float, predicted_m: Array, innovation: Array) -> None:
         """Start with what the filter of this model would have said at samples up to ``end_s``."""
@@ -52,17 +54,23 @@ class FixedLagSmoother:
         self._predicted.extend(zip(times.tolist(), predicted_m[-count:].tolist(), strict=True))
         self._innovations[:count] = self._innovations[size : size + count] = innovation[-count:]
         self._next = count % size
+        missing = np.flatnonzero(np.isnan(predicted_m[-count:]))
+        self._whole = count - 1 - int(missing[-1]) if len(missing) else count
 
     def push(self, t_s: float, predicted_m: float, innovation: float) -> None:
-        """One sample more, one interval after the last; innovation 0 where there was none to take in."""
+        """One sample more, one interval after the last; innovation 0 where there was none to take in.
+
+        predicted_m: nan where there was none, or where it was predicted with another gain than the steady one.
+        """
         at, size = self._next, len(self._weights)
         self._innovations[at] = self._innovations[at + size] = innovation
         self._next = at + 1 if at + 1 < size else 0
         self._predicted.append((t_s, predicted_m))
+        self._whole = self._whole + 1 if predicted_m == predicted_m else 0
 
     def value(self) -> DelayedHeave | None:
-        """The newest delayed heave; None while the past is too short."""
-        if len(self._predicted) < len(self._weights):
+        """The newest delayed heave; None while the past is too short, or a sample in it is missing."""
+        if self._whole < len(self._weights):
             return None
         t_s, predicted_m = self._predicted[0]
         after = self._innovations[self._next : self._next + len(self._weights)]

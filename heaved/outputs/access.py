@@ -5,8 +5,12 @@ from __future__ import annotations
 import errno
 import ipaddress
 from collections.abc import Iterable
+from typing import Final
 
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
+
+_MAPPED: Final = ipaddress.IPv6Network("::ffff:0:0/96")
+"""IPv4 addresses in IPv6 (RFC 4291, section 2.5.5.2)."""
 
 
 class ListenError(OSError):
@@ -16,16 +20,25 @@ class ListenError(OSError):
 def parse_networks(entries: Iterable[str]) -> tuple[Network, ...]:
     """Networks of CIDR texts such as ``192.168.10.0/24`` (a bare address is a network of one).
 
+    One of IPv4 addresses as IPv6 writes them (``::ffff:10.0.0.0/104``) is that of the IPv4 addresses.
+
     Raises:
         ValueError: names the entry and what is wrong with it.
     """
     networks = []
     for entry in entries:
         try:
-            networks.append(ipaddress.ip_network(entry))
+            networks.append(_unmapped(ipaddress.ip_network(entry)))
         except ValueError as error:
             raise ValueError(f"allow: {entry!r} is not a network such as 192.168.10.0/24: {error}") from error
     return tuple(networks)
+
+
+def _unmapped(network: Network) -> Network:
+    if isinstance(network, ipaddress.IPv6Network) and network.subnet_of(_MAPPED):
+        first = int(network.network_address) - int(_MAPPED.network_address)
+        return ipaddress.IPv4Network((first, network.prefixlen - _MAPPED.prefixlen))
+    return network
 
 
 def is_allowed(address: str, networks: Iterable[Network]) -> bool:

@@ -14,6 +14,7 @@ import msgspec
 from heaved.outputs.records import PROTO_MAJOR, MotionRecord, StatusRecord, VersionRecord
 from heaved.outputs.wire import decode
 from heaved.samples import HeaveState
+from heaved.text import printable_lines
 
 _MAX_LINE_BYTES: Final = 1 << 20
 """A STATUS line of many devices has some 10 kB; what sends more without a line end is no daemon of ours."""
@@ -37,7 +38,7 @@ class Unreachable(Exception):
     """The daemon cannot be reached, or what answers is not one. The message says where, what and what to do."""
 
     def __init__(self, trouble: Trouble, message: str) -> None:
-        super().__init__(message)
+        super().__init__(printable_lines(message))  # The other end may have a part in it.
         self.trouble = trouble
 
 

@@ -34,6 +34,9 @@ _LINGER_S: Final = 1.0
 """How long a client that is turned away may take to read why, before the connection is reset."""
 _LINGER_BYTES: Final = 4 << 20
 """How much it may go on sending meanwhile; it is thrown away."""
+_SILENT_S: Final = 3.0
+"""A client that has closed its side is served on as long as something goes out to it this often: that it has gone
+altogether shows on sending alone."""
 
 
 class Connection(asyncio.Protocol):
@@ -43,13 +46,16 @@ class Connection(asyncio.Protocol):
     line. So while not paused the queue is empty, and a line can go straight to the socket.
     """
 
-    def __init__(self, publisher: Publisher) -> None:
+    def __init__(self, publisher: Publisher, address: str) -> None:
+        """``address``: of the peer."""
         loop = asyncio.get_running_loop()
-        self.address = ""
+        self.address = address
         self.classes: frozenset[str] = frozenset(("MOTION",))
         self.closed: asyncio.Future[None] = loop.create_future()
         self._publisher = publisher
         self._transport: asyncio.Transport
+        self._silence_timer: asyncio.TimerHandle | None = None
+        self._is_silent = False  # Nothing was sent since the timer was started.
         self._linger_timer: asyncio.TimerHandle | None = None
         self._discarded_bytes = 0
         self._lines = LineSplitter()
@@ -68,8 +74,6 @@ class Connection(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast(asyncio.Transport, transport)
-        peer = transport.get_extra_info("peername")
-        self.address = str(peer[0]) if peer else ""  # None: gone already.
         _set_options(transport.get_extra_info("socket"))
         self._transport.set_write_buffer_limits(high=0)
         refusal = self._publisher.admit(self)
@@ -79,14 +83,37 @@ class Connection(asyncio.Protocol):
         self._transport.write(self._publisher.greeting())
 
     def connection_lost(self, exc: Exception | None) -> None:
-        if self._linger_timer is not None:
-            self._linger_timer.cancel()
+        for timer in (self._linger_timer, self._silence_timer):
+            if timer is not None:
+                timer.cancel()
         self._publisher.forget(self)
         self.closed.set_result(None)
 
     def eof_received(self) -> bool:
-        """Keep serving a client that has said all it has to say (``echo ?STATUS | nc``)."""
-        return self._linger_timer is None
+        """Keep serving a client that has said all it has to say (``echo ?STATUS | nc``).
+
+        One that has closed the connection looks the same, until something is sent to it. So it must not be silent.
+        """
+        if self._linger_timer is not None:
+            return False
+        self._listen_for_silence()
+        return True
+
+    def _listen_for_silence(self) -> None:
+        self._is_silent = True
+        wait_s = max(_SILENT_S, 2.0 * self._period_s)
+        self._silence_timer = asyncio.get_running_loop().call_later(wait_s, self._judge_silence)
+
+    def _judge_silence(self) -> None:
+        self._silence_timer = None
+        if self._linger_timer is not None or self._is_finishing:
+            return
+        if not self._is_silent or self._paused:  # Whether one that takes nothing is stuck is judged elsewhere.
+            self._listen_for_silence()
+            return
+        watched = ", ".join(sorted(self.classes)) or "no class"
+        message = f"closed: you have closed your side, and there is nothing to send of what you watch ({watched})"
+        self._turn_away(ErrorRecord(message=message))
 
     def finish(self) -> None:
         """Close as soon as the queue is empty."""
@@ -131,6 +158,7 @@ class Connection(asyncio.Protocol):
         if self._paused:
             self._enqueue(head, t_s)
             return False
+        self._is_silent = False
         self._transport.write(self._with_tail(head, t_s) if self._dropped else line)
         return True
 
@@ -138,13 +166,14 @@ class Connection(asyncio.Protocol):
         if self._paused:
             self._enqueue(line, None)
         else:
+            self._is_silent = False
             self._transport.write(line)
 
     def pause_writing(self) -> None:
         self._paused = True
 
     def resume_writing(self) -> None:
-        self._paused = False
+        self._paused = self._is_silent = False
         self._full_since_s = inf
         sent = 0
         while self._queue and not self._paused:

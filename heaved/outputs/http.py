@@ -1,17 +1,26 @@
-"""Metrics and health over HTTP: ``/metrics``, ``/healthz``, ``/readyz``; GET alone, JSON but for the metrics."""
+"""Metrics and health over HTTP: ``/metrics``, ``/healthz``, ``/readyz``; GET and HEAD, JSON but for the metrics.
+
+Who may ask is decided before a byte of what is asked is looked at.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Callable
+from http import HTTPStatus
 from math import isfinite
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import msgspec
+import structlog
 from aiohttp import web
+from aiohttp.http_exceptions import HttpProcessingError
 
-from heaved.outputs.access import checked_networks, is_allowed, listen_error
+from heaved.outputs.access import checked_networks, is_allowed
+from heaved.outputs.listener import Listener
 from heaved.samples import HeaveState, MotionFrame
+from heaved.text import printable
 
 _METRICS_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
 _SHUTDOWN_S: Final = 0.2
@@ -20,7 +29,12 @@ _MAX_CONNECTIONS: Final = 32
 """More are closed at once. Without a limit whoever opens many leaves no file descriptor for a client of the stream or
 for a sensor that comes back. A connection that asks nothing is closed after :data:`_IDLE_S`."""
 _IDLE_S: Final = 15.0
+_REFUSAL_S: Final = 1.0
+"""How long a peer that may not connect may take to ask and to read why."""
 _PATHS: Final = ("/metrics", "/healthz", "/readyz")
+_METHODS: Final = ("GET", "HEAD")
+
+_log = structlog.get_logger(__name__)
 
 
 class Verdict(msgspec.Struct, frozen=True, kw_only=True):
@@ -46,7 +60,7 @@ def readiness(last_frame: MotionFrame | None, *, now_s: float, fresh_s: float = 
     if last_frame is None:
         return Verdict(reasons=("no frame yet",))
     age_s = now_s - last_frame.t_s
-    reasons = [f"last frame is {age_s:.1f} s old"] if age_s > fresh_s else []
+    reasons = [] if age_s <= fresh_s else [f"last frame is {age_s:.1f} s old"]
     if last_frame.quality.heave is HeaveState.INVALID:
         reasons += ["heave is invalid", *last_frame.quality.reasons]
     elif not isfinite(last_frame.heave_m):
@@ -65,6 +79,35 @@ class _BoundedServer(web.Server):
         if len(self.connections) > _MAX_CONNECTIONS:
             self._turned_away()
             asyncio.get_running_loop().call_soon(transport.abort)  # The handler's task wants to have begun by then.
+
+
+class _Refusal(asyncio.Protocol):
+    """Serves a peer that may not connect: what it says is thrown away, and the first of it answered."""
+
+    def __init__(self, refused: set[_Refusal], answer: bytes) -> None:
+        """``refused``: all that are served so."""
+        self._refused = refused
+        self._answer = answer
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast(asyncio.Transport, transport)
+        self._refused.add(self)
+        # Closing at once would reset the connection of a client that is still sending: it would not read the answer.
+        patience_s = _REFUSAL_S if len(self._refused) <= _MAX_CONNECTIONS else 0.0
+        self._end = asyncio.get_running_loop().call_later(patience_s, self.abort)
+
+    def data_received(self, data: bytes) -> None:
+        if self._answer:
+            self._transport.write(self._answer)
+            self._transport.write_eof()
+            self._answer = b""
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._refused.discard(self)
+        self._end.cancel()
+
+    def abort(self) -> None:
+        self._transport.abort()
 
 
 class HttpServer:
@@ -87,13 +130,13 @@ class HttpServer:
             ValueError: ``host`` reaches beyond this machine and ``allow`` names no network, or an entry is none.
         """
         self._networks = checked_networks("http", host, allow)
-        self._host = host
-        self._port = port
+        self._listener = Listener("http", host, port, self._admit)
         self._metrics = metrics
         self._alive = alive
         self._ready = ready
         self._count_client_error = count_client_error
-        self._runner: web.ServerRunner | None = None
+        self._server: _BoundedServer | None = None
+        self._refused: set[_Refusal] = set()
 
     async def start(self) -> tuple[str, int]:
         """Listen; returns the address that was bound (port 0 lets the system choose one).
@@ -101,36 +144,59 @@ class HttpServer:
         Raises:
             ListenError: the address cannot be bound; says what to do.
         """
-        server = _BoundedServer(
+        self._server = _BoundedServer(
             self._answer,
-            turned_away=lambda: self._count_client_error("too_many_clients"),
+            turned_away=lambda: self._complain("too_many_clients", f"{_MAX_CONNECTIONS} connections are open"),
             access_log=None,
+            logger=self._log_of_faults(),
             keepalive_timeout=_IDLE_S,
         )
-        runner = web.ServerRunner(server, shutdown_timeout=_SHUTDOWN_S)
-        await runner.setup()
-        try:
-            await web.TCPSite(runner, self._host, self._port).start()
-        except OSError as error:
-            await runner.cleanup()
-            raise listen_error("http", self._host, self._port, error) from error
-        self._runner = runner
-        host, port, *_ = runner.addresses[0]
-        return host, port
+        return await self._listener.start()
 
     async def close(self) -> None:
-        if self._runner is not None:
-            await self._runner.cleanup()
-            self._runner = None
+        self._listener.close()
+        for peer in tuple(self._refused):
+            peer.abort()
+        if self._server is not None:
+            self._server.pre_shutdown()
+            await self._server.shutdown(_SHUTDOWN_S)
+            self._server = None
+
+    def _admit(self, address: str) -> asyncio.Protocol:
+        """What serves a peer that has just connected."""
+        assert self._server is not None
+        if is_allowed(address, self._networks):
+            return self._server()
+        message = f"{address} is not in a network of [http] allow"
+        self._complain("not_allowed", message)
+        return _Refusal(self._refused, _forbidden(message))
+
+    def _complain(self, reason: str, message: str) -> None:
+        self._count_client_error(reason)
+        _log.warning("http client error", reason=reason, error=message, alike=reason)
+
+    def _log_of_faults(self) -> logging.Logger:
+        """Takes what the HTTP library has to say: what clients do wrong is counted, what is wrong here is logged."""
+
+        def is_ours(record: logging.LogRecord) -> bool:
+            error = record.exc_info[1] if record.exc_info else None
+            if isinstance(error, HttpProcessingError):
+                self._complain("bad_request", f"not HTTP: {error.message.partition(chr(10))[0]}")
+                return False
+            return record.levelno >= logging.WARNING
+
+        log = logging.Logger(__name__, logging.DEBUG)
+        log.parent = logging.getLogger()
+        log.addFilter(is_ours)
+        return log
 
     async def _answer(self, request: web.BaseRequest) -> web.Response:
-        if not is_allowed(request.remote or "", self._networks):
-            self._count_client_error("not_allowed")
-            return _json(403, {"error": f"{request.remote} is not in a network of [http] allow"})
         if request.path not in _PATHS:
-            return _json(404, {"error": f"no {request.path} here, only {', '.join(_PATHS)}"})
-        if request.method != "GET":
-            return _json(405, {"error": f"{request.method} is not served, only GET"}, {"Allow": "GET"})
+            return _json(404, {"error": f"no {printable(request.path)} here, only {', '.join(_PATHS)}"})
+        if request.method not in _METHODS:
+            methods = ", ".join(_METHODS)
+            error = f"{printable(request.method)} is not served, only {methods}"
+            return _json(405, {"error": error}, {"Allow": methods})
         if request.path == "/metrics":
             return web.Response(body=self._metrics(), headers={"Content-Type": _METRICS_TYPE})
         if request.path == "/healthz":
@@ -146,3 +212,13 @@ def _verdict(word: str, verdict: Verdict) -> web.Response:
 def _json(status: int, body: dict[str, Any], headers: dict[str, str] | None = None) -> web.Response:
     content = msgspec.json.encode(body) + b"\n"
     return web.Response(status=status, body=content, content_type="application/json", headers=headers)
+
+
+def _forbidden(message: str) -> bytes:
+    """A whole response, for who is not listened to."""
+    body = msgspec.json.encode({"error": message}) + b"\n"
+    head = (
+        f"HTTP/1.1 {HTTPStatus.FORBIDDEN.value} {HTTPStatus.FORBIDDEN.phrase}\r\n"
+        f"Content-Type: application/json\r\nContent-Length: {len(body)}\r\nConnection: close\r\n\r\n"
+    )
+    return head.encode() + body

@@ -10,21 +10,18 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
-from functools import partial
 from math import inf
-from typing import Final, Protocol
+from typing import Protocol
 
 import msgspec
 import structlog
 
 from heaved.outputs import wire
-from heaved.outputs.access import checked_networks, is_allowed, listen_error
+from heaved.outputs.access import checked_networks, is_allowed
 from heaved.outputs.connection import Connection
+from heaved.outputs.listener import Listener
 from heaved.outputs.records import ErrorRecord, StatusRecord, VersionRecord
 from heaved.samples import MotionFrame
-
-_LOG_PERIOD_S: Final = 10.0
-"""Clients turned away are logged at most this often: a program that retries must not fill the log."""
 
 _log = structlog.get_logger(__name__)
 
@@ -73,8 +70,7 @@ class Publisher:
         self.clock = clock
         self.metrics = metrics
         self._networks = checked_networks("stream", host, allow)
-        self._host = host
-        self._port = port
+        self._listener = Listener("stream", host, port, lambda address: Connection(self, address))
         self._max_clients = max_clients
         self._version = version
         self._status = status
@@ -82,9 +78,6 @@ class Publisher:
         self._last_t_s = -inf
         self._served: dict[Connection, None] = {}  # A set that keeps the order of arrival.
         self._lingering: dict[Connection, None] = {}
-        self._server: asyncio.Server | None = None
-        self._logged_s = -inf
-        self._unlogged = 0
 
     @property
     def clients(self) -> int:
@@ -97,13 +90,7 @@ class Publisher:
         Raises:
             ListenError: the address cannot be bound; says what to do.
         """
-        loop = asyncio.get_running_loop()
-        try:
-            self._server = await loop.create_server(partial(Connection, self), self._host, self._port)
-        except OSError as error:
-            raise listen_error("stream", self._host, self._port, error) from error
-        host, port, *_ = self._server.sockets[0].getsockname()
-        return host, port
+        return await self._listener.start()
 
     def publish(self, frame: MotionFrame, *, utc_s: float) -> None:
         """Hand ``frame`` to every client that watches MOTION. ``utc_s``: time of validity, seconds since 1970."""
@@ -131,9 +118,7 @@ class Publisher:
 
     async def close(self, drain_s: float = 0.5) -> None:
         """Stop listening, give the clients ``drain_s`` to take what is queued for them, close every connection."""
-        if self._server is None:
-            return
-        self._server.close()
+        self._listener.close()
         connected = [*self._served, *self._lingering]
         for client in connected:
             client.finish()
@@ -142,8 +127,6 @@ class Publisher:
         for client in connected:
             client.abort()
             await client.closed
-        await self._server.wait_closed()
-        self._server = None
 
     # What follows is for the connections.
 
@@ -163,12 +146,7 @@ class Publisher:
     def refusal(self, reason: str, address: str, message: str) -> ErrorRecord:
         """Count and log what a client did wrong, and make the record that tells it."""
         self.metrics.count_client_error(reason)
-        now_s = self.clock()
-        if now_s - self._logged_s >= _LOG_PERIOD_S:
-            _log.warning("stream client error", reason=reason, peer=address, error=message, unlogged=self._unlogged)
-            self._logged_s, self._unlogged = now_s, 0
-        else:
-            self._unlogged += 1
+        _log.warning("stream client error", reason=reason, peer=address, error=message, alike=reason)
         return ErrorRecord(message=message)
 
     def linger(self, client: Connection) -> bool:

@@ -1,4 +1,7 @@
-"""What ``heaved status`` prints: for a person, for a program, for a monitoring system. Pure."""
+"""What ``heaved status`` prints: for a person, for a program, for a monitoring system. Pure.
+
+What a daemon says may come from anywhere: no character of it reaches a terminal that would obey it.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +14,12 @@ import msgspec
 from heaved.outputs.client import Snapshot, Trouble, Unreachable
 from heaved.outputs.records import DeviceStatus, MotionRecord, QuietStatus, RockRecord, RockStatus, StatusRecord
 from heaved.samples import Fault, HeaveState
+from heaved.text import printable
 
 _FRESH_S: Final = 1.0
 """A frame older than this is no real-time heave."""
+_WORSE: Final = (HeaveState.VALID, HeaveState.DEGRADED, HeaveState.SETTLING, HeaveState.INVALID)
+"""From the best to the worst."""
 
 
 class CheckState(IntEnum):
@@ -34,7 +40,20 @@ def json_text(result: Snapshot | Unreachable) -> str:
         body = {"reachable": False, "trouble": result.trouble.name.lower(), "message": str(result)}
     else:
         body = {"reachable": True, **msgspec.to_builtins(result)}
-    return msgspec.json.format(msgspec.json.encode(body), indent=2).decode()
+    text = msgspec.json.format(msgspec.json.encode(body), indent=2).decode()
+    return "\n".join([_ascii(line) for line in text.split("\n")])
+
+
+def _ascii(line: str) -> str:
+    """A line of JSON with JSON's own escapes for what cannot be printed, which stands within its texts alone."""
+    if line.isprintable():
+        return line
+    return "".join([letter if letter.isprintable() else _escaped(letter) for letter in line])
+
+
+def _escaped(letter: str) -> str:
+    units = letter.encode("utf-16-be", "surrogatepass").hex()
+    return "".join([f"\\u{units[i : i + 4]}" for i in range(0, len(units), 4)])
 
 
 # --- for a monitoring system -----------------------------------------------------------------------------------------
@@ -51,7 +70,7 @@ def check_line(result: Snapshot | Unreachable) -> tuple[CheckState, str]:
         state = CheckState.UNKNOWN if is_misdirected else CheckState.CRITICAL
         return state, f"{state.name} - {_plain(str(result))}"
     status = result.status
-    state, text = _judge(status, _age_s(result))
+    state, text = _judge(status, result.motion, _age_s(result))
     heave, std = status.heave.heave_m, status.heave.heave_std_m
     values = (
         ("age", _age_s(result), "s"),
@@ -65,15 +84,21 @@ def check_line(result: Snapshot | Unreachable) -> tuple[CheckState, str]:
     return state, f"{state.name} - {_plain(text)} | {performance}"
 
 
-def _judge(status: StatusRecord, age_s: float | None) -> tuple[CheckState, str]:
+def _judge(status: StatusRecord, motion: MotionRecord | None, age_s: float | None) -> tuple[CheckState, str]:
+    """By the worse of what the status says and the frame that was seen."""
     quality = status.quality
+    if motion is not None and _WORSE.index(motion.quality.heave) > _WORSE.index(quality.heave):
+        quality = motion.quality
+    heave_m = status.heave.heave_m if motion is None else motion.heave_m
     reasons = f" ({', '.join(quality.reasons)})" if quality.reasons else ""
     if age_s is None:
         return CheckState.CRITICAL, "no frame yet"
-    if age_s > _FRESH_S:
+    if not age_s <= _FRESH_S:
         return CheckState.CRITICAL, f"last frame is {duration(age_s)} old"
     if quality.heave is HeaveState.INVALID:
         return CheckState.CRITICAL, f"heave invalid{reasons}"
+    if heave_m is None and quality.heave is not HeaveState.SETTLING:
+        return CheckState.CRITICAL, f"heave {quality.heave.value}, but there is none{reasons}"
     text = f"heave {quality.heave.value}{reasons}, age {duration(age_s)}"
     down = [device.name for device in status.devices if not device.up]
     if down:
@@ -87,7 +112,7 @@ def _age_s(snapshot: Snapshot) -> float | None:
 
 def _plain(text: str) -> str:
     """``|`` and line ends mean something to a monitoring system."""
-    return " ".join(text.replace("|", "/").split())
+    return printable(" ".join(text.replace("|", "/").split()))
 
 
 # --- for a person ----------------------------------------------------------------------------------------------------
@@ -119,7 +144,7 @@ def table(snapshot: Snapshot) -> str:
     lines += ["", _row("clients", f"{status.clients} connected, {status.dropped} lines dropped for slow ones")]
     if status.clock is not None:
         lines.append(_row("clock", f"UTC stepped {status.clock.steps} times since the start"))
-    return "\n".join(lines)
+    return "\n".join(map(printable, lines))
 
 
 def duration(seconds: float) -> str:

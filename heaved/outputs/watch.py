@@ -13,6 +13,7 @@ from heaved.outputs.client import SILENCE_S, StreamConnection, Trouble, Unreacha
 from heaved.outputs.records import MotionRecord, StatusRecord
 from heaved.outputs.report import duration, signed, spread
 from heaved.samples import HeaveState
+from heaved.text import printable
 
 _REDRAW_S: Final = 0.2
 _RETRY_S: Final = 0.5
@@ -92,7 +93,7 @@ class View:
         if self._status is not None:
             lines += [("", ""), *_device_lines(self._status)]
         lines += [("", ""), (_DIM, "Ctrl-C ends")]
-        return [f"{colour}{text[:width]}{_RESET if colour else ''}" for colour, text in lines]
+        return [f"{colour}{printable(text)[:width]}{_RESET if colour else ''}" for colour, text in lines]
 
     def _connection_line(self, now_s: float) -> tuple[str, str]:
         if self._trouble is not None:

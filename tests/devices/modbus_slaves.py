@@ -80,10 +80,14 @@ class RtuSlave:
 
 
 class TcpSlave:
-    """``answer`` gets every request frame and returns the bytes to send at once."""
+    """``answer`` gets every request frame and returns the bytes to send at once; None: close instead.
 
-    def __init__(self, answer: Callable[[bytes], bytes]) -> None:
+    ``idle_s``: close when nothing is asked for so long; 0: right after an answer.
+    """
+
+    def __init__(self, answer: Callable[[bytes], bytes | None], idle_s: float | None = None) -> None:
         self.answer = answer
+        self.idle_s = idle_s
         self.requests: list[bytes] = []
         self.port = 0
         self.connections = 0
@@ -97,14 +101,23 @@ class TcpSlave:
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._writers.add(writer)
         self.connections += 1
-        with contextlib.suppress(asyncio.IncompleteReadError, ConnectionError):
+        with contextlib.suppress(asyncio.IncompleteReadError, ConnectionError, TimeoutError):
             while True:
-                head = await reader.readexactly(6)
+                async with asyncio.timeout(self.idle_s or None):
+                    head = await reader.readexactly(6)
                 request = head + await reader.readexactly(int.from_bytes(head[4:6]))
                 self.requests.append(request)
-                writer.write(self.answer(request))
+                if (answer := self.answer(request)) is None:
+                    break
+                writer.write(answer)
+                if self.idle_s == 0.0:
+                    break
         self._writers.discard(writer)
         writer.close()
+
+    def say_to_all(self, data: bytes) -> None:
+        for writer in self._writers:
+            writer.write(data)
 
     async def stop(self) -> None:
         """Resets the connections and stops listening."""

@@ -65,6 +65,12 @@ def test_links(text: str, link: object) -> None:
         ("tcp://host:70000", "1 to 65535"),
         ("tcp://host:x", "1 to 65535"),
         ("tcp://host:502/unit", "nothing may stand"),
+        ("tcp://host:502#7", 'what follows "#"'),
+        ("tcp://fd00::7:502", "stands in brackets"),
+        ("tcp://10.0.0.7:502\n", "a character that no link has (U+000A)"),
+        ("tcp://h\N{LATIN SMALL LETTER O WITH DIAERESIS}st:502", "(LATIN SMALL LETTER O WITH DIAERESIS)"),
+        ("rtu:///dev/tty USB0", "a character that no link has (SPACE)"),
+        ("rtu:///dev/ttyUSB0#2?baudrate=9600", 'what follows "#"'),
         ("tcp://host:502?timeout=3", "nothing may stand"),
         ("rtu://dev/ttyUSB0", "absolute path"),
         ("rtu:///", "absolute path"),
@@ -168,14 +174,16 @@ def test_every_fault_of_the_lines_is_reported_at_once() -> None:
         device("d", "tcp://h", 1.0),
         device("e", "rtu:///dev/e", 100.0),
         device("f", "tcp://h:502", 100.0, device_id=0),
+        device("g", "rtu:///dev/a?baudrate=9600", 1.0),
     ])  # fmt: skip
-    assert len(faults) == 4
+    assert len(faults) == 5
     text = "\n".join(faults)
     assert "device b" in text
     assert "same port" in text
     assert "device c: device_id 0" in text
     assert "device d: link 'tcp://h'" in text
     assert "line /dev/e" in text
+    assert "device g: device_id 1 on /dev/a (9600 8N1) is that of device a already" in text
 
 
 @pytest.mark.parametrize(
@@ -185,7 +193,10 @@ def test_every_fault_of_the_lines_is_reported_at_once() -> None:
         ("rtu:///dev/a", OSError(errno.ENOENT, "x"), "/dev/a is not there"),
         ("rtu:///dev/a", OSError(errno.EAGAIN, "x"), "in use by another program"),
         ("rtu:///dev/a", ValueError("custom baud rate"), "custom baud rate"),
+        ("rtu:///dev/a", OSError(errno.EMFILE, "x"), "no file descriptor is left"),
+        ("tcp://h:502", OSError(errno.EMFILE, "x"), "no file descriptor is left"),
         ("tcp://h:502", socket.gaierror(-2, "x"), "host name h is unknown"),
+        ("tcp://h:502", socket.gaierror(-3, "x"), "no name server answers: check the network, or write the IP"),
         ("tcp://h:502", TimeoutError(), "nobody answers"),
         ("tcp://h:502", ConnectionRefusedError(), "port 502"),
         ("tcp://h:502", OSError(errno.ENETUNREACH, "Network is unreachable"), "Network is unreachable"),

@@ -5,9 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
+import itertools
 import logging
 import os
 import random
+import resource
+import socket
+from collections.abc import Callable
 from math import isnan
 from pathlib import Path
 
@@ -30,6 +34,7 @@ from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.pdu.register_message import ReadHoldingRegistersResponse
 
 from heaved.devices.modbus import CONNECT_TIMEOUT_S, RETRY_S, Bus, PollResult
+from heaved.devices.names import Name
 from heaved.devices.profile import Block, Field, Profile
 from heaved.devices.watch import PROBE_S
 from heaved.samples import Fault, ImuSample, LaserSample
@@ -137,48 +142,51 @@ async def test_sample_is_dated_by_the_block_with_the_vertical_acceleration() -> 
 
 
 class LateSlave:
-    """Keeps the answer to one request back until it hears another, then sends both: the worst moment for it."""
+    """Keeps the answer to one request back until it hears another, then sends both: the worst moment for it. Every
+    register carries the number of the request that it answers."""
 
     def __init__(self, keep_back: set[int]) -> None:
         self.keep_back = keep_back
-        self.data_reads = 0
+        self.asked = 0
         self.kept = b""
-        self.last_value = 0
 
     def __call__(self, request: bytes) -> bytes:
-        count = count_of(request)
-        if count != 3:
-            answer = rtu_answer(request, [0xEEEE] * count)
-        else:
-            self.data_reads += 1
-            self.last_value = self.data_reads
-            answer = rtu_answer(request, [self.data_reads] * count)
-            if self.data_reads in self.keep_back:
-                self.kept += answer
-                return b""
+        self.asked += 1
+        answer = rtu_answer(request, [self.asked] * count_of(request))
+        if self.asked in self.keep_back:
+            self.kept += answer
+            return b""
         late, self.kept = self.kept, b""
         return late + answer
+
+
+class Fresh(Results):
+    """Collects results, and the good ones with a value that does not answer a request of their own poll."""
+
+    def __init__(self, asked: Callable[[], int]) -> None:
+        super().__init__()
+        self.stale: list[tuple[float, int]] = []
+        self._asked = asked
+        self._asked_before = 0
+
+    def __call__(self, result: PollResult) -> None:
+        asked = self._asked()
+        if well(result):
+            sample = result.sample
+            numbers = (sample.az_mps2, sample.ax_mps2, sample.ay_mps2)  # type: ignore[union-attr]
+            self.stale += [(n, asked) for n in numbers if not isnan(n) and not self._asked_before < n <= asked]
+        self._asked_before = asked
+        super().__call__(result)
 
 
 async def test_late_rtu_answer_is_never_taken_for_the_next_one() -> None:
     late = LateSlave({5, 9, 10, 14})
     slave = RtuSlave(late)
-    results = Results()
-    ages: list[int] = []
-
-    def note(result: object) -> None:
-        results(result)  # type: ignore[arg-type]
-        if well(result):
-            # Nothing was asked since: the value must be that of the very last data request.
-            ages.append(late.last_value - round(result.sample.az_mps2))  # type: ignore[attr-defined]
-
-    task = asyncio.create_task(Bus([device(f"rtu://{slave.path}?baudrate=115200", timeout_ms=30.0)], note).run())
-    await results.until(lambda result: well(result) and result.sample.az_mps2 >= 25)  # type: ignore[union-attr]
-    task.cancel()
-    with contextlib.suppress(asyncio.CancelledError):
-        await task
+    results = Fresh(lambda: late.asked)
+    async with running([device(f"rtu://{slave.path}?baudrate=115200", timeout_ms=30.0)], results):
+        await results.until(lambda result: well(result) and result.sample.az_mps2 >= 25)  # type: ignore[union-attr]
     slave.close()
-    assert set(ages) == {0}
+    assert results.stale == []
     assert [result.fault for result in results.all].count(Fault.TIMEOUT) >= 4
 
 
@@ -217,9 +225,10 @@ async def test_one_register_device_rests_until_no_late_answer_can_come() -> None
 
     def answer(request: bytes) -> bytes:
         nonlocal count
+        if count_of(request) > 1:
+            return rtu(bytes((request[0], 0x83, 2)))
         count += 1
         times.append(asyncio.get_running_loop().time())
-        assert count_of(request) == 1
         return b"" if count in silent else rtu_answer(request, [count])
 
     slave = RtuSlave(answer)
@@ -260,49 +269,111 @@ async def test_device_that_refuses_other_lengths_is_read_after_a_rest() -> None:
     slave.close()
     # The refusal is of our own making: it is not reported as one of the profile's registers.
     assert {result.fault for result in results.all} == {Fault.TIMEOUT, Fault.NONE}
-    assert [count_of(request) for request in slave.requests[:2]][1] == 3
+    longer, part, plain = [count_of(request) for request in slave.requests[:3]]
+    assert longer > plain == 3 > part
 
 
-@pytest.mark.parametrize(("seed", "registers", "latest_s"), [(1, 3, 0.1), (2, 3, 0.4), (3, 1, 0.3)])
-async def test_no_late_answer_is_taken_from_an_erratic_slave(seed: int, registers: int, latest_s: float) -> None:
-    """Answers come in order, but up to twenty timeouts late, and some never."""
-    chance, loop = random.Random(seed), asyncio.get_running_loop()
+ERRATIC = {
+    "in order": {"latest_s": 0.1},
+    "in order, very late": {"latest_s": 0.4},
+    "in order, one register": {"latest_s": 0.3, "registers": 1},
+    "out of order": {"latest_s": 0.1, "in_order": False},
+    "out of order, very late": {"latest_s": 0.4, "in_order": False},
+    "out of order, no longer reads": {"latest_s": 0.3, "in_order": False, "most": 3},
+    "out of order, one register alone": {"latest_s": 0.3, "in_order": False, "registers": 1, "most": 1},
+    "each answer twice": {"latest_s": 0.0, "twice": True},
+}
+"""Slaves that answer up to twenty timeouts late, and sometimes never."""
+
+
+@pytest.mark.parametrize("name", ERRATIC)
+async def test_no_late_answer_is_taken_from_an_erratic_slave(name: str) -> None:
+    kind: dict[str, object] = {"registers": 3, "most": 125, "in_order": True, "twice": False, **ERRATIC[name]}
+    chance, loop = random.Random(name), asyncio.get_running_loop()
     asked, busy_until_s = 0, 0.0
-    wrong: list[tuple[float, int]] = []
     underway: list[asyncio.TimerHandle] = []
 
     def answer(request: bytes) -> bytes:
         nonlocal asked, busy_until_s
-        data = rtu_answer(request, [0xEEEE] * count_of(request))
-        if count_of(request) == registers:
-            asked += 1
-            data = rtu_answer(request, [asked] * registers)
+        asked += 1
+        if count_of(request) > kind["most"]:  # type: ignore[operator]
+            return rtu(bytes((request[0], 0x83, 2)))
+        data = rtu_answer(request, [asked] * count_of(request))
         if chance.random() < 0.05:
             return b""
-        thinking_s = chance.random() * latest_s if chance.random() < 0.2 else 0.0
+        thinking_s = chance.random() * kind["latest_s"] if chance.random() < 0.2 else 0.0  # type: ignore[operator]
         busy_until_s = max(busy_until_s, loop.time()) + thinking_s
-        underway.append(loop.call_at(busy_until_s, slave.say, data))
+        at_s = busy_until_s if kind["in_order"] else loop.time() + thinking_s
+        underway.append(loop.call_at(at_s, slave.say, data * (2 if kind["twice"] else 1)))
         return b""
 
     slave = RtuSlave(answer)
-    results = Results()
-
-    def note(result: PollResult) -> None:
-        if well(result) and result.sample.az_mps2 != asked:  # type: ignore[union-attr]
-            wrong.append((result.sample.az_mps2, asked))  # type: ignore[union-attr]
-        results(result)
-
-    spec = device(f"rtu://{slave.path}", timeout_ms=20.0, rate_hz=100.0, profile=counter_profile(registers))
-    task = asyncio.create_task(Bus([spec], note).run())
-    await results.number(120)
-    await results.until(lambda result: sum(map(well, results.all)) >= 5)  # Or the test shows nothing.
-    task.cancel()
-    with contextlib.suppress(asyncio.CancelledError):
-        await task
+    results = Fresh(lambda: asked)
+    profile = counter_profile(kind["registers"])  # type: ignore[arg-type]
+    async with running([device(f"rtu://{slave.path}", timeout_ms=20.0, rate_hz=100.0, profile=profile)], results):
+        await results.number(120)
+        await results.until(lambda result: sum(map(well, results.all)) >= 5)  # Or the test shows nothing.
     for handle in underway:
         handle.cancel()
     slave.close()
-    assert wrong == []
+    assert results.stale == []
+
+
+def refuse(request: bytes) -> bytes:
+    return rtu(bytes((request[0], 0x83, 2)))
+
+
+@pytest.mark.parametrize(
+    ("most", "refuse", "lost"),
+    [(125, refuse, 3), (3, refuse, 1), (3, lambda request: b"", 1)],
+    ids=["longer reads", "in parts", "in parts when longer reads are ignored"],
+)
+async def test_a_lost_answer_costs_one_poll_and_no_more(
+    most: int, refuse: Callable[[bytes], bytes], lost: int
+) -> None:
+    """The next ones are told from it by their length, in whatever order answers come: no need for a rest."""
+    plain = missing = 0
+
+    def answer(request: bytes) -> bytes:
+        nonlocal plain, missing
+        if count_of(request) > most:
+            return refuse(request)
+        plain += count_of(request) == 3
+        if plain >= 5 and missing < lost:
+            missing += 1
+            return b""
+        return rtu_answer(request, [plain] * count_of(request))
+
+    slave = RtuSlave(answer)
+    results = Results()
+    async with running([device(f"rtu://{slave.path}?baudrate=115200", timeout_ms=60.0)], results):
+        first = await results.until(well)
+        await results.until(lambda result: well(result) and result.sample.az_mps2 >= 8)  # type: ignore[union-attr]
+    slave.close()
+    after = results.all[results.all.index(first) :]
+    # One more for the longer read that is refused or ignored.
+    assert sum(result.fault is not Fault.NONE for result in after) <= lost + (most == 3)
+
+
+async def test_a_tcp_slave_that_is_always_late_keeps_its_connection_and_is_told_the_timeout() -> None:
+    loop = asyncio.get_running_loop()
+    underway: list[asyncio.TimerHandle] = []
+
+    def answer(request: bytes) -> bytes:
+        underway.append(loop.call_later(0.03, slave.say_to_all, tcp_answer(request, [1] * 3)))
+        return b""
+
+    slave = TcpSlave(answer)
+    await slave.start()
+    results = Results()
+    async with running([device(f"tcp://127.0.0.1:{slave.port}", timeout_ms=20.0, rate_hz=50.0)], results):
+        await results.number(20)
+    for handle in underway:
+        handle.cancel()
+    await slave.stop()
+    assert slave.connections == 1
+    assert {result.fault for result in results.all} == {Fault.TIMEOUT}
+    assert all("raise timeout_ms" in result.detail for result in results.all[2:])
 
 
 async def test_late_tcp_answers_are_told_apart_by_their_number() -> None:
@@ -357,6 +428,13 @@ RTU_FAULTS = [
     ("too short", lambda request: rtu_answer(request, [1] * 2), Fault.LENGTH, "2 registers instead of 3"),
     ("busy", lambda request: rtu(bytes((request[0], request[1] | 0x80, 6))), Fault.EXCEPTION, "device busy"),
     ("bad map", lambda request: rtu(bytes((request[0], 0x83, 2))), Fault.EXCEPTION, "illegal data address"),
+    ("echo", lambda request: request, Fault.TIMEOUT, "only the own request came back"),
+    ("echo of another id", lambda request: rtu(b"\x07" + request[1:6]), Fault.CRC, "no valid frame"),
+    ("begun", lambda request: rtu_answer(request, [1] * 3)[:7], Fault.TIMEOUT, "7 of 11 bytes): raise timeout_ms"),
+    ("echo, begun", lambda request: request + request[:2], Fault.TIMEOUT, "begun (2 of 11 bytes): raise timeout_ms"),
+    ("noise, begun", lambda request: b"\0\xff" + request[:2] + b"\x06\0", Fault.TIMEOUT, "begun (4 of 11 bytes)"),
+    ("wrong byte count", lambda request: rtu(request[:2] + b"\x08" + bytes(6)), Fault.CRC, "no valid frame"),
+    ("other function", lambda request: rtu_answer(request[:1] + b"\4", [1] * 3), Fault.TIMEOUT, "another function (4)"),
 ]
 
 
@@ -380,6 +458,36 @@ async def test_rtu_fault_is_named_and_passes(name, bad, fault, words) -> None:  
     assert "id 80" in faulty.detail
 
 
+async def test_an_answer_that_comes_after_its_time_names_the_timeout() -> None:
+    """It comes while nobody waits: nothing is heard during the poll, but why is known."""
+    loop = asyncio.get_running_loop()
+    underway: list[asyncio.TimerHandle] = []
+
+    def answer(request: bytes) -> bytes:
+        underway.append(loop.call_later(0.06, slave.say, rtu_answer(request, [1] * count_of(request))))
+        return b""
+
+    slave = RtuSlave(answer)
+    results = Results()
+    async with running([device(f"rtu://{slave.path}", timeout_ms=20.0, rate_hz=5.0)], results):
+        late = await results.until(lambda result: "in time" in result.detail)
+    for handle in underway:
+        handle.cancel()
+    slave.close()
+    assert late.fault is Fault.TIMEOUT
+    assert float(late.detail.split("the latest came ")[1].split(" ms after its request: raise timeout_ms")[0]) >= 60
+
+
+async def test_an_echo_before_the_answer_does_no_harm() -> None:
+    count = CountingSlave()
+    slave = RtuSlave(lambda request: request + count(request))
+    results = Results()
+    async with running([device(f"rtu://{slave.path}?baudrate=115200")], results):
+        await results.number(20)
+    slave.close()
+    assert all(map(well, results.all))
+
+
 async def test_answer_is_found_between_noise() -> None:
     count = CountingSlave()
     slave = RtuSlave(lambda request: b"\x00\x50\x03" + count(request) + b"\xff")
@@ -401,7 +509,19 @@ TCP_FAULTS = [
     ("not Modbus", lambda request: b"SSH-2.0-OpenSSH_9.6\r\n", Fault.CRC, "check the port"),
     ("other function", lambda request: mbap(request, b"\x63\x06"), Fault.EXCEPTION, "function"),
     ("half a frame", lambda request: tcp_answer(request, [1] * 3)[:10], Fault.CRC, "no whole Modbus TCP frame"),
+    ("a whole page", lambda request: b"HTTP/1.1 400 Bad Request\r\n" * 100, Fault.CRC, "check the port"),
+    ("half a header", lambda request: request[:5], Fault.CRC, "no whole Modbus TCP frame"),
+    ("byte count too great", lambda request: mbap(request, b"\x03\x08" + bytes(6)), Fault.LENGTH, "byte count says 8"),
+    ("byte count too small", lambda request: mbap(request, b"\x03\x04" + bytes(6)), Fault.LENGTH, "byte count says 4"),
+    ("odd byte count", lambda request: mbap(request, b"\x03\x05" + bytes(5)), Fault.LENGTH, "byte count says 5"),
+    ("no registers", lambda request: mbap(request, b"\x03\x00"), Fault.LENGTH, "0 registers instead of 3"),
+    ("too long", lambda request: tcp_answer(request, [1] * 4), Fault.LENGTH, "4 registers instead of 3"),
+    ("other unit", lambda request: tcp_answer(request[:6] + b"\x07" + request[7:], [1] * 3), Fault.EXCEPTION, "(7, 3)"),
+    ("own number", lambda request: tcp_answer(b"\x00\x00" + request[2:], [1] * 3), Fault.EXCEPTION, "number (0)"),
+    ("other protocol", lambda request: request[:2] + b"\0\1" + tcp_answer(request, [1] * 3)[4:], Fault.CRC, "the port"),
 ]
+MADE_ANEW = {"mute", "not Modbus", "a whole page", "half a frame", "half a header", "other protocol"}
+"""Faults over which a connection is made anew: it may hang, or what follows cannot be read."""
 
 
 @pytest.mark.parametrize(("name", "bad", "fault", "words"), TCP_FAULTS, ids=[row[0] for row in TCP_FAULTS])
@@ -417,8 +537,7 @@ async def test_tcp_fault_is_named_and_passes(name, bad, fault, words) -> None:  
     await slave.stop()
     assert faulty.fault is fault
     assert words in faulty.detail
-    # A connection that is mute or out of step is made anew; one that answers, however badly, is kept.
-    assert (slave.connections > 1) == (name not in ("too short", "busy"))
+    assert (slave.connections > 1) == (name in MADE_ANEW)
     # Even while the connection is made anew, the fault stays what it is: one transition, one line in the log.
     assert {result.fault for result in results.all} == {fault, Fault.NONE}
 
@@ -488,6 +607,56 @@ async def test_tcp_server_goes_away_and_returns() -> None:
     assert not first.reconnected
 
 
+async def test_slave_that_closes_after_each_answer_is_read_at_every_poll() -> None:
+    slave = TcpSlave(lambda request: tcp_answer(request, [len(slave.requests)] * 3), idle_s=0.0)
+    await slave.start()
+    results = Results()
+    async with running([device(f"tcp://127.0.0.1:{slave.port}", rate_hz=50.0)], results):
+        await results.number(25)
+    await slave.stop()
+    assert all(map(well, results.all))
+    assert slave.connections >= 25
+
+
+async def test_slave_that_closes_on_the_next_request_is_asked_once_more() -> None:
+    """As one does that gives up idle connections just when the request is under way."""
+
+    def answer(request: bytes) -> bytes | None:
+        return None if len(slave.requests) % 2 == 0 else tcp_answer(request, [len(slave.requests)] * 3)
+
+    slave = TcpSlave(answer)
+    await slave.start()
+    results = Results()
+    # Did each cost its timeout, the test would not end.
+    async with running([device(f"tcp://127.0.0.1:{slave.port}", rate_hz=50.0, timeout_ms=10_000.0)], results):
+        await results.number(20)
+    await slave.stop()
+    assert all(map(well, results.all))
+
+
+async def test_slave_that_closes_idle_connections_is_read_at_every_poll() -> None:
+    slave = TcpSlave(lambda request: tcp_answer(request, [len(slave.requests)] * 3), idle_s=0.02)
+    await slave.start()
+    results = Results()
+    async with running([device(f"tcp://127.0.0.1:{slave.port}", rate_hz=10.0)], results):
+        await results.number(8)
+    await slave.stop()
+    assert all(map(well, results.all))
+    assert slave.connections <= 2 * 8 + 1  # And not again and again while nobody asks.
+
+
+async def test_slave_that_closes_without_an_answer_is_not_stormed() -> None:
+    slave = TcpSlave(lambda request: None)
+    await slave.start()
+    results = Results()
+    async with running([device(f"tcp://127.0.0.1:{slave.port}", rate_hz=200.0)], results):
+        last = (await results.number(150))[-1]
+    await slave.stop()
+    assert {result.fault for result in results.all} == {Fault.DISCONNECTED}
+    span_s = last.due_s - results.all[0].due_s
+    assert slave.connections <= span_s / RETRY_S + 2
+
+
 async def test_tcp_server_that_is_not_there_at_first() -> None:
     reserved = TcpSlave(lambda request: tcp_answer(request, [1] * 3))
     await reserved.start()
@@ -541,6 +710,56 @@ async def test_no_permission_on_the_port_says_what_to_do(monkeypatch: pytest.Mon
     assert "dialout" in first.detail
 
 
+async def test_out_of_descriptors_is_a_fault_and_no_flood(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    slave = TcpSlave(lambda request: tcp_answer(request, [1, 2, 3]))
+    await slave.start()
+    pty = RtuSlave(CountingSlave())
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    for link in (f"tcp://127.0.0.1:{slave.port}", f"rtu://{pty.path}"):
+        results = Results()
+        async with running([device(link)], results):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (3, limits[1]))
+            try:
+                first = await results.until(lambda result: True)
+            finally:
+                resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+            back = await results.until(well)
+        assert first.fault is Fault.DISCONNECTED
+        assert "no file descriptor is left for the line" in first.detail
+        assert back.device == "imu"
+    pty.close()
+    await slave.stop()
+    assert [record.getMessage() for record in caplog.records] == []
+
+
+async def test_a_name_with_several_addresses_is_tried_at_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    slave = TcpSlave(lambda request: tcp_answer(request, [1, 2, 3]))
+    await slave.start()
+
+    async def addresses(name: Name, timeout_s: float) -> list[str]:
+        return ["127.0.0.9", "127.0.0.1"]  # Nobody listens at the first.
+
+    monkeypatch.setattr(Name, "addresses", addresses)
+    results = Results()
+    async with running([device(f"tcp://plc.ship:{slave.port}")], results):
+        first = (await results.number(1))[0]
+    await slave.stop()
+    assert well(first)
+
+
+async def test_a_name_that_is_not_known_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def addresses(name: Name, timeout_s: float) -> list[str]:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(Name, "addresses", addresses)
+    results = Results()
+    async with running([device("tcp://plc.ship:502")], results):
+        first = (await results.number(1))[0]
+    assert first.fault is Fault.DISCONNECTED
+    assert "host name plc.ship is unknown (Name or service not known): check it, or write the IP" in first.detail
+
+
 async def test_port_is_opened_for_us_alone() -> None:
     slave = RtuSlave(CountingSlave())
     results, second = Results(), Results()
@@ -557,7 +776,8 @@ async def test_nothing_floods_the_log(caplog: pytest.LogCaptureFixture) -> None:
     know: what is wrong stands in the results."""
     caplog.set_level(logging.INFO)
     serial_slave = RtuSlave(lambda request: b"\x50\x08\x00")
-    tcp_slave = TcpSlave(lambda request: mbap(request, b"\x63\x06"))
+    bad = itertools.cycle((b"\x63\x06", b"\x03\x08" + bytes(6), b"\x03\x05" + bytes(5), b"\x03\x02", b"\x83\x02\x02"))
+    tcp_slave = TcpSlave(lambda request: mbap(request, next(bad)))
     await tcp_slave.start()
     results = Results()
     async with running([device(f"rtu://{serial_slave.path}", timeout_ms=10.0)], results):

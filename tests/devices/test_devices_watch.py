@@ -7,6 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from modbus_slaves import counter_profile, crc, device, mbap_answer, rtu, rtu_answer
+from pymodbus.framer import FramerSocket
+from pymodbus.pdu import DecodePDU
 
 from heaved.devices.answers import (
     Request,
@@ -19,9 +21,9 @@ from heaved.devices.answers import (
     tcp_stream_is_whole,
 )
 from heaved.devices.line import RtuLink
-from heaved.devices.polling import Reading, Station, resync_counts
+from heaved.devices.polling import Reading, Station, cuts
 from heaved.devices.profile import Block, Field, Profile
-from heaved.devices.watch import Ask, Contact, DeviceWatch
+from heaved.devices.watch import Contact, DeviceWatch
 from heaved.samples import Fault
 
 ASKED = Request(80, 3, 2)
@@ -71,6 +73,17 @@ def test_no_noise_is_an_answer_unless_it_is_one(noise: bytes) -> None:
     find_tcp_answer(noise, 1, ASKED)
 
 
+SENT = rtu(b"\x50\x03\x00\x34\x00\x02")
+
+
+@pytest.mark.parametrize("heard", [b"", SENT])
+def test_a_late_answer_explains_a_silence(heard: bytes) -> None:
+    explanation = explain_rtu_silence(heard, ASKED, sent=SENT, late_s=0.0614)
+    assert explanation.fault is Fault.TIMEOUT
+    assert "the latest came 61 ms after its request: raise timeout_ms" in explanation.detail
+    assert "61 ms after its request" in explain_tcp_silence(b"", 9, ASKED, late_s=0.0614).detail
+
+
 @pytest.mark.parametrize(
     ("heard", "fault", "words"),
     [
@@ -78,10 +91,15 @@ def test_no_noise_is_an_answer_unless_it_is_one(noise: bytes) -> None:
         (LATE, Fault.LENGTH, "3 registers instead of 2"),
         (OTHER, Fault.TIMEOUT, "device id 7"),
         (b"\x00\x01\x02", Fault.CRC, "00 01 02"),
+        (SENT, Fault.TIMEOUT, "only the own request came back"),
+        (SENT + b"\x00\x01\x02", Fault.CRC, "3 bytes that are no valid frame (00 01 02)"),
+        (SENT + GOOD[:5], Fault.TIMEOUT, "only begun (5 of 9 bytes): raise timeout_ms"),
+        (GOOD[:1], Fault.TIMEOUT, "only begun (1 of 9 bytes): raise timeout_ms"),
+        (GOOD[4:], Fault.CRC, "the rest of a late answer, raise timeout_ms"),
     ],
 )
 def test_rtu_silence_is_explained(heard: bytes, fault: Fault, words: str) -> None:
-    explanation = explain_rtu_silence(heard, ASKED)
+    explanation = explain_rtu_silence(heard, ASKED, sent=SENT)
     assert explanation.fault is fault
     assert words in explanation.detail
 
@@ -115,6 +133,22 @@ def test_tcp_silence_is_explained(heard: bytes, fault: Fault, words: str, whole:
     assert explanation.fault is fault
     assert words in explanation.detail
     assert tcp_stream_is_whole(heard) is whole
+
+
+@given(st.binary(min_size=2, max_size=60), st.integers(0, 12), st.booleans())
+def test_what_is_let_through_can_be_read(pdu: bytes, number: int, is_read: bool) -> None:
+    """Whatever stands behind a right header: pymodbus, which gets the answer, must not fail over it."""
+    body = b"\x03" + pdu[1:] if is_read else pdu
+    frame = mbap_answer(number, 80, body)
+    if found := find_tcp_answer(frame, 9, ASKED):
+        assert found == frame
+        _, response = FramerSocket(DecodePDU(False)).handleFrame(found, 80, 9)
+        assert response is not None
+        if not response.isError():
+            assert 2 * len(response.registers) == body[1] == len(body) - 2
+    elif number == 9 and body[0] == 3:
+        assert body[1] != len(body) - 2 or body[1] % 2
+        assert explain_tcp_silence(frame, 9, ASKED).fault is Fault.LENGTH
 
 
 def test_exceptions_have_names() -> None:
@@ -204,113 +238,160 @@ def test_stale_allows_for_coarse_clocks_and_slow_polls(rate_hz: float, unit: str
 
 def contact(**changes: object) -> Contact:
     settings: dict[str, object] = {
-        "numbered": False, "resync_counts": (1, 2), "alone": True, "timeout_s": 0.05, "opened_s": 0.0,
+        "numbered": False, "lengths": (12,), "alone": True, "timeout_s": 0.05, "opened_s": 0.0,
     }  # fmt: skip
     return Contact(**{**settings, **changes})  # type: ignore[arg-type]
 
 
+CUTS = tuple(range(1, 12))
+
+
+def settled(**changes: object) -> Contact:
+    """A slave that has answered for so long that nothing older can be under way."""
+    slave = contact(**changes)
+    slave.answered(9.0)
+    assert slave.plan(10.0, 12) == (12,)
+    slave.answered(10.0)
+    return slave
+
+
 def test_numbered_answers_need_no_care() -> None:
-    tcp = contact(numbered=True, resync_counts=())
+    tcp = contact(numbered=True)
     for number in range(100):
-        assert tcp.ask(number * 0.05) is Ask.READ
+        assert tcp.plan(number * 0.05, 12, CUTS) == (12,)
         tcp.missed(number * 0.05, 12)
 
 
-def test_serial_slave_is_resynchronised_after_opening_and_after_a_miss() -> None:
+def test_no_length_is_asked_for_while_an_answer_of_it_may_come() -> None:
     slave = contact()
-    assert slave.ask(0.0) is Ask.RESYNC
-    slave.answered(0.01)
-    assert slave.ask(0.02) is Ask.READ
-    slave.missed(0.08, 12)
-    assert slave.ask(0.08) is Ask.RESYNC
-    slave.answered(0.1)
-    assert slave.ask(0.1) is Ask.READ
-    slave.reopened(0.2)
-    assert slave.ask(0.2) is Ask.RESYNC
+    (length,) = slave.plan(0.01, 12)  # opened just now: somebody else may have asked, whose answer would come first
+    assert length > 12
+    slave.answered(0.02)
+    assert slave.plan(0.03, 12) == (12,)
+    slave.answered(0.04)
+    slave.missed(1.0, 12)
+    (length,) = slave.plan(1.01, 12)
+    assert length > 12
+    slave.answered(1.02)
+    assert slave.plan(1.49, 12) != (12,)  # it answers, but not necessarily in order
+    assert slave.plan(1.51, 12) == (12,)
+    slave.reopened(1.52)
+    assert slave.plan(1.53, 12) != (12,)
 
 
 def test_no_two_requests_under_way_look_the_same() -> None:
-    slave = contact(resync_counts=(1, 2, 5))
-    slave.answered(10.0)
+    slave = settled()
     slave.missed(10.05, 12)
-    counts = []
-    while slave.ask(10.1) is Ask.RESYNC:
-        counts.append(slave.resync_count())
-        slave.missed(10.1, counts[-1])
-    assert sorted(counts) == [1, 2, 5]
+    taken = {12}
+    while parts := slave.plan(10.1, 12, CUTS):
+        assert sum(parts) >= 12
+        assert taken.isdisjoint(parts)
+        slave.missed(10.1, parts[0])
+        taken.add(parts[0])
     # All lengths are taken: it rests, until no answer to any of them can come any more.
-    assert slave.ask(10.59) is Ask.NOTHING
-    assert slave.ask(10.61) in (Ask.READ, Ask.RESYNC)
-    slave.answered(10.7)
-    slave.missed(10.75, 12)
-    assert slave.ask(10.8) is Ask.RESYNC
+    assert {12, *range(13, 21)} < taken
+    assert slave.plan(10.59, 12, CUTS) == ()
+    assert slave.plan(10.61, 12, CUTS) == (12,)
+
+
+def test_an_overdue_answer_is_waited_for_while_the_slave_answers_nothing() -> None:
+    """A slave that works through its requests one after the other gets later with each."""
+    slave = settled()
+    for number in range(6):
+        slave.missed(10.1 + 0.1 * number, 12 + number)
+    assert slave.plan(10.65, 12, CUTS, most=17) == ()  # it is silent by now
+    slave.refused(10.66, 13, 6)
+    assert slave.plan(10.67, 12, CUTS, most=17) != (12,)  # although asked for over half a second ago
+    slave.answered(10.68)
+    assert slave.plan(10.69, 12, CUTS, most=17) == (12,)
+    assert slave.plan(10.69, 15, CUTS, most=17) != (15,)
+
+
+def test_a_slave_that_refuses_longer_reads_is_read_in_parts() -> None:
+    slave = settled()
+    slave.missed(10.1, 12)
+    (longer,) = slave.plan(10.11, 12, (1, 2, 6, 11))
+    assert not slave.is_plain
+    slave.refused(10.12, longer, 2)
+    assert slave.plan(10.13, 12, (1, 2, 6, 11)) == (11, 1)
+    slave.answered(10.14)
+    slave.missed(10.15, 1)
+    assert slave.plan(10.16, 12, (1, 2, 6, 11)) == (6, 6)
+    # Values of two registers: no part may end within them.
+    assert slave.plan(10.16, 12, (2, 4, 6, 8)) == (8, 4)
+
+
+def test_no_read_goes_beyond_what_may_be_asked_for() -> None:
+    """125 registers (Modbus application protocol, 6.3), and register 65535."""
+    slave = settled()
+    slave.missed(10.1, 125)
+    assert slave.plan(10.11, 125, (60,), most=1000) == (60, 65)
+    slave = settled()
+    slave.missed(10.1, 12)
+    assert slave.plan(10.11, 12, (6,), most=12) == (6, 6)
+    assert slave.plan(10.11, 12, (6,), most=13) == (13,)
+
+
+def test_what_comes_unasked_may_come_again() -> None:
+    slave = settled()
+    slave.heard(10.1, 12)
+    assert slave.plan(10.11, 12) != (12,)
+    slave = settled()
+    slave.missed(10.1, 12)
+    slave.heard(10.15, 12)  # that was it
+    assert slave.plan(10.16, 12) == (12,)
 
 
 def test_an_exception_proves_nothing_of_what_is_under_way() -> None:
-    slave = contact(resync_counts=(1, 2))
-    slave.answered(0.0)
-    slave.missed(0.1, 12)
-    slave.refused(0.2, slave.resync_count())
-    assert slave.ask(0.3) is Ask.NOTHING
-    assert slave.ask(0.71) is Ask.READ
-    slave.answered(0.8)
-    slave.refused(0.9, 12)  # busy: the read itself was refused
-    assert slave.ask(0.91) is Ask.RESYNC
-    slave.answered(0.92)
-    assert slave.ask(0.93) is Ask.READ
+    slave = settled()
+    slave.refused(10.1, 12, 6)  # busy: the only request under way was refused
+    assert slave.plan(10.11, 12) == (12,)
+    assert slave.is_plain
+    slave.missed(10.2, 12)
+    (longer,) = slave.plan(10.21, 12)
+    slave.refused(10.22, longer, 6)  # this may be of either
+    assert slave.plan(10.23, 12) not in ((12,), (longer,))
 
 
 def test_slave_without_another_length_rests_half_a_second_or_two_timeouts() -> None:
     for timeout_s, rest_s in ((0.05, 0.5), (1.0, 2.0)):
-        slave = contact(resync_counts=(), timeout_s=timeout_s)
-        slave.answered(1.0)
-        slave.missed(2.0, 1)
-        assert slave.ask(2.0 + 0.99 * rest_s) is Ask.NOTHING
-        assert slave.ask(2.0 + 1.01 * rest_s) is Ask.READ
+        slave = settled(timeout_s=timeout_s)
+        slave.missed(15.0, 1)
+        (longer,) = slave.plan(15.1, 1)
+        slave.refused(15.1, longer, 2)
+        slave.answered(18.0)
+        assert slave.plan(18.0, 1) == (1,)
+        slave.missed(18.0, 1)
+        assert slave.plan(18.0 + 0.99 * rest_s, 1) == ()
+        assert slave.plan(18.0 + 1.01 * rest_s, 1) == (1,)
 
 
 @pytest.mark.parametrize("numbered", [True, False])
 def test_silent_slave_among_others_is_asked_twice_a_second(numbered: bool) -> None:
-    slave = contact(numbered=numbered, alone=False)
-    slave.answered(0.0)
-    asked, now_s = [], 0.0
-    while now_s < 10.0:
-        if slave.ask(now_s) is not Ask.NOTHING:
+    slave = settled(numbered=numbered, alone=False)
+    asked, now_s = [], 10.0
+    while now_s < 20.0:
+        if lengths := slave.plan(now_s, 12, CUTS):
             now_s += 0.05
-            asked.append(now_s)
-            slave.missed(now_s, 12)
+            asked.append((now_s, lengths))
+            slave.missed(now_s, lengths[0])
         now_s += 0.01
-    # Half a second at full rate, then at most two probes a second.
-    assert sum(t_s > 1.0 for t_s in asked) <= 18
-    assert sum(t_s > 1.0 for t_s in asked) >= 14
+    # Half a second at full rate, then at most two probes a second, and each for what is wanted: some devices answer
+    # nothing else.
+    late = [lengths for t_s, lengths in asked if t_s > 11.2]
+    assert 14 <= len(late) <= 18
+    assert set(late) == {(12,)}
     slave.answered(now_s)
-    assert slave.ask(now_s + 0.01) is Ask.READ
+    assert slave.plan(now_s + 0.01, 12)
 
 
-def test_silent_serial_slave_is_probed_both_ways_in_turn() -> None:
-    slave = contact()
-    slave.answered(0.0)
-    for _ in range(4):
-        slave.missed(0.6, 12)
-    asks = []
-    for number in range(6):
-        now_s = 2.0 + number
-        asks.append(slave.ask(now_s))
-        slave.missed(now_s, 12)
-    assert asks == [Ask.READ, Ask.RESYNC] * 3
-
-
-def test_resync_counts_avoid_every_regular_length() -> None:
-    def spec(*lengths: int) -> object:
-        blocks = tuple(
-            Block(start=0, fields=(Field(quantity="az_mps2", offset=length - 1, unit="g"),)) for length in lengths
-        )
-        return device("rtu:///dev/a", profile=Profile(name="p", blocks=blocks))
-
-    assert resync_counts([spec(1)]) == ()  # type: ignore[list-item]
-    assert resync_counts([spec(4)]) == (1, 2, 3)  # type: ignore[list-item]
-    assert resync_counts([spec(4), spec(1, 3)]) == (2,)  # type: ignore[list-item]
-    assert resync_counts([spec(12)]) == (1, 2, 3, 4, 5, 6, 7, 8)  # type: ignore[list-item]
+def test_a_block_is_divided_between_its_values() -> None:
+    fields = (
+        Field(quantity="ax_mps2", offset=0, unit="g"),
+        Field(quantity="az_mps2", offset=1, type="float32", unit="g"),
+        Field(quantity="roll_rad", offset=5, type="int32", unit="deg"),
+    )
+    assert cuts(Block(start=0, fields=fields)) == (1, 3, 4, 5)
 
 
 # ---- results ---------------------------------------------------------------------------------------------------------

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
+import random
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pathlib import Path
 
 import msgspec
 import pytest
+from modbus_slaves import RtuSlave, TcpSlave, mbap_answer, rtu_answer, tcp_answer
 
 from heaved.config.read import packaged_profiles
 from heaved.devices.line import parse_link
-from heaved.devices.probe import parse_ids, plausibility, probe
+from heaved.devices.probe import Report, parse_ids, plausibility, probe
 from heaved.devices.profile import DeviceSpec, Profile, Quantity
 from heaved.samples import ImuSample, LaserSample, Sample
 from heaved.simulate.plant import SimulatedPlant
@@ -22,14 +25,15 @@ IMU, LASER = PROFILES["heaved-sim-imu"], PROFILES["heaved-sim-laser"]
 
 
 class AtAnchor:
-    """A ship that lies still, a little heeled."""
+    """A ship that lies still, a little heeled; her sensors are noisy."""
 
     def read(self, device: DeviceSpec, t_s: float) -> Sample:
+        noise = 0.01 * math.sin(1e3 * t_s)
         if device.role == "laser":
-            return LaserSample(t_s=t_s, laser_m=11.5)
+            return LaserSample(t_s=t_s, laser_m=11.5 + noise)
         heel = math.radians(3.0)
         return ImuSample(
-            t_s=t_s, ax_mps2=0.01, ay_mps2=9.81 * math.sin(heel), az_mps2=9.81 * math.cos(heel), roll_rad=heel,
+            t_s=t_s, ax_mps2=noise, ay_mps2=9.81 * math.sin(heel), az_mps2=9.81 * math.cos(heel), roll_rad=heel,
             pitch_rad=0.02, yaw_rad=1.0, gx_radps=0.001, gy_radps=-0.002, gz_radps=0.003,
         )  # fmt: skip
 
@@ -64,7 +68,138 @@ async def served(profile: Profile, role: str, device_id: int) -> AsyncIterator[s
 
 async def report(line: AbstractAsyncContextManager[str], profiles: tuple[Profile, ...], ids: str = "1-8") -> list[str]:
     async with line as link:
-        return await probe(parse_link(link), parse_ids(ids), profiles, 0.5, lambda device_id: None)
+        found = await probe(parse_link(link), parse_ids(ids), profiles, 0.5, lambda device_id: None)
+    assert found.hints == []
+    return found.lines
+
+
+async def reported(slave: TcpSlave | RtuSlave, ids: str, timeout_s: float = 0.5) -> Report:
+    """What is found on the slave's line among all packaged profiles."""
+    if isinstance(slave, TcpSlave):
+        await slave.start()
+        link = f"tcp://127.0.0.1:{slave.port}"
+    else:
+        link = f"rtu://{slave.path}?baudrate=115200"
+    try:
+        return await probe(parse_link(link), parse_ids(ids), packaged_profiles(), timeout_s, lambda device_id: None)
+    finally:
+        if isinstance(slave, TcpSlave):
+            await slave.stop()
+        else:
+            slave.close()
+
+
+def wt901(number: int) -> list[int]:
+    """Registers 0x34..0x3F of a sensor at rest, by its manual: 2048 per g, 182 per degree; noise of some counts."""
+    return [word & 0xFFFF for word in (number % 3, -number % 4, 2048 + number % 5, 1, -1, 2, 0, 0, 0, 364, -182, 91)]
+
+
+def asked_for(request: bytes, registers: list[int], start: int) -> bytes | None:
+    """The answer of a TCP slave that has ``registers`` from ``start`` on in holding registers, None: an exception."""
+    first, count = int.from_bytes(request[8:10]) - start, int.from_bytes(request[10:12])
+    if request[7] != 3 or first < 0 or first + count > len(registers):
+        return mbap_answer(int.from_bytes(request[:2]), request[6], bytes((request[7] | 0x80, 2)))
+    return tcp_answer(request, registers[first : first + count])
+
+
+async def test_a_sensor_comes_before_the_simulator_that_imitates_it() -> None:
+    slave = TcpSlave(lambda request: asked_for(request, wt901(len(slave.requests)), 0x34))
+    lines = (await reported(slave, "80")).lines
+    assert lines[0] == "id 80: fits"
+    names = [line.split()[1] for line in lines if "%" in line]
+    assert names[0] == "witmotion-wt901c485"
+    assert "heaved-sim-imu16" in names[1:]
+
+
+REGISTERS_OF_ANYTHING = {
+    "random, the same for ever": lambda chance, memory: memory,
+    "random, each time anew": lambda chance, memory: [chance.randrange(65536) for _ in memory],
+    "a counter": lambda chance, memory: [memory[0], *memory[:-1]] if memory.insert(0, memory[0] + 1) is None else [],
+}
+
+
+@pytest.mark.parametrize("name", REGISTERS_OF_ANYTHING)
+@pytest.mark.parametrize("seed", [1, 2])
+async def test_registers_of_anything_fit_nothing(name: str, seed: int) -> None:
+    chance = random.Random(seed)
+    memory = [chance.randrange(60000) for _ in range(256)]
+
+    def answer(request: bytes) -> bytes:
+        words = REGISTERS_OF_ANYTHING[name](chance, memory)
+        first, count = int.from_bytes(request[8:10]) % 128, int.from_bytes(request[10:12])
+        return tcp_answer(request, words[first : first + count])
+
+    lines = (await reported(TcpSlave(answer), "5")).lines
+    assert lines[0] in ("id 5: could be", "id 5: answers, but no known profile fits")
+
+
+async def test_a_sensor_that_stands_is_a_mere_possibility() -> None:
+    lines = (await reported(TcpSlave(lambda request: asked_for(request, wt901(1), 0x34)), "80")).lines
+    assert lines[:2] == ["id 80: could be", "  100%  witmotion-wt901c485"]
+    assert "nothing in it changes" in lines[4]
+
+
+async def test_a_slave_that_closes_after_each_answer_is_examined_all_the_same() -> None:
+    slave = TcpSlave(lambda request: asked_for(request, wt901(len(slave.requests)), 0x34), idle_s=0.0)
+    lines = (await reported(slave, "1-3")).lines
+    assert [line for line in lines if line.startswith("id")] == ["id 1: fits", "id 2: fits", "id 3: fits"]
+
+
+async def test_probing_goes_on_after_answers_that_are_none() -> None:
+    def answer(request: bytes) -> bytes | None:
+        number = int.from_bytes(request[:2])
+        match request[6]:
+            case 1:
+                return mbap_answer(number, 1, b"\x03\x08" + bytes(6))
+            case 2:
+                return b"SSH-2.0-OpenSSH_9.6\r\n"
+            case 3:
+                return None
+            case 4:
+                return b""
+        return asked_for(request, wt901(len(slave.requests)), 0x34)
+
+    slave = TcpSlave(answer)
+    found = await reported(slave, "1-5", timeout_s=0.02)
+    assert [line for line in found.lines if line.startswith("id")] == [
+        "id 1: answers, but no known profile fits", "id 5: fits",
+    ]  # fmt: skip
+    hints = "\n".join(found.hints)
+    assert "heard of id 1: an answer whose byte count says 8" in hints
+    assert "heard of id 2: 21 bytes that are no whole Modbus TCP frame" in hints
+    assert "heard of id 3: the connection was lost" in hints
+    assert "id 4" not in hints
+
+
+@pytest.mark.parametrize("serial", [True, False])
+async def test_a_late_device_is_named_with_the_timeout_that_it_needs(serial: bool) -> None:
+    loop = asyncio.get_running_loop()
+    underway: list[asyncio.TimerHandle] = []
+
+    def answer(request: bytes) -> bytes:
+        if request[0 if serial else 6] == 7:
+            data = rtu_answer(request, [1]) if serial else tcp_answer(request, [1])
+            say = slave.say if isinstance(slave, RtuSlave) else slave.say_to_all
+            underway.append(loop.call_later(0.1, say, data))
+        return b""
+
+    slave = RtuSlave(answer) if serial else TcpSlave(answer)
+    found = await reported(slave, "6-8", timeout_s=0.03)
+    for handle in underway:
+        handle.cancel()
+    assert found.lines == []
+    (hint,) = found.hints
+    assert hint.startswith("id 7 answers, but only 0.1")
+    assert float(hint.split("--timeout ")[1]) >= 0.2
+
+
+async def test_wrong_baud_rate_and_echo_are_told_from_silence() -> None:
+    slave = RtuSlave(lambda request: bytes(range(0xF0, 0xFA)) if request[0] == 2 else request)
+    found = await reported(slave, "1-2", timeout_s=0.05)
+    assert found.lines == []
+    assert "heard of id 1: only the own request came back" in found.hints[0]
+    assert "heard of id 2: 10 bytes that are no valid frame" in found.hints[1]
+    assert "baudrate" in found.hints[1]
 
 
 async def test_an_imu_is_found_among_all_packaged_profiles() -> None:

@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from heaved.devices.recording import COLUMNS, IGNORED, Recording, RecordingError, read_recording
+from heaved.devices.recording import (
+    COLUMNS,
+    IGNORED,
+    STAGE_COLUMNS,
+    Recording,
+    RecordingError,
+    read_recording,
+)
 from heaved.samples import ImuSample, LaserSample
 
 HEADER = "t_s,az_mps2,laser_m\n"
@@ -83,6 +92,16 @@ def test_progress_is_measured_in_bytes(tmp_path: Path) -> None:
         assert recording.read_bytes == recording.total_bytes
 
 
+def test_a_pipe_is_read_as_a_file_is() -> None:
+    reading, writing = os.pipe()
+    os.write(writing, (HEADER + "0,9.8,1\n1,9.8,1\n").encode())
+    os.close(writing)
+    with Recording(Path(f"/dev/fd/{reading}")) as recording:
+        assert len(list(recording)) == 2
+        assert (recording.read_bytes, recording.total_bytes) == (0, 0)
+    os.close(reading)
+
+
 REFUSED_ROWS = {
     "word": ("0,9.8,1\n1,abc,1\n", 3, "az_mps2", "'abc' is not a number"),
     "nan text": ("0,nan,1\n", 2, "az_mps2", "'nan' is not finite"),
@@ -101,10 +120,19 @@ REFUSED_ROWS = {
     "cut short": ("0,9.8,1\n1,9.", 3, "", "2 cells"),
     "time repeats": ("0,9.8,1\n1,9.8,1\n1,9.8,1\n", 4, "t_s", "does not come after 1.0"),
     "time runs back": ("5,9.8,1\n\n4,9.8,1\n", 4, "t_s", "'4' does not come after 5.0"),
+    "time stands still": ("0,9.8,1\n5e-324,9.8,1\n", 3, "t_s", "'5e-324' does not come after 0.0"),
     "no time": ("0,9.8,1\n,9.8,1\n", 3, "t_s", "is blank"),
     "open quote": ('0,"9.8,1\n', 2, "", "is not CSV"),
     "no rows": ("", 0, "", "no rows"),
     "a long cell": ("0," + "x" * 1000 + ",1\n", 2, "az_mps2", "…' is not a number"),
+    "beyond any accelerometer": ("0,1001,1\n", 2, "az_mps2", "more than any sensor measures (1000 mps2)"),
+    "near the end of a double": ("0,9.8,1\n1,-1e308,1\n", 3, "az_mps2", "'-1e308' is more than any sensor"),
+    "beyond any laser": ("0,9.8,1e5\n", 2, "laser_m", "more than any sensor measures (10000 m)"),
+    "a time of 1e300": ("1e300,9.8,1\n", 2, "t_s", "is no time in seconds"),
+    "milliseconds since 1970": ("1767225600000,9.8,1\n", 2, "t_s", "is t_s in ms?"),
+    "microseconds since 1970": ("1767225600000000,9.8,1\n", 2, "t_s", "is t_s in µs?"),
+    "nanoseconds since 1970": ("1767225600000000000,9.8,1\n", 2, "t_s", "is t_s in ns?"),
+    "an endless line": ("0,9.8,1\n" + "1" * 200_000 + ",9.8,1\n", 3, "", "1 cells, but the header has 3"),
     "null bytes": ("0,\0\0,1\n", 2, "", "is not"),
 }
 
@@ -118,6 +146,65 @@ def test_malformed_rows_are_refused_with_their_place(tmp_path: Path, name: str) 
     if column:
         assert error.column == column
         assert f"line {line}, column {column}" in str(error)
+
+
+@pytest.mark.parametrize("name", [name for name in COLUMNS + STAGE_COLUMNS if name not in ("t_s", "az_mps2")])
+def test_no_column_takes_what_no_sensor_measures(tmp_path: Path, name: str) -> None:
+    error = refusal(write(tmp_path, f"t_s,az_mps2,{name}\n0,9.8,-9.9e9\n"))
+    assert (error.line, error.column) == (2, name)
+    assert "more than any sensor measures" in error.reason
+    largest = {"mps2": 1e3, "deg": 1e4, "radps": 1e3, "m": 1e4, "mps": 1e3}[name.rpartition("_")[2]]
+    assert len(list(read_recording(write(tmp_path, f"t_s,az_mps2,{name}\n0,9.8,{-largest}\n")))) == 1
+
+
+def stamped(times: Iterable[float]) -> str:
+    return "t_s,az_mps2\n" + "".join(f"{t!r},9.8\n" for t in times)
+
+
+TOO_SLOW = {
+    "ms, 20 Hz": ([50.0 * k for k in range(30)], 3, "samples 50 s apart: is t_s in ms? (20 samples a second"),
+    "ms, 200 Hz": ([5.0 * k for k in range(30)], 3, "samples 5 s apart: is t_s in ms? (200 samples a second"),
+    "ms, a file of three": ([0.0, 50.0, 100.0], 3, "samples 50 s apart: is t_s in ms?"),
+    "ms, a hole and jitter": (
+        [0.0, 5e6, *(5e6 + 50.0 * k + k % 3 for k in range(1, 30))], 3, "s apart: is t_s in ms?"
+    ),
+    "µs, 100 Hz": ([1e4 * k for k in range(30)], 3, "samples 10000 s apart: is t_s in µs? (100 samples a second"),
+    "µs, 500 Hz": ([2e3 * k for k in range(30)], 3, "samples 2000 s apart: is t_s in µs? (500 samples a second"),
+    "ns, 100 Hz": ([1e7 * k for k in range(30)], 3, "samples 1e+07 s apart: is t_s in ns? (100 samples a second"),
+    "2 s": ([2.0 * k for k in range(30)], 3, "samples 2 s apart: too slow to show waves"),
+    "3 s": ([1.7e9 + 3.0 * k for k in range(30)], 3, "samples 3 s apart: too slow to show waves"),
+    "2.5 s after a quick start": ([0.0, 0.1, *(2.5 * k for k in range(1, 30))], 4, "samples 2.5 s apart: too slow"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TOO_SLOW)
+def test_samples_seconds_apart_are_refused_with_what_is_likely(tmp_path: Path, name: str) -> None:
+    times, line, reason = TOO_SLOW[name]
+    error = refusal(write(tmp_path, stamped(times)))
+    assert (error.line, error.column) == (line, "t_s")
+    assert reason in error.reason
+
+
+NOT_TOO_SLOW = {
+    "one row": [0.0],
+    "two rows": [0.0, 60.0],
+    "1 Hz": [1.0 * k for k in range(30)],
+    "a hole at the start": [0.0, 3600.0, *(3600.0 + 0.05 * k for k in range(1, 30))],
+    "a hole at the start of a short one": [0.0, 3600.0, 3600.05, 3600.1],
+    "every other sample lost for long": [t for k in range(30) for t in (10.0 * k, 10.0 * k + 0.05)],
+    "slow later": [0.05 * k for k in range(30)] + [10.0 + 3.0 * k for k in range(30)],
+}
+
+
+@pytest.mark.parametrize("name", NOT_TOO_SLOW)
+def test_a_recording_with_holes_is_not_slow(tmp_path: Path, name: str) -> None:
+    times = NOT_TOO_SLOW[name]
+    assert len(list(read_recording(write(tmp_path, stamped(times))))) == len(times)
+
+
+def test_rows_without_an_imu_say_nothing_of_its_interval(tmp_path: Path) -> None:
+    body = "".join(f"{10.0 * k!r},,1\n" for k in range(30)) + "".join(f"{300 + 0.05 * k:.2f},9.8,\n" for k in range(30))
+    assert len(list(read_recording(write(tmp_path, HEADER + body)))) == 60
 
 
 REFUSED_HEADERS: dict[str, tuple[str | bytes, str]] = {

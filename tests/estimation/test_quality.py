@@ -26,7 +26,7 @@ WELL = Facts(
     laser_fresh=True,
 )
 VALID, SETTLING, DEGRADED, INVALID = HeaveState.VALID, HeaveState.SETTLING, HeaveState.DEGRADED, HeaveState.INVALID
-BROAD = "error above a fifth of the heave: the model does not fit this sea"
+BROAD = "error above a fifth of the heave"
 TILT = "no attitude or no horizontal acceleration: tilt not removed"
 
 TABLE = [
@@ -49,6 +49,14 @@ TABLE = [
     ({"error_std_m": 0.005, "heave_std_m": 0.006}, VALID, ()),
     ({"error_std_m": 0.12, "std_scale": 0.5}, DEGRADED, (BROAD,)),
     ({"error_std_m": 0.12, "std_scale": 2.0}, DEGRADED, ("laser and observer disagree",)),
+    ({"error_std_m": 0.26}, INVALID, ("error above half of the heave",)),
+    ({"error_std_m": 0.26, "tilt_removed": False}, INVALID, ("error above half of the heave", TILT)),
+    ({"error_std_m": 0.26, "std_scale": 3.0}, DEGRADED, ("laser and observer disagree",)),
+    ({"error_std_m": 0.26, "settled_s": 16.0}, SETTLING, (BROAD, "settling: 16 s of 30 s")),
+    ({"error_std_m": 0.024, "heave_std_m": 0.01}, DEGRADED, (BROAD,)),
+    ({"period_s": 0.25}, VALID, ()),
+    ({"period_s": 0.5}, DEGRADED, ("imu: 2.0 samples a second: waves shorter than 1.4 s are lost",)),
+    ({"period_s": 2.0}, INVALID, ("imu: samples 2.0 s apart do not show waves",)),
     ({"std_scale": 3.1}, DEGRADED, ("laser and observer disagree",)),
     ({"missing": 0.24}, VALID, ()),
     ({"missing": 0.3}, DEGRADED, ("imu: 30 % of the samples missing",)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from heaved.estimation.sea_record import CUT_BEATS, SeaRecord
+from heaved.estimation.sea_record import SeaRecord
 
 BEAT_S = 0.05
 
@@ -60,13 +60,17 @@ def test_only_the_answer_that_is_awaited_is_taken_and_that_once() -> None:
     assert not record.answered(third)
 
 
-def test_a_cut_leaves_a_hole() -> None:
+def test_a_cut_is_remembered_for_as_long_as_what_it_cuts() -> None:
     record = SeaRecord(120.0, 40.0, 20.0)
     for k in range(10):
         record.push(float(k), 0.0)
-    record.cut()
+    record.cut(9.5, 12.0)
     for k in range(10, 20):
         assert record.follows(float(k))
         record.push(float(k), 0.0)
-    assert record.since(0.0)[:, 0].tolist() == [*map(float, range(10)), *map(float, range(10 + CUT_BEATS, 20))]
+    assert record.since(0.0)[:, 0].tolist() == list(map(float, range(20)))
+    record.cut(100.0, 101.0)
+    assert record.cuts_s == ((9.5, 12.0), (100.0, 101.0))
+    record.cut(140.0, 140.0)
+    assert record.cuts_s == ((100.0, 101.0), (140.0, 140.0))
     assert not record.follows(19.0)

@@ -7,7 +7,7 @@ import pytest
 from seas import Kalman, model, simulated
 
 from heaved.estimation.sea_model import SeaSystem, Steady, measurement_variance
-from heaved.estimation.sea_run import BLOCK, FULL_S, Record, even, run
+from heaved.estimation.sea_run import BLOCK, FULL_S, UNSURE, Record, even, run
 
 DT_S = 0.05
 Array = np.ndarray
@@ -118,7 +118,7 @@ def test_after_a_hole_state_and_covariance_are_those_of_the_whole_filter(
 def test_after_a_hole_predictions_and_innovations_are_those_of_the_whole_filter(
     hole_s: float, system: SeaSystem, steady: Steady, sea: tuple[Array, Array]
 ) -> None:
-    """Sample by sample, each from those before it; left out while the heave is half as unsure again as usual."""
+    """Sample by sample, each from those before it; left out while the heave or the innovation is a tenth less sure."""
     count, begin, end = 7600, 6800, 6800 + round(hole_s / DT_S)
     known = np.ones(count, dtype=np.bool_)
     known[begin:end] = False
@@ -128,18 +128,20 @@ def test_after_a_hole_predictions_and_innovations_are_those_of_the_whole_filter(
     )
     F, Q = system.transition(DT_S)
     usual_m = float(np.sqrt(system.heave @ steady.P @ system.heave))
-    for i, z in enumerate(sea[1][: end + 400].tolist()):
+    for i, z in enumerate(sea[1][: end + 600].tolist()):
         theirs.x, theirs.P = F @ theirs.x, F @ theirs.P @ F.T + Q
         std_m = float(np.sqrt(system.heave @ theirs.P @ system.heave))
+        S = float(system.H @ theirs.P @ system.H) + theirs.R
         if known[i]:
             before, y = theirs.update(z)
         if i >= end:
-            assert abs(done.innovation[i] - y) < 1e-3 * np.sqrt(steady.S)
-            if abs(std_m / usual_m - 1.5) > 1e-3:
-                assert np.isfinite(done.predicted_m[i]) == (std_m < 1.5 * usual_m)
+            assert abs(done.innovation[i] - y * np.sqrt(steady.S / S)) < 1e-3 * np.sqrt(steady.S)
+            least = max(std_m / usual_m, float(np.sqrt(S / steady.S)))
+            if abs(least / UNSURE - 1.0) > 1e-3:
+                assert np.isfinite(done.predicted_m[i]) == (least < UNSURE)
             if np.isfinite(done.predicted_m[i]):
                 assert abs(done.predicted_m[i] - before) < 0.01 * usual_m
-    assert np.isfinite(done.predicted_m[end + 400 :]).all()
+    assert np.isfinite(done.predicted_m[end + 600 :]).all()
 
 
 @pytest.mark.parametrize("kept", [100, 1500])

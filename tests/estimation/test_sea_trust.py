@@ -23,23 +23,23 @@ def swell(peak_period_s: float, *, is_still: bool = False) -> SeaState:
 
 
 DOUBTS = {
-    "well": (1.0, 1.0, True, swell(10.0), 100.0, ()),
-    "not converged, and long enough under way": (1.0, 1.0, False, None, 60.1, (GAP,)),
-    "not converged, as at every start": (1.0, 1.0, False, None, 60.0, ()),
-    "innovations at the fit": (3.1, 1.0, True, None, 100.0, (CHANGING,)),
-    "innovations since, a little": (1.0, 8.9, True, None, 100.0, ()),
-    "innovations since": (1.0, 9.1, False, None, 100.0, (GAP, CHANGING)),
-    "swell": (1.0, 1.0, True, swell(30.0), 100.0, ("swell of 30 s: longer than the sensor can follow",)),
-    "swell of a ship that is still": (1.0, 1.0, True, swell(30.0, is_still=True), 100.0, ()),
+    "well": (1.0, 1.0, False, swell(10.0), 100.0, ()),
+    "recovering, and long enough under way": (1.0, 1.0, True, None, 60.1, (GAP,)),
+    "recovering, as at every start": (1.0, 1.0, True, None, 60.0, ()),
+    "innovations at the fit": (3.1, 1.0, False, None, 100.0, (CHANGING,)),
+    "innovations since, a little": (1.0, 8.9, False, None, 100.0, ()),
+    "innovations since": (1.0, 9.1, True, None, 100.0, (GAP, CHANGING)),
+    "swell": (1.0, 1.0, False, swell(30.0), 100.0, ("swell of 30 s: longer than the sensor can follow",)),
+    "swell of a ship that is still": (1.0, 1.0, False, swell(30.0, is_still=True), 100.0, ()),
 }
 
 
 @pytest.mark.parametrize("name", DOUBTS)
 def test_doubts(name: str) -> None:
-    whiteness, surprise, is_converged, sea, settled_s, expected = DOUBTS[name]
+    whiteness, surprise, is_recovering, sea, settled_s, expected = DOUBTS[name]
     trust = SeaTrust(100)
     trust.fitted(whiteness, 1e3, 0.01, 1.0)
-    trust.beat(surprise, is_converged, sea)
+    trust.beat(surprise, is_recovering, sea)
     assert trust.doubts(settled_s) == expected
     assert trust.is_changing == (max(whiteness, surprise) > 3.0)
 
@@ -50,7 +50,7 @@ def test_what_no_fit_explains_is_no_change() -> None:
     seen = []
     for whiteness in (1.0, 300.0, 40.0, 25.0, 300.0, 300.0):
         trust.fitted(whiteness, 1e3, 0.01, 1.0)
-        trust.beat(1.0, True, None)
+        trust.beat(1.0, False, None)
         assert (trust.doubts(100.0) == (CHANGING,)) == (whiteness > 3.0)
         seen.append(trust.is_changing)
     assert seen == [False, True, False, True, True, False]
@@ -59,7 +59,7 @@ def test_what_no_fit_explains_is_no_change() -> None:
 @pytest.mark.parametrize(("surprise", "factor"), [(0.5, 1.0), (2.0, 1.0), (8.0, 2.0), (18.0, 3.0), (1e4, FACTOR_LIMIT)])
 def test_errors_grow_with_the_innovations(surprise: float, factor: float) -> None:
     trust = SeaTrust(100)
-    trust.beat(surprise, True, None)
+    trust.beat(surprise, False, None)
     assert trust.factor == pytest.approx(factor)
 
 
@@ -71,7 +71,7 @@ def test_what_was_said_is_held_against_what_is_known_later() -> None:
         trust.divergence.say(0.05 * k, error_m, std_m)
         if k > 100:
             trust.divergence.check(DelayedHeave(t_s=0.05 * (k - 100), heave_m=0.0, std_m=0.001))
-    trust.beat(1.0, True, None)
+    trust.beat(1.0, False, None)
     assert trust.factor == pytest.approx(error_m / std_m, rel=0.01)
     assert trust.doubts(100.0) == (f"{error_m / std_m:.1f} times its standard deviation off the delayed heave",)
 

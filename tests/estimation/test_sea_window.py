@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from heaved.estimation.sea import OVERCONFIDENCE
 from heaved.estimation.sea_model import SeaSystem
 from heaved.estimation.sea_run import Record, even
 from heaved.estimation.sea_window import NEWEST_S, Candidate, SeaFit, SeaWindow, look, unbroken, whiteness
@@ -169,11 +170,46 @@ def test_a_hole_leaves_the_spectrum_of_the_sea_as_it_was(hole_s: float, s6: tupl
 
 
 def test_a_record_in_pieces_is_left_alone_when_there_is_a_model(s6: tuple[Array, Array, Array]) -> None:
+    """Holes of seven seconds are too long to be bridged."""
     t, _, a = s6
     before = look(window(t[:4000], a[:4000]))
-    kept = (t % 28.0) < 24.0
+    kept = (t % 31.0) < 24.0
     assert "holes" in look(window(t[kept], a[kept], before)).message
     assert look(window(t[kept], a[kept])).message == ""
+
+
+HOLED = {
+    "0.4 s every 20 s": lambda t, rng: t % 20.0 >= 0.4,
+    "1 s every 20 s": lambda t, rng: t % 20.0 >= 1.0,
+    "half of them": lambda t, rng: rng.random(len(t)) > 0.5,
+    "three quarters of them": lambda t, rng: rng.random(len(t)) > 0.75,
+    "all but every tenth": lambda t, rng: np.arange(len(t)) % 10 == 0,
+}
+
+
+@pytest.mark.parametrize("name", HOLED)
+@pytest.mark.parametrize("is_known_before", [False, True])
+def test_a_record_with_holes_has_the_sea_of_the_whole_one(
+    name: str, is_known_before: bool, s6: tuple[Array, Array, Array]
+) -> None:
+    """Spectrum where the waves are, and heave at the end, as from the record without holes; sensor A."""
+    t, heave, a = s6
+    kept = HOLED[name](t, np.random.default_rng(8))
+    kept[-1] = True
+    whole = look(window(t, a))
+    before = look(window(t[: len(t) // 2][kept[: len(t) // 2]], a[: len(t) // 2][kept[: len(t) // 2]]))
+    holed = look(window(t[kept], a[kept], before if is_known_before else None))
+    assert holed.message == whole.message == ""
+    f = np.linspace(0.07, 0.3, 100)
+    assert whole.model is not None
+    assert holed.model is not None
+    ratio = np.log(holed.model.heave_spectrum(f) / whole.model.heave_spectrum(f))
+    assert np.sqrt(np.mean(ratio**2)) < 0.5
+    system = SeaSystem(holed.model)
+    P = np.frombuffer(holed.P or holed.steady_P).reshape(len(system.H), -1)
+    error_m = float(system.heave @ np.frombuffer(holed.x)) - heave[-1]
+    assert abs(error_m) < 4.0 * OVERCONFIDENCE * np.sqrt(system.heave @ P @ system.heave)
+    assert abs(error_m) < 0.1 * np.std(heave)
 
 
 # --- no record -------------------------------------------------------------------------------------------------------
@@ -186,6 +222,7 @@ BAD = {
     "nan": (T, np.where(T > 100.0, np.nan, np.sin(T)), "gaps in its numbers"),
     "inf": (T, np.where(T > 100.0, np.inf, np.sin(T)), "gaps in its numbers"),
     "backwards": (T[::-1], np.sin(T), "too short"),
+    "two seconds apart": (2.0 * np.arange(300.0), np.sin(np.arange(300.0)), "too far apart"),
     "a time twice": (np.repeat(T[::2], 2), np.sin(T), "gaps in its numbers"),
 }
 

@@ -13,7 +13,9 @@ from typing import Any
 
 import aiohttp
 import pytest
+from aiohttp import web
 from stream_peers import make_frame
+from structlog.testing import capture_logs
 
 from heaved.outputs import http as http_module
 from heaved.outputs.access import ListenError
@@ -115,7 +117,7 @@ async def test_other_paths_and_methods(server: tuple[str, int]) -> None:
     status, content_type, body = await fetch(server, "/admin?x=1")
     assert (status, content_type.split(";")[0]) == (404, "application/json")
     assert "/admin" in json.loads(body)["error"]
-    for method in ("POST", "PUT", "DELETE", "OPTIONS"):
+    for method in ("POST", "PUT", "DELETE", "OPTIONS", "TRACE"):
         status, _, body = await fetch(server, "/metrics", method)
         assert status == 405
         assert method in json.loads(body)["error"]
@@ -129,6 +131,72 @@ async def test_a_peer_outside_the_list(
     assert status == 403
     assert json.loads(body) == {"error": "127.0.0.1 is not in a network of [http] allow"}
     assert health.errors == {"not_allowed": 1}
+
+
+@pytest.mark.parametrize("said", [b"GET /metrics HTTP/1.1\r\n\r\n", b"\x16\x03\x01", b"x" * 100_000])
+async def test_what_a_peer_outside_the_list_says_is_not_looked_at(
+    server: tuple[str, int], health: Health, monkeypatch: pytest.MonkeyPatch, said: bytes
+) -> None:
+    monkeypatch.setattr(http_module, "is_allowed", lambda address, networks: False)
+    monkeypatch.setattr(web.Server, "__call__", lambda self: pytest.fail("HTTP is spoken"))
+    reader, writer = await asyncio.open_connection(*server)
+    writer.write(said)
+    head, _, body = (await reader.read()).partition(b"\r\n\r\n")
+    writer.close()
+    assert head.startswith(b"HTTP/1.1 403 Forbidden\r\n")
+    assert f"Content-Length: {len(body)}".encode() in head
+    assert json.loads(body) == {"error": "127.0.0.1 is not in a network of [http] allow"}
+    assert health.errors == {"not_allowed": 1}
+
+
+@pytest.mark.parametrize("path", ["/metrics", "/healthz", "/readyz"])
+async def test_head_is_get_without_a_body(server: tuple[str, int], path: str) -> None:
+    heads = []
+    for method in ("GET", "HEAD"):
+        reader, writer = await asyncio.open_connection(*server)
+        writer.write(f"{method} {path} HTTP/1.1\r\nHost: here\r\nConnection: close\r\n\r\n".encode())
+        head, _, body = (await reader.read()).partition(b"\r\n\r\n")
+        writer.close()
+        heads.append([line for line in head.split(b"\r\n") if not line.startswith(b"Date")])
+        assert bool(body) is (method == "GET")
+    assert heads[0] == heads[1]
+    assert heads[0][0] == b"HTTP/1.1 200 OK"
+
+
+NO_HTTP = {
+    "TLS": b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03",
+    "a version that there is not": b"GET / HTTP/9.9\r\n\r\n",
+    "no header": b"GET / HTTP/1.1\r\nno colon\r\n\r\n",
+    "two lengths": b"GET / HTTP/1.1\r\nContent-Length: 1\r\nContent-Length: 2\r\n\r\n",
+    "an endless line": b"GET /" + b"x" * 20_000,
+    "control characters": b"GET /\x1b[31m HTTP/1.1\r\n\r\n",
+}
+
+
+@pytest.mark.parametrize("name", NO_HTTP)
+async def test_what_is_no_http_is_counted_and_no_traceback(
+    server: tuple[str, int], health: Health, caplog: pytest.LogCaptureFixture, name: str
+) -> None:
+    with capture_logs() as logs:
+        reader, writer = await asyncio.open_connection(*server)
+        writer.write(NO_HTTP[name])
+        assert (await reader.read()).split(b" ")[1] == b"400"
+        writer.close()
+    assert health.errors == {"bad_request": 1}
+    assert [(line["event"], line["alike"]) for line in logs] == [("http client error", "bad_request")]
+    assert caplog.records == []
+
+
+async def test_a_fault_of_ours_is_logged(health: Health, caplog: pytest.LogCaptureFixture) -> None:
+    def fail() -> bytes:
+        raise ZeroDivisionError("float division by zero")
+
+    server = make_server(health, metrics=fail)
+    assert (await fetch(await server.start(), "/metrics"))[0] == 500
+    await server.close()
+    (record,) = caplog.records
+    assert record.exc_info is not None
+    assert health.errors == {}
 
 
 async def test_port_in_use(server: tuple[str, int], health: Health) -> None:

@@ -11,8 +11,10 @@ import msgspec
 import pytest
 from stream_peers import Connect, Peer, Serve, Served, make_frame, make_status
 
+from heaved.outputs import connection as connection_module
 from heaved.outputs import publisher as publisher_module
 from heaved.outputs.access import ListenError
+from heaved.outputs.connection import Connection
 from heaved.outputs.publisher import Publisher
 from heaved.outputs.records import DelayedRecord, SeaRecord, StatusRecord
 
@@ -257,6 +259,66 @@ async def test_a_client_that_has_closed_its_side_is_served_on(serve: Serve, conn
     assert (await peer.record())["class"] == "STATUS"
     served.publish(2)
     assert [record["seq"] for record in await peer.records(2)] == [1, 2]
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection_module, "_SILENT_S", 0.05)
+
+
+@pytest.mark.parametrize("watched", ['{"classes":["HULL"]}', '{"classes":[]}', '{"classes":["SEA","ATTITUDE"]}'])
+async def test_clients_that_have_gone_while_nothing_is_sent_make_room(
+    serve: Serve, connect: Connect, impatient: None, watched: str
+) -> None:
+    served = await serve(max_clients=8)
+    peers = [await connect(served) for _ in range(8)]
+    for peer in peers:
+        await peer.ask(f"?WATCH={watched}")
+        assert await peer.settle() == []
+        peer.writer.close()
+    await until_clients(served, 0)
+    assert served.counts.errors == {}
+    assert (await (await connect(served)).settle()) == []
+
+
+async def test_a_half_closed_client_of_a_silent_class_is_told_why_it_is_closed(
+    serve: Serve, connect: Connect, impatient: None
+) -> None:
+    served = await serve()
+    peer = await connect(served)
+    await peer.ask('?WATCH={"classes":["HULL"]}')
+    peer.writer.write_eof()
+    (error,) = await peer.rest()
+    assert error["class"] == "ERROR"
+    assert "you have closed your side" in error["message"]
+    assert "(HULL)" in error["message"]
+
+
+async def test_a_half_closed_client_to_which_something_is_sent_stays(
+    serve: Serve, connect: Connect, impatient: None
+) -> None:
+    """Through many times the patience with a silent one; that it has gone altogether shows then on sending."""
+    served = await serve()
+    judged = []
+    judge = Connection._judge_silence
+
+    def judge_and_tell(self: Connection) -> None:
+        judge(self)
+        judged.append(served.publisher.clients)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Connection, "_judge_silence", judge_and_tell)
+        peer = await connect(served)
+        peer.writer.write_eof()
+        while len(judged) < 4:
+            served.publish()
+            assert (await peer.record())["class"] == "MOTION"
+            await asyncio.sleep(0.001)
+    assert judged == [1] * 4
+    await peer.close()
+    while served.publisher.clients:
+        served.publish()
+        await asyncio.sleep(0)
 
 
 async def test_close_delivers_what_is_queued(serve: Serve) -> None:

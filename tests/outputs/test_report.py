@@ -75,6 +75,16 @@ IMU = make_status().devices[0]
             CheckState.CRITICAL,
             "CRITICAL - heave invalid (no IMU)",
         ),
+        (
+            snapshot(frame=msgspec.structs.replace(motion(), quality=quality(HeaveState.INVALID, "no IMU"))),
+            CheckState.CRITICAL,
+            "CRITICAL - heave invalid (no IMU)",
+        ),
+        (
+            snapshot(frame=msgspec.structs.replace(motion(), heave_m=None)),
+            CheckState.CRITICAL,
+            "heave valid, but there is none",
+        ),
         (snapshot(frame=motion(age_s=1.5)), CheckState.CRITICAL, "last frame is 1.5 s old"),
         (snapshot(make_status(heave=HeaveStatus(age_s=90.0))), CheckState.CRITICAL, "last frame is 90.0 s old"),
         (snapshot(make_status(heave=HeaveStatus())), CheckState.CRITICAL, "no frame yet"),
@@ -178,3 +188,34 @@ def test_table_of_a_daemon_that_knows_nothing_yet() -> None:
 )
 def test_duration(seconds: float, text: str) -> None:
     assert duration(seconds) == text
+
+
+EVIL = "\x1b]0;x\x07\x9b31m\u202e\x7f\U000e0041"
+
+
+def test_nothing_of_a_daemon_commands_the_terminal() -> None:
+    """Whatever text it sends, in whatever place."""
+
+    def corrupted(found: object) -> object:
+        if isinstance(found, dict):
+            return {key: corrupted(value) for key, value in found.items()}
+        if isinstance(found, list | tuple):
+            return [corrupted(value) for value in found]
+        kept = ("valid", "active", "degraded", "VERSION", "STATUS", "MOTION")
+        return found + EVIL if isinstance(found, str) and found not in kept else found
+
+    status = make_status(
+        devices=(LASER_DOWN,),
+        config_file="/etc",
+        state_file="/var",
+        observer=ObserverStatus(name="sea", frequencies_hz=(0.1,)),
+        quality=quality(HeaveState.DEGRADED, "swell"),
+        correction=CorrectionStatus(state=CorrectionState.ACTIVE, runs=1, last_result="accepted"),
+    )
+    evil = msgspec.convert(corrupted(msgspec.to_builtins(snapshot(status, motion()))), Snapshot)
+    for text in (table(evil), json_text(evil), check_line(evil)[1]):
+        assert all(line.isprintable() for line in text.split("\n"))
+    assert json.loads(json_text(evil))["status"]["devices"][0]["name"] == f"laser{EVIL}"
+    refused = Unreachable(Trouble.TURNED_AWAY, f"h:1: the daemon says: {EVIL}")
+    for text in (str(refused), json_text(refused), check_line(refused)[1]):
+        assert all(line.isprintable() for line in text.split("\n"))

@@ -92,6 +92,24 @@ def test_no_line_is_wider_than_the_terminal(width: int) -> None:
     assert max(len(line) for line in drawn(view, 0.0, width).splitlines()) <= width
 
 
+EVIL = "\x1b]0;x\x07\x9b31m\u202e\n\r"
+
+
+def test_nothing_of_the_stream_commands_the_terminal() -> None:
+    view = View(f"here{EVIL}")
+    view.connected(f"1.2.3{EVIL}", 0.0)
+    quality = msgspec.structs.replace(motion().quality, reasons=(f"swell{EVIL}",))
+    view.take(motion(quality=quality, time=EVIL), 0.0)
+    device = msgspec.structs.replace(
+        make_status().devices[0], name=EVIL, role=EVIL, up=False, last_fault=EVIL, detail=EVIL
+    )
+    view.take(make_status(devices=(device,)), 0.0)
+    for now_s in (0.0, 9.0):
+        assert all(line.isprintable() for line in drawn(view, now_s, 400).split("\n"))
+    view.lost(f"gone{EVIL}")
+    assert all(line.isprintable() for line in drawn(view, 0.0, 400).split("\n"))
+
+
 class EnoughSeen(Exception):
     """Ends the live view, as the user would."""
 

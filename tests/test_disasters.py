@@ -1,0 +1,58 @@
+"""What is published while things go wrong: one table of disasters, each on a short record of the same sea.
+
+Oracle: the truth of the simulated sea, by the judge of ``tools/accuracy.py faults``, which runs all of them on longer
+records, on three seas and at two rates.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import pytest
+from evidence import fault_table
+from evidence.faults import Outcome, Plan, Task, run
+
+PLAN = Plan(at_s=80.0, duration_s=170.0, memory_s=90.0)
+SEA, RATE_HZ, SEED = "S6", 20.0, 2
+
+DISASTERS: dict[str, float | None] = {
+    "attitude_lost_85": None,
+    "holes_again": 95.0,
+    "gap_1": 5.0,
+    "rows_lost_88": None,
+    "bursts": None,
+    "slow_sensor_10": None,
+    "angles_0_360": 95.0,
+    "random_registers": 60.0,
+    "attitude_frozen": 55.0,
+    "az_step_0.5": 60.0,
+    "attitude_signs": None,
+    "aiding_jump": None,
+    "memory_huge": 95.0,
+}
+"""By when the heave is to be valid again, s after the end (of what is there from the first sample: after that); None:
+not asked here."""
+LARGEST_SIGMA = 4.5
+"""Of the heave, in any state: a Gaussian sea of this length has 3.5."""
+LARGEST_DEG = 30.0
+"""Of roll and pitch, measured and predicted: this sea has 12 degrees."""
+
+
+@cache
+def outcome(name: str) -> Outcome:
+    return run(Task(name=name, sea=SEA, rate_hz=RATE_HZ, seed=SEED, plan=PLAN))
+
+
+@pytest.mark.parametrize("name", DISASTERS)
+def test_nothing_that_is_published_is_wrong(name: str) -> None:
+    found = outcome(name)
+    assert fault_table.missed(found, None) == []
+    assert found.largest_sigma < LARGEST_SIGMA
+    assert found.largest_rock_deg < LARGEST_DEG
+
+
+@pytest.mark.parametrize("name", [name for name, within_s in DISASTERS.items() if within_s is not None])
+def test_the_heave_is_back_in_time(name: str) -> None:
+    within_s = DISASTERS[name]
+    assert within_s is not None
+    assert outcome(name).valid_after_s <= within_s
