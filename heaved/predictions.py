@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
-from math import inf, nan, pi
+from math import nan, pi
 from typing import Final, Self, TypeVar, overload
 
 import numpy as np
@@ -30,17 +30,6 @@ Yaw = TypeVar("Yaw", float, Array)
 def turned(yaw_rad: Yaw) -> Yaw:
     """The same heading, 0 <= yaw < 2 pi."""
     return yaw_rad % TURN % TURN  # x % 2 pi may round up to 2 pi
-
-
-def bounded_tilts(angles_rad: Array, most_rad: float) -> Array:
-    """(..., 3) roll, pitch and yaw; nan where roll or pitch is more than ``most_rad``."""
-    if most_rad == inf:
-        return angles_rad
-    is_wild = np.abs(angles_rad[..., :2]) > most_rad
-    if is_wild.any():
-        angles_rad = angles_rad.copy()
-        angles_rad[..., :2][is_wild] = nan
-    return angles_rad
 
 
 def bounded_heaves(numbers: Array) -> Array:
@@ -130,10 +119,9 @@ class PlainForecasts(HeaveForecasts):
 
 class RockPredictions(_Predictions[RockPrediction]):
     """Roll, pitch and yaw, their standard deviations and half-widths of their intervals, each (H, 3), for each horizon
-    (H,). Yaw is counted from ``yaw_from_rad`` without jumps, as a regression sees it; records have the heading. Of roll
-    and pitch beyond ``most_rad`` nobody is told."""
+    (H,). Yaw is counted from ``yaw_from_rad`` without jumps, as a regression sees it; records have the heading."""
 
-    __slots__ = ("_angles_rad", "intervals_rad", "most_rad", "stds_rad", "yaw_from_rad")
+    __slots__ = ("_angles_rad", "intervals_rad", "stds_rad", "yaw_from_rad")
 
     def __init__(
         self,
@@ -144,7 +132,7 @@ class RockPredictions(_Predictions[RockPrediction]):
         intervals_rad: Array,
     ) -> None:
         self.horizons_s, self._angles_rad, self.yaw_from_rad = horizons_s, angles_rad, yaw_from_rad
-        self.stds_rad, self.intervals_rad, self.most_rad = stds_rad, intervals_rad, inf
+        self.stds_rad, self.intervals_rad = stds_rad, intervals_rad
 
     @property
     def angles_rad(self) -> Array:
@@ -153,12 +141,12 @@ class RockPredictions(_Predictions[RockPrediction]):
         if isinstance(angles_rad, tuple):
             outlook, place, off = angles_rad
             angles_rad = self._angles_rad = outlook.at(place, off)
-        return bounded_tilts(angles_rad, self.most_rad)
+        return angles_rad
 
     @staticmethod
     def angles_of(several: Sequence[RockPredictions]) -> Array:
         """Those of N with as many horizons, (N, H, 3): see :func:`worked_out`."""
-        return bounded_tilts(worked_out([one._angles_rad for one in several]), several[0].most_rad if several else inf)
+        return worked_out([one._angles_rad for one in several])
 
     def __iter__(self) -> Iterator[RockPrediction]:
         columns = self.angles_rad.tolist(), self.stds_rad.tolist(), self.intervals_rad.tolist()

@@ -17,13 +17,12 @@ import pytest
 from pipelines import pipeline, rms
 
 from heaved.estimation import heave
-from heaved.estimation.bounds import ANGLE_RAD
 from heaved.estimation.chain import Heave
 from heaved.estimation.framing import BEYOND_PHYSICS
 from heaved.estimation.points import Point
 from heaved.estimation.sea_window import look
 from heaved.pipeline import Pipeline
-from heaved.predictions import PlainForecasts, RockPredictions
+from heaved.predictions import PlainForecasts
 from heaved.samples import GRAVITY_MPS2, HeaveState, ImuSample, MotionFrame
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import REGISTER_STEPS, measure
@@ -302,19 +301,6 @@ def test_what_no_vessel_does_is_not_published_and_counted_once(
         assert not any(isfinite(v) for v in (frame.heave_m, frame.heave_std_m, frame.heave_velocity_mps))
         assert not isfinite(frame.points[0].heave_m)
     assert pipe.resets["frame", "beyond physics"] == 1
-
-
-def test_angles_that_no_vessel_has_are_not_predicted() -> None:
-    pipe = copy.deepcopy(before("S4", 50.0))
-    horizons = pipe._rock.horizons_s
-    angles = np.zeros((len(horizons), 3))
-    angles[1, 0], angles[2, 1] = radians(61.0), -1e9
-    wild = RockPredictions(horizons, angles, 0.0, np.full_like(angles, 0.01), np.full_like(angles, 0.02))
-    pipe._rock.at = lambda t_s: wild  # type: ignore[method-assign]
-    told = list(pipe.coast(BEGIN_S).rock)
-    assert [isfinite(p.roll_rad) for p in told[:3]] == [True, False, True]
-    assert [isfinite(p.pitch_rad) for p in told[:3]] == [True, True, False]
-    assert all(abs(p.roll_rad) <= ANGLE_RAD or not isfinite(p.roll_rad) for p in told)
 
 
 # --- signs and units ------------------------------------------------------------------------------------------------

@@ -14,7 +14,6 @@ import msgspec
 
 from heaved.estimation import points
 from heaved.estimation.bounds import (
-    ANGLE_RAD,
     HEAVE_ACCELERATION_MPS2,
     HEAVE_M,
     HEAVE_VELOCITY_MPS,
@@ -27,7 +26,7 @@ from heaved.estimation.points import Attitude, Point
 from heaved.estimation.quality import COAST_S, Facts, judge
 from heaved.estimation.rock import STANDARD_HORIZONS_S
 from heaved.estimation.stages import Stages
-from heaved.predictions import PlainForecasts, RockPredictions
+from heaved.predictions import PlainForecasts
 from heaved.samples import (
     CorrectionState,
     HeaveState,
@@ -96,8 +95,6 @@ class Framer:
         heave = chain.at(shift_s) if shift_s <= COAST_S else None
         if heave is not None:
             heave = self._possible(heave)
-        if isinstance(rock, RockPredictions):
-            rock.most_rad = ANGLE_RAD
         attitude = self._serving(t_s, rock)
         roll, pitch, yaw = attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad
         fresh = self._has_laser and reference.fresh(t_s)
