@@ -1,9 +1,9 @@
 """The block diagram, top to bottom: samples in, one :class:`MotionFrame` out. Pure: time comes with the samples.
 
-    IMU --- tilt removed --- heave chain: observer (F^m), gain, residual network --- heave, velocity, standard deviation
-                                  ^                                                    '--- points, forecasts, delayed
-    laser ------------------------'
-    roll, pitch, yaw, rates --- rock predictor --- 50 ms ... 5 s --- quiet windows
+    IMU, its readings judged --- tilt removed --- heave chain: observer (F^m), gain, residual network --- heave, std
+      |                                               ^                                  '--- points, forecasts, delayed
+      |                              laser ------------'
+      '--- roll, pitch, yaw, rates --- rock predictor --- 50 ms ... 5 s --- quiet windows
 
 Beside it, and never in it, the stages for the hull's deformation (second IMU) and for the attitude of a craft.
 """
@@ -19,6 +19,7 @@ import msgspec
 
 from heaved.estimation import quiescence, remembered
 from heaved.estimation.chain import HeaveChain
+from heaved.estimation.conditioning import Conditioned, Conditioner
 from heaved.estimation.correction import Params as CorrectionParams
 from heaved.estimation.correction import Saved
 from heaved.estimation.forecast_check import ForecastCheck
@@ -127,6 +128,7 @@ class Pipeline:
         self._params = heave
         self._has_laser = has_laser
         self._chain = HeaveChain(heave, laser, correction, has_laser=has_laser, lead_s=lead_s, max_rate_hz=MAX_RATE_HZ)
+        self._conditioner = Conditioner()
         self._intake = Intake(self._chain, MAX_RATE_HZ)
         self._rock = RockChain(rock)
         self._framer = Framer(
@@ -152,7 +154,7 @@ class Pipeline:
 
     def step(self, sample: Sample) -> MotionFrame | None:
         """Take one sample; a frame for each IMU sample, faulted ones too. One older than the last is counted."""
-        return self._step(sample, self._foresee(sample))
+        return self._step(sample, self._first(sample))
 
     def run(self, samples: Sequence[Sample]) -> Iterator[MotionFrame | None]:
         """What :meth:`step` gives for one sample after the other; fits and networks may be accepted in between.
@@ -160,20 +162,34 @@ class Pipeline:
         The rock predictor, into which nothing else goes, takes all of them first: a processor is a good part faster
         with many rounds of one thing than with one round of many. So go on to the end before anything else is given.
         """
-        for sample, rock in [(sample, self._foresee(sample)) for sample in samples]:
-            yield self._step(sample, rock)
+        for sample, first in [(sample, self._first(sample)) for sample in samples]:
+            yield self._step(sample, first)
 
-    def _foresee(self, sample: Sample) -> Sequence[RockPrediction] | None:
-        """The rock predictions from a sample of the IMU; None for others, and for one that is out of order."""
+    def _first(self, sample: Sample) -> tuple[Conditioned, Sequence[RockPrediction]] | None:
+        """A sample of the IMU after its readings have been judged, and the rock predictions from there; None for
+        others, and for one that is out of order."""
         if not isinstance(sample, ImuSample):
             return None
         if sample.t_s <= self._imu_t_s:
             self._out_of_order += 1
             return None
         self._imu_t_s = sample.t_s
-        return self._rock.step(sample, good=sample.fault is Fault.NONE)
+        conditioned = self._conditioner.take(sample)
+        return conditioned, self._foresee(conditioned)
 
-    def _step(self, sample: Sample, rock: Sequence[RockPrediction] | None) -> MotionFrame | None:
+    def _foresee(self, conditioned: Conditioned) -> Sequence[RockPrediction]:
+        """Predictions for the time of the sample, from when its angles were measured: earlier, with a slow sensor."""
+        sample, attitude = conditioned.sample, conditioned.attitude
+        if attitude is None or attitude.t_s == sample.t_s:
+            if attitude is None and conditioned.attitude_is_slow:
+                return self._rock.at(sample.t_s)
+            return self._rock.step(sample, good=sample.fault is Fault.NONE)
+        self._rock.step(msgspec.structs.replace(sample, t_s=attitude.t_s), good=True)
+        return self._rock.at(sample.t_s)
+
+    def _step(
+        self, sample: Sample, first: tuple[Conditioned, Sequence[RockPrediction]] | None
+    ) -> MotionFrame | None:
         """All the rest."""
         if isinstance(sample, LaserSample):
             self._chain.laser.give(sample)
@@ -181,10 +197,11 @@ class Pipeline:
         if not isinstance(sample, ImuSample):
             self.stages.take(sample)
             return None
-        if rock is None:
+        if first is None:
             return None
-        t = sample.t_s
-        self._intake.take(sample)
+        conditioned, rock = first
+        sample, t = conditioned.sample, sample.t_s
+        self._intake.take(conditioned)
         if self._has_laser:
             self._chain.laser.teach(t, self._chain.observer)
         self.stages.take(sample)
@@ -192,9 +209,7 @@ class Pipeline:
         if self._check is not None:
             self._check.step(t, frame.observer_m, frame.forecast)
         if self._quiet is not None:
-            is_good = sample.fault is Fault.NONE
-            angles = (sample.roll_rad, sample.pitch_rad) if is_good else (nan, nan)
-            self._quiet.step(t, *angles, frame.heave_m, rock, frame.forecast)
+            self._quiet.step(t, sample.roll_rad, sample.pitch_rad, frame.heave_m, rock, frame.forecast)
         self.stages.take_frame(frame)
         return frame
 
@@ -241,7 +256,7 @@ class Pipeline:
     @property
     def resets(self) -> Counter[tuple[str, str]]:
         """Of the estimators, by (filter, reason)."""
-        return self._chain.resets + self._rock.resets + self.stages.resets
+        return self._chain.resets + self._rock.resets + self.stages.resets + self._framer.resets
 
     # --- memory ------------------------------------------------------------------------------------------------------
 
@@ -295,7 +310,7 @@ class Pipeline:
             fitted=dict(self._fitted),
             last_fitted_t_s=self._fitted_t_s,
             out_of_order=self._out_of_order,
-            spikes=chain.spikes.rejected,
+            spikes=self._conditioner.spikes,
             rejected=chain.observer.rejected,
             rock=self.rock_scores(),
         )

@@ -23,6 +23,8 @@ from heaved.samples import HeaveForecast, RockPrediction
 Array = NDArray[np.float64]
 
 TURN: Final = 2.0 * pi
+MOST_HEAVE_M: Final = 20.0
+"""Half of the highest wave ever measured by a buoy or a platform (19 m) and as much again."""
 Record = TypeVar("Record", HeaveForecast, RockPrediction)
 Yaw = TypeVar("Yaw", float, Array)
 
@@ -61,6 +63,12 @@ def _largest(limits: Limits, at_s: tuple[float, ...]) -> tuple[Array, Array]:
 
 
 NO_LIMITS: Final = Limits((inf, inf, inf), inf)
+
+
+def bounded_heaves(numbers: Array) -> Array:
+    """(..., 2) heave and its standard deviation; nan where the heave is what no vessel does."""
+    is_wild = np.abs(numbers[..., :1]) > MOST_HEAVE_M
+    return np.where(is_wild, nan, numbers) if is_wild.any() else numbers
 
 
 class _Predictions(Sequence[Record]):
@@ -111,7 +119,7 @@ class HeaveForecasts(_Predictions[HeaveForecast]):
             return iter(self._records)
 
     def _made(self) -> tuple[HeaveForecast, ...]:
-        rows = zip(self.horizons_s, self.numbers([self])[0].tolist(), strict=True)
+        rows = zip(self.horizons_s, bounded_heaves(self.numbers([self])[0]).tolist(), strict=True)
         return tuple([HeaveForecast(horizon_s=h, heave_m=heave_m, std_m=std_m) for h, (heave_m, std_m) in rows])
 
     @classmethod

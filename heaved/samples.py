@@ -197,6 +197,8 @@ class PointMotion(msgspec.Struct, frozen=True, gc=False, kw_only=True):
 
     name: str
     heave_m: float = nan
+    heave_std_m: float = nan
+    """From those of the heave and of the measured attitude; how well the attitude is aligned is not known to us."""
     heave_velocity_mps: float = nan
 
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from heaved.config import Config
 from heaved.decimals import lines
 from heaved.estimation.rock import STANDARD_HORIZONS_S
-from heaved.predictions import HeaveForecasts, RockPredictions, turned
+from heaved.predictions import HeaveForecasts, RockPredictions, bounded_heaves, turned
 from heaved.samples import DelayedHeave, HeaveState, MotionFrame
 
 Array = NDArray[np.float64]
@@ -165,7 +165,8 @@ def _forecast_numbers(frames: Sequence[MotionFrame], horizons_s: tuple[float, ..
     """(n, 2 H): heave and its standard deviation, horizon by horizon."""
     forecasts = [HeaveForecasts.of(frame.forecast, horizons_s) for frame in frames]
     groups = [list(alike) for _, alike in groupby(forecasts, type)]
-    return np.concatenate([alike[0].numbers(alike) for alike in groups]).reshape(len(frames), -1)
+    numbers = np.concatenate([alike[0].numbers(alike) for alike in groups])
+    return bounded_heaves(numbers).reshape(len(frames), -1)
 
 
 def _rock_numbers(frames: Sequence[MotionFrame], horizons_s: tuple[float, ...]) -> Array:

@@ -1,6 +1,6 @@
 """The heave chain: vertical acceleration in, heave out, with what the laser has taught taken into account.
 
-    acceleration --- spikes out --- observer (F^m) --- gain ---(+)--- heave, velocity, standard deviation
+    acceleration ------------------ observer (F^m) --- gain ---(+)--- heave, velocity, standard deviation
                                         ^      |                ^
                                lead, gain      X* at laser      '--- residual network <--- trained outside, guarded
                                         '---- laser ----'
@@ -21,7 +21,6 @@ from heaved.estimation.heave import Params as HeaveParams
 from heaved.estimation.laser import LaserTeacher
 from heaved.estimation.reference import Params as LaserParams
 from heaved.estimation.sea import SeaObserver
-from heaved.estimation.spikes import SpikeGate, StuckGate
 from heaved.predictions import HeaveForecasts
 from heaved.samples import DelayedHeave
 
@@ -62,7 +61,6 @@ class HeaveChain:
         """``lead_s``: how long after the last sample the published heave is for."""
         self._params, self._has_laser, self._lead_s = heave, has_laser, lead_s
         self._max_rate_hz = max_rate_hz
-        self.spikes, self.stuck = SpikeGate(), StuckGate()
         self.observer: HarmonicObserver | SeaObserver = self._new_observer()
         self.correction = ResidualCorrection(correction, max_rate_hz)
         self.laser = LaserTeacher(laser, heave.lead, self.correction, max_rate_hz)
@@ -76,23 +74,16 @@ class HeaveChain:
             return HarmonicObserver(p, self._max_rate_hz)
         return SeaObserver(p.sea, p.forecast_horizons_s, self._lead_s)
 
-    def observe(self, t_s: float, up_mps2: float, raw_mps2: float) -> float:
-        """Take the vertical acceleration; gives what was used of it, nan when it was withheld.
-
-        raw_mps2: as the sensor gave it, tilt not removed: a sensor that is stuck repeats that.
-        """
-        up = self.spikes(t_s, up_mps2) if not self.stuck(t_s, raw_mps2) else nan
-        if not isfinite(up):
-            return nan
+    def observe(self, t_s: float, up_mps2: float) -> None:
+        """Take the vertical acceleration."""
         self.good_t_s = t_s
-        self.observer.step(t_s, up)
+        self.observer.step(t_s, up_mps2)
         if (resets := self.observer.resets.total()) != self._resets_seen:
             self._resets_seen = resets
             self.resets = Counter({("heave", reason): count for reason, count in self.observer.resets.items()})
             self.laser.forget()
         if self._has_laser:
             self._note(t_s)
-        return up
 
     def interrupt(self) -> None:
         """The vertical acceleration is made otherwise from now on: with the tilt removed, or without."""

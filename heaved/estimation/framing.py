@@ -5,12 +5,22 @@ Nothing is advanced here: a moment without a sample is framed like any other, fr
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from math import nan
+from math import hypot, isfinite, nan
 from typing import Final
 
+import msgspec
+
 from heaved.estimation import points
+from heaved.estimation.bounds import (
+    HEAVE_ACCELERATION_MPS2,
+    HEAVE_M,
+    HEAVE_VELOCITY_MPS,
+    POINT_HEAVE_M,
+)
 from heaved.estimation.chain import Heave, HeaveChain
+from heaved.estimation.conditioning import Attitude as Measured
 from heaved.estimation.intake import Intake
 from heaved.estimation.points import Attitude, Point
 from heaved.estimation.quality import COAST_S, Facts, judge
@@ -39,10 +49,18 @@ NOTHING: Final = Heave(
     forecast=PlainForecasts((), (), ()),
 )
 """While nothing is known of the heave."""
+LINE_PER_S: Final = 4.0
+"""A straight line of a rolling vessel's angles is worse than a prediction by so much of it for each second: half of the
+angle's acceleration times the square of half a second is some three times what predictions are off by then."""
+BEYOND_PHYSICS: Final = "estimate beyond what a vessel does: withheld"
 
 
 class Framer:
-    """Makes the frames of one pipeline."""
+    """Makes the frames of one pipeline; the last gate that a value passes.
+
+    Attributes:
+        resets: of what was found beyond physics, times that it began.
+    """
 
     def __init__(
         self,
@@ -58,6 +76,8 @@ class Framer:
         """``lead_s``: the heave is for this long after each moment. ``rock_horizons_s``: of the predictions."""
         self._intake, self._chain, self._stages = intake, chain, stages
         self._has_laser, self._points, self._lead_s = has_laser, point, lead_s
+        self.resets: Counter[tuple[str, str]] = Counter()
+        self._is_beyond = False
         # Between two predictions: the noise of the measured attitude, over 50 ms, would be most of the rate.
         self._rate_between = tuple(rock_horizons_s.index(h) for h in STANDARD_HORIZONS_S[:2])
 
@@ -73,7 +93,10 @@ class Framer:
         reference = chain.laser.reference
         shift_s = t_s - chain.observer.t_s
         heave = chain.at(shift_s) if shift_s <= COAST_S else None
-        roll, pitch, yaw = self._intake.attitude(t_s)
+        if heave is not None:
+            heave = self._possible(heave)
+        attitude = self._serving(t_s, rock)
+        roll, pitch, yaw = attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad
         fresh = self._has_laser and chain.laser.is_fresh(t_s)
         quality = self._quality(t_s, heave, fresh, doubts)
         crane_roll, crane_pitch, crane_yaw = stages.crane_attitude(roll, pitch, yaw)
@@ -94,7 +117,7 @@ class Framer:
             roll_rad=roll,
             pitch_rad=pitch,
             yaw_rad=yaw,
-            points=self._point_motions(heave, roll, pitch, rock) if self._points else (),
+            points=self._point_motions(heave, self._moving(t_s, tuple(rock))) if self._points else (),
             rock=rock,
             quiet=quiet,
             forecast=heave.forecast,
@@ -108,26 +131,68 @@ class Framer:
             attitude=stages.motion,
         )
 
-    def _point_motions(
-        self, heave: Heave, roll_rad: float, pitch_rad: float, rock: Sequence[RockPrediction]
-    ) -> tuple[PointMotion, ...]:
-        """Each point, for the moment that the heave is for: the attitude moves on with its present rates."""
-        predictions = tuple(rock)
+    def _possible(self, heave: Heave) -> Heave | None:
+        """A heave that a vessel can have, with what its velocity makes of the time to which the accelerations are known
+        in its standard deviation; None: no vessel does that, so nothing is known."""
+        is_beyond = not _is_possible(heave)
+        if is_beyond and not self._is_beyond:
+            self.resets["frame", "beyond physics"] += 1
+        self._is_beyond = is_beyond
+        if is_beyond:
+            return None
+        if not self._intake.force_std_s > 0.0:
+            return heave
+        return msgspec.structs.replace(heave, std_m=hypot(heave.std_m, self._intake.force_std_s * heave.velocity_mps))
+
+    def _serving(self, t_s: float, rock: Sequence[RockPrediction]) -> Measured:
+        """Roll and pitch that serve at ``t_s``: measured; or of a slow sensor, predicted from when they were."""
+        measured = self._intake.attitude(t_s)
+        if not (self._intake.attitude_is_slow and measured.t_s < t_s):
+            return measured
+        predicted = self._moving(t_s, tuple(rock))
+        return msgspec.structs.replace(measured, t_s=t_s, roll_rad=predicted.roll_rad, pitch_rad=predicted.pitch_rad)
+
+    def _moving(self, t_s: float, predictions: tuple[RockPrediction, ...]) -> Attitude:
+        """Roll and pitch for the moment that the heave of ``t_s`` is for, their rates and standard deviations.
+
+        Angles of an earlier moment are moved on, those of a slow sensor as predicted, others with their last rates. How
+        well an angle is known is what the predictions for as long ahead are worth: too much for a measured one, since
+        it is the whole of what the sensor adds and of what a prediction does.
+        """
+        measured = self._intake.attitude(t_s)
+        roll, pitch = measured.at(t_s)
         soon, later = (predictions[i] for i in self._rate_between)
         apart_s = later.horizon_s - soon.horizon_s
         roll_rate = (later.roll_rad - soon.roll_rad) / apart_s
         pitch_rate = (later.pitch_rad - soon.pitch_rad) / apart_s
-        attitude = Attitude(
-            roll_rad=roll_rad + self._lead_s * roll_rate,
-            pitch_rad=pitch_rad + self._lead_s * pitch_rate,
-            roll_rate_radps=roll_rate,
-            pitch_rate_radps=pitch_rate,
+        is_old = measured.t_s < t_s
+        if is_old and self._intake.attitude_is_slow and isfinite(roll_rate + pitch_rate):
+            roll = soon.roll_rad - soon.horizon_s * roll_rate
+            pitch = soon.pitch_rad - soon.horizon_s * pitch_rate
+        age_s = t_s - measured.t_s
+        roll_std, pitch_std = _stds(predictions, self._lead_s + age_s)
+        if is_old and not self._intake.attitude_is_slow:
+            roll_std, pitch_std = (std * (1.0 + LINE_PER_S * age_s) for std in (roll_std, pitch_std))
+        if self._lead_s > 0.0:
+            roll, pitch = roll + self._lead_s * roll_rate, pitch + self._lead_s * pitch_rate
+        return Attitude(
+            roll,
+            pitch,
+            roll_rate,
+            pitch_rate,
+            roll_std if isfinite(roll_std) else measured.roll_std_rad,
+            pitch_std if isfinite(pitch_std) else measured.pitch_std_rad,
         )
-        h, v, crane = heave.heave_m, heave.velocity_mps, self._stages.crane
+
+    def _point_motions(self, heave: Heave, attitude: Attitude) -> tuple[PointMotion, ...]:
+        """Each point, for the moment that the heave is for."""
+        h, v, std_m, crane = heave.heave_m, heave.velocity_mps, heave.std_m, self._stages.crane
         return tuple([
-            points.crane_motion(point, h, v, attitude, crane)
-            if point.frame == "crane"
-            else points.motion(point, h, v, attitude)
+            _bounded(
+                points.crane_motion(point, h, v, attitude, crane, std_m)
+                if point.frame == "crane"
+                else points.motion(point, h, v, attitude, std_m)
+            )
             for point in self._points
         ])  # fmt: skip
 
@@ -153,9 +218,46 @@ class Framer:
                 laser_fresh=fresh,
             )
         )
+        notes = intake.notes
+        if intake.withheld:
+            reasons = (intake.withheld, *reasons)
+        if notes.unusable or self._is_beyond:
+            state = HeaveState.INVALID
+            reasons = (notes.unusable or BEYOND_PHYSICS, *reasons)
+        elif notes.signs:
+            # Waves can do that to a vessel that leans less than they do. But if the heave is in doubt besides, it is
+            # that: gravity is not taken out, but put in twice.
+            state = HeaveState.DEGRADED if state is HeaveState.VALID else HeaveState.INVALID
+            reasons = (notes.signs, *reasons)
+        if intake.is_recovering(t_s):
+            state = HeaveState.DEGRADED if state is HeaveState.VALID else state
+            reasons = (*reasons, "recovering: the tilt was not removed")
         return Quality(
             heave=state,
             laser=LaserState.OFF if not self._has_laser else LaserState.VALID if fresh else LaserState.STALE,
             correction=chain.correction.state(fresh) if self._has_laser else CorrectionState.OFF,
-            reasons=reasons,
+            reasons=(*reasons, *notes.remarks) if notes.remarks else reasons,
         )
+
+
+def _is_possible(heave: Heave) -> bool:
+    """Whether a vessel does that; what is not known is possible."""
+    return not (
+        abs(heave.heave_m) > HEAVE_M
+        or abs(heave.velocity_mps) > HEAVE_VELOCITY_MPS
+        or abs(heave.acceleration_mps2) > HEAVE_ACCELERATION_MPS2
+    )
+
+
+def _bounded(point: PointMotion) -> PointMotion:
+    """A point that knows where it is to some standard deviation and within its bounds, or nothing of it."""
+    is_known = abs(point.heave_m) <= POINT_HEAVE_M and isfinite(point.heave_std_m)
+    return point if is_known else PointMotion(name=point.name)
+
+
+def _stds(predictions: Sequence[RockPrediction], ahead_s: float) -> tuple[float, float]:
+    """Standard deviations of roll and pitch predicted that far ahead: those of the first horizon as long."""
+    for prediction in predictions:
+        if prediction.horizon_s >= ahead_s:
+            return prediction.roll_std_rad, prediction.pitch_std_rad
+    return nan, nan

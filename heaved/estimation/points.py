@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, sin
+from math import cos, hypot, nan, sin
 from typing import Annotated, Literal
 
 import msgspec
@@ -43,13 +43,17 @@ class Attitude(msgspec.Struct, frozen=True, gc=False):
     pitch_rad: float
     roll_rate_radps: float
     pitch_rate_radps: float
+    roll_std_rad: float = nan
+    pitch_std_rad: float = nan
 
 
-def motion(point: Point, heave_m: float, velocity_mps: float, attitude: Attitude) -> PointMotion:
-    """Heave and its velocity at ``point``; nan where heave or attitude is.
+def motion(
+    point: Point, heave_m: float, velocity_mps: float, attitude: Attitude, heave_std_m: float = nan
+) -> PointMotion:
+    """Heave, its standard deviation and its velocity at ``point`` from those of the IMU; nan where one of them is.
 
     h + sin(pitch) x + sin(roll) cos(pitch) y + (cos(roll) cos(pitch) - 1) z, and its derivative: the third row of the
-    rotation from body to level axes, as for the acceleration.
+    rotation from body to level axes, as for the acceleration. Errors of heave, roll and pitch are taken as independent.
     """
     sr, cr = sin(attitude.roll_rad), cos(attitude.roll_rad)
     sp, cp = sin(attitude.pitch_rad), cos(attitude.pitch_rad)
@@ -59,12 +63,23 @@ def motion(point: Point, heave_m: float, velocity_mps: float, attitude: Attitude
     return PointMotion(
         name=point.name,
         heave_m=heave_m + lever_m,
+        heave_std_m=hypot(heave_std_m, _by(by_roll, attitude.roll_std_rad), _by(by_pitch, attitude.pitch_std_rad)),
         heave_velocity_mps=velocity_mps + by_roll * attitude.roll_rate_radps + by_pitch * attitude.pitch_rate_radps,
     )
 
 
+def _by(lever_m: float, std_rad: float) -> float:
+    """What an angle that is known to ``std_rad`` contributes; without a lever arm nothing, known or not."""
+    return lever_m * std_rad if lever_m != 0.0 else 0.0
+
+
 def crane_motion(
-    point: Point, heave_m: float, velocity_mps: float, attitude: Attitude, crane: Crane | None
+    point: Point,
+    heave_m: float,
+    velocity_mps: float,
+    attitude: Attitude,
+    crane: Crane | None,
+    heave_std_m: float = nan,
 ) -> PointMotion:
     """Motion of a point that is fixed to the crane base; nan while it is not known how that stands (``crane`` None).
 
@@ -80,5 +95,5 @@ def crane_motion(
     raised_m = float(lever[2] - crane.static.T.dot(arm)[2])
     x, y, z = (lever + crane.base_m).tolist()
     rigid = Point(name=point.name, forward_m=x, port_m=y, up_m=z)
-    moved = motion(rigid, heave_m, velocity_mps, attitude)
-    return PointMotion(name=point.name, heave_m=moved.heave_m + raised_m, heave_velocity_mps=moved.heave_velocity_mps)
+    moved = motion(rigid, heave_m, velocity_mps, attitude, heave_std_m)
+    return msgspec.structs.replace(moved, heave_m=moved.heave_m + raised_m)

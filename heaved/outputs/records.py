@@ -66,6 +66,7 @@ class PointRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_defa
 
     name: str
     heave_m: float | None = None
+    heave_std_m: float | None = None
     heave_velocity_mps: float | None = None
 
 

@@ -146,7 +146,10 @@ def _rock(prediction: RockPrediction) -> RockRecord:
 
 def _point(point: PointMotion) -> PointRecord:
     return PointRecord(
-        name=point.name, heave_m=finite(point.heave_m), heave_velocity_mps=finite(point.heave_velocity_mps)
+        name=point.name,
+        heave_m=finite(point.heave_m),
+        heave_std_m=finite(point.heave_std_m),
+        heave_velocity_mps=finite(point.heave_velocity_mps),
     )
 
 

@@ -42,3 +42,20 @@ def test_without_attitude_or_heave_there_is_no_number() -> None:
     point = Point(name="tip", forward_m=10.0)
     assert np.isnan(motion(point, 1.0, 1.0, Attitude(nan, 0.0, 0.0, 0.0)).heave_m)
     assert np.isnan(motion(point, nan, nan, Attitude(0.0, 0.0, 0.0, 0.0)).heave_m)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_deviation_is_that_of_heave_and_of_angles_through_the_lever_arm(seed: int) -> None:
+    """Against the spread of many draws."""
+    rng = np.random.default_rng(seed)
+    point = Point(name="tip", forward_m=40.0, port_m=-10.0, up_m=25.0)
+    roll, pitch = rng.uniform(-0.2, 0.2, 2)
+    found = motion(point, 1.0, 0.0, Attitude(roll, pitch, 0.0, 0.0, 0.002, 0.001), 0.03)
+    drawn = [
+        motion(point, 1.0 + h, 0.0, Attitude(roll + r, pitch + p, 0.0, 0.0)).heave_m
+        for h, r, p in rng.normal(0.0, (0.03, 0.002, 0.001), (4000, 3)).tolist()
+    ]
+    assert found.heave_std_m == pytest.approx(np.std(drawn), rel=0.05)
+    at_the_imu = motion(Point(name="imu"), 1.0, 0.0, Attitude(roll, pitch, 0.0, 0.0), 0.03)
+    assert at_the_imu.heave_std_m == pytest.approx(0.03)
+    assert np.isnan(motion(point, 1.0, 0.0, Attitude(roll, pitch, 0.0, 0.0), 0.03).heave_std_m)

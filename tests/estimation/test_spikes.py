@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from heaved.estimation.spikes import SpikeGate
+from heaved.estimation.spikes import SpikeGate, StuckGate
 
 
 def sea(rate_hz: float, duration_s: float = 60.0) -> tuple[np.ndarray, np.ndarray]:
@@ -65,3 +65,38 @@ def test_after_a_gap_any_level_is_a_new_beginning() -> None:
     out = passed(gate := SpikeGate(), t[:400], a[:400])
     assert np.isfinite(out).all()
     assert gate(t[399] + 0.6, a[399] + 4.0) == a[399] + 4.0
+
+
+# ---- channels that stand --------------------------------------------------------------------------------------------
+
+
+def rolling(rate_hz: float, step_deg: float, noise_deg: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Two minutes of roll through a register with steps of ``step_deg`` (0: none)."""
+    t = np.arange(0.0, 120.0, 1.0 / rate_hz)
+    roll = 3.0 * np.sin(0.6 * t) + np.sin(0.9 * t) + noise_deg * np.random.default_rng(2).standard_normal(len(t))
+    return t, np.radians(np.round(roll / step_deg) * step_deg if step_deg else roll)
+
+
+def stands(gate: StuckGate, t: np.ndarray, values: np.ndarray, moves: bool = True) -> np.ndarray:
+    return np.array([gate(*pair, moves=moves) for pair in zip(t.tolist(), values.tolist(), strict=True)])
+
+
+@pytest.mark.parametrize("rate_hz", [5.0, 20.0, 100.0])
+@pytest.mark.parametrize(("step_deg", "noise_deg", "found_s"), [(0.0, 0.02, 0.0), (0.0055, 0.02, 0.9), (0.1, 0.0, 2.5)])
+def test_an_angle_that_freezes_is_found_and_one_that_rests_is_not(
+    rate_hz: float, step_deg: float, noise_deg: float, found_s: float
+) -> None:
+    t, roll = rolling(rate_hz, step_deg, noise_deg)
+    assert stands(StuckGate(rests=True), t, roll)[t > 30.0].mean() < 0.01
+    frozen = (t >= 60.3) & (t < 80.0)
+    roll[frozen] = roll[frozen][0]
+    found = stands(StuckGate(rests=True), t, roll)
+    assert t[frozen & ~found].max() <= 60.3 + found_s + 2.0 / rate_hz
+    assert not found[t >= 80.0][0]
+
+
+def test_on_a_still_ship_nothing_stands_and_a_constant_is_none() -> None:
+    t = np.arange(0.0, 60.0, 0.05)
+    assert not stands(StuckGate(rests=True), t, np.where(t > 30.0, 0.001, 0.0), moves=False).any()
+    assert not stands(StuckGate(rests=True), t, np.zeros(len(t)), moves=False).any()
+    assert stands(StuckGate(must_live=True), t, np.full(len(t), 9.8))[t > 5.1].all()

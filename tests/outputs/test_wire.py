@@ -170,14 +170,15 @@ def test_golden_motion_line_of_a_stream_that_is_ahead_of_time_with_points() -> N
         heave_m=0.5,
         compensation_lead_s=0.25,
         points=(
-            PointMotion(name="crane tip", heave_m=1.0000004, heave_velocity_mps=-0.5),
+            PointMotion(name="crane tip", heave_m=1.0000004, heave_std_m=0.02, heave_velocity_mps=-0.5),
             PointMotion(name="moon pool", heave_m=math.nan),
         ),
     )
     assert wire.encode_motion(frame, seq=7, utc_s=1767225600.0, sent_mono_s=12.5) == (
         b'{"class":"MOTION","seq":7,"time":"2026-01-01T00:00:00.000000Z","mono_s":12.5,"heave_m":0.5,'
         b'"compensation_lead_s":0.25,'
-        b'"points":[{"name":"crane tip","heave_m":1.0,"heave_velocity_mps":-0.5},{"name":"moon pool"}],'
+        b'"points":[{"name":"crane tip","heave_m":1.0,"heave_std_m":0.02,"heave_velocity_mps":-0.5},'
+        b'{"name":"moon pool"}],'
         b'"quality":{"heave":"valid","laser":"off","correction":"off","reasons":[]},'
         b'"age_s":0.000000,"dropped":0}\n'
     )
