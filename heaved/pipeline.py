@@ -277,11 +277,12 @@ class Pipeline:
         Raises:
             ValueError: the state does not fit the configuration; says what does not, and nothing was taken over.
         """
+        check_state(state)
         observer = self._chain.observer
         if isinstance(observer, HarmonicObserver) and state.frequencies_hz:
             observer.restore(state.frequencies_hz)
         if isinstance(observer, SeaObserver) and state.sea is not None:
-            observer.restore(state.sea)
+            observer.restore(state.sea, age_s)
         if state.correction is not None:
             try:
                 self._chain.correction.restore(state.correction)

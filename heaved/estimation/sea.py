@@ -14,7 +14,7 @@ of the sensor, and every sample gets its own output, moved from the last beat.
 from __future__ import annotations
 
 from collections import Counter, deque
-from math import isfinite, nan, pi
+from math import isfinite, nan, pi, sqrt
 from typing import Annotated, Final
 
 import msgspec
@@ -23,12 +23,14 @@ from numpy.typing import NDArray
 
 from heaved.estimation.aiding import Aiding
 from heaved.estimation.beat import BEAT_MIN_S, BEAT_S, Beat
+from heaved.estimation.bounds import HEAVE_M
 from heaved.estimation.outlook import Motion
 from heaved.estimation.sea_filter import GaugeError, SeaFilter
 from heaved.estimation.sea_guard import Guard
 from heaved.estimation.sea_heave import SeaHeave
 from heaved.estimation.sea_model import SeaModel, SeaSystem, Steady, heave_std
 from heaved.estimation.sea_record import SeaRecord
+from heaved.estimation.sea_trial import Trial
 from heaved.estimation.sea_trust import NEEDED_S, SeaTrust
 from heaved.estimation.sea_window import Candidate, SeaFit, SeaWindow
 from heaved.estimation.smoother import FixedLagSmoother
@@ -91,6 +93,7 @@ class SeaObserver:
         self._aiding = Aiding()
         """Holds the same without the laser, when that is aiding: the smoother's weights are those without it."""
         self._candidates: tuple[Candidate, ...] = ()
+        self._trial: Trial | None = None
         self._beat = Beat()
         self._start_over()
 
@@ -123,7 +126,9 @@ class SeaObserver:
         if not isfinite(a_up_mps2):
             return
         if t_s - self.t_s > self._params.max_gap_s:
+            gap_s = t_s - self.t_s
             self._reset("gap")
+            self._try(gap_s)
         if self.t_s != self.t_s:
             self._record.start(t_s)
         self.t_s = t_s
@@ -142,9 +147,12 @@ class SeaObserver:
         f = self._heave.filter
         if not isfinite(f.t_s):
             f.t_s = t_s - f.steady.dt_s
+        if self._trial is not None:
+            self._take_on_trial(self._heave, self._trial, t_s, a_mps2)
+            return
         missed = t_s - f.t_s - f.steady.dt_s
         rejected = f.rejected
-        predicted_m, innovation = self._guard.step(f, t_s, a_mps2)
+        predicted_m, innovation = self._step(self._guard, f, t_s, a_mps2)
         if self._guard.step_s is not None:
             self._record.cut(*self._guard.step_s)
             self.steps += 1
@@ -152,14 +160,47 @@ class SeaObserver:
             # What the gate has kept out is missing for the fits too: half a second of it would spoil minutes.
             self._record.push(t_s, a_mps2)
         if self._aiding.unaided is not None:
-            predicted_m, innovation = self._unaided_guard.step(self._aiding.unaided, t_s, a_mps2)
-        if not f.is_sound():
-            self._heave = None
-            self._reset("not finite")
+            predicted_m, innovation = self._step(self._unaided_guard, self._aiding.unaided, t_s, a_mps2)
+        if not self._is_sound(f):
             return
         if self._smoother is not None:
             self._smooth(self._heave, self._smoother, t_s, missed, predicted_m, innovation)
         self._moved(self._heave)
+
+    def _step(self, guard: Guard, f: SeaFilter, t_s: float, a_mps2: float) -> tuple[float, float]:
+        """A beat through a filter, guarded where its model is good enough to say what is not of the sea."""
+        if self._trust.is_model_known:
+            return guard.step(f, t_s, a_mps2)
+        guard.rest(f)
+        return f.step(t_s, a_mps2)
+
+    def _is_sound(self, f: SeaFilter) -> bool:
+        """Whether the filter has not lost its way; if it has, all begins anew, without a model."""
+        if not f.is_sound():
+            reason = "not finite"
+        elif abs(float(f.system.heave.dot(f.x))) > HEAVE_M:
+            reason = "beyond physics"
+        else:
+            return True
+        self._heave = self._trial = None
+        self._reset(reason)
+        return False
+
+    def _try(self, age_s: float) -> None:
+        """A model that is in use was not fitted to what comes now: it serves when it is found to suit."""
+        self._trial = None if self._heave is None else Trial(self._heave.filter.system, age_s)
+
+    def _take_on_trial(self, heave: SeaHeave, trial: Trial, t_s: float, a_mps2: float) -> None:
+        """One beat while it is not known yet whether the model is of this sea: it judges nothing."""
+        self._record.push(t_s, a_mps2)
+        f = heave.filter
+        f.step(t_s, a_mps2)
+        trial.take(t_s, a_mps2, f.innovation / sqrt(f.innovation_variance))
+        if trial.is_another:
+            self._heave = self._trial = None
+            self.resets["another sea"] += 1
+        elif self._is_sound(f):
+            self._moved(heave)
 
     def _smooth(
         self,
@@ -220,7 +261,8 @@ class SeaObserver:
         self._bias_mps2 = float(heave.filter.x[-1])
         heave.moved()
         self._trust.beat(heave.filter.surprise, heave.is_recovering, self.sea)
-        heave.scale = OVERCONFIDENCE * self._trust.factor
+        factor = self._trust.factor
+        heave.scale = OVERCONFIDENCE * (factor if self._trial is None else max(factor, self._trial.factor))
 
     @property
     def is_settled(self) -> bool:
@@ -270,6 +312,7 @@ class SeaObserver:
         n = len(system.H)
         steady = system.steady_of(fit.dt_s, np.frombuffer(fit.steady_P).reshape(n, n))
         old, before = self._heave, self.at(0.0)
+        self._trial = None
         aided = None if old is None else old.filter.gauge
         P = np.frombuffer(fit.P).reshape(n, n).copy() if fit.P else None
         heave = self._install(system, steady, fit.t_s, np.frombuffer(fit.x).copy(), P)
@@ -282,7 +325,7 @@ class SeaObserver:
         self._guard.restart()
         self._unaided_guard.restart()
         self._candidates, self._looked_s = fit.candidates, fit.t_s
-        self._trust.fitted(fit.whiteness, fit.waves, heave.steady_std_m, heave.sea_std_m)
+        self._trust.fitted(fit.whiteness, fit.waves, heave.steady_std_m, heave.sea_std_m, fit.waves_seen)
         self.refreshes += 1
         self._smoother = FixedLagSmoother(system, steady, self._params.delay_s)
         self._smoother.fill(fit.t_s, np.frombuffer(fit.predicted_m), np.frombuffer(fit.innovation))
@@ -333,7 +376,7 @@ class SeaObserver:
 
         nan before the first fit. Cheap for zero, and for the lead and the horizons of the constructor.
         """
-        if self._heave is None:
+        if self._heave is None or not self._is_told:
             return UNKNOWN
         self._heave.set_lead(learned_lead_s)
         return self._heave.at(self.t_s, shift_s)
@@ -348,7 +391,7 @@ class SeaObserver:
         """Heave and :meth:`error_std_m` for each horizon of the constructor after a moment ``shift_s`` after the last
         sample, both times ``gain``: what the laser has shown of the sensor's scale."""
         horizons_s = self._horizons_s
-        if self._heave is None:
+        if self._heave is None or not self._is_told:
             return PlainForecasts.unknown(horizons_s)
         self._heave.set_lead(learned_lead_s)
         if shift_s == 0.0:
@@ -359,7 +402,12 @@ class SeaObserver:
 
     def unshifted(self) -> Motion:
         """What the laser is compared with: nothing learned taken out."""
-        return UNKNOWN if self._heave is None else self._heave.unshifted(self.t_s)
+        return UNKNOWN if self._heave is None or not self._is_told else self._heave.unshifted(self.t_s)
+
+    @property
+    def _is_told(self) -> bool:
+        """Whether the model may be spoken from."""
+        return self._trial is None or self._trial.is_told
 
     def error_std_m(self, shift_s: float, scale: float = 1.0) -> float:
         """Standard deviation of the error of :meth:`at`; nan before the first fit.
@@ -367,7 +415,9 @@ class SeaObserver:
         From the covariance of the filter, times what recent innovations and the delayed heave have shown, times
         ``scale``: what the laser has shown.
         """
-        return nan if self._heave is None else self._heave.std_m(self.t_s, shift_s) * scale
+        if self._heave is None or not self._is_told:
+            return nan
+        return self._heave.std_m(self.t_s, shift_s) * scale
 
     # --- what it knows of the sea ------------------------------------------------------------------------------------
 
@@ -415,8 +465,8 @@ class SeaObserver:
         """The model in use, for a restart to begin with."""
         return None if self._heave is None else self._heave.filter.system.model
 
-    def restore(self, model: SeaModel, dt_s: float = BEAT_S) -> None:
-        """Begin with the model of an earlier run; call before the first sample.
+    def restore(self, model: SeaModel, age_s: float = nan, dt_s: float = BEAT_S) -> None:
+        """Begin with the model of an earlier run, ``age_s`` old; call before the first sample.
 
         Raises:
             ValueError: it is no model of this configuration, or its filter does not converge.
@@ -430,3 +480,4 @@ class SeaObserver:
         if steady is None:
             raise ValueError("the filter of the saved sea does not converge")
         self._install(system, steady, nan, np.zeros(len(system.H)), system.stationary.copy())
+        self._try(age_s)

@@ -98,6 +98,11 @@ class Guard:
         self.is_burst = f.burst_variance > 0.0 and t_s - self._burst_s < BURST_S
         return said
 
+    def rest(self, f: SeaFilter) -> None:
+        """The filter goes on unguarded."""
+        f.burst_variance, self.step_s, self.is_burst = 0.0, None, False
+        self._of = None
+
     def restart(self) -> None:
         """Another filter, or a gap: what was seen is not of it."""
         self._past.clear()

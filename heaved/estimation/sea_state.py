@@ -45,6 +45,13 @@ def sea_state(model: SeaModel, share: float = 1.0) -> SeaState:
     )
 
 
+def longest_period_s(model: SeaModel) -> float:
+    """Period (s) of the longest waves that matter: a tenth of the variance of the heave is in longer ones."""
+    f, S = GRID_HZ, model.heave_spectrum(GRID_HZ)
+    up_to = np.concatenate(([0.0], np.cumsum(0.5 * (S[1:] + S[:-1]) * np.diff(f))))
+    return 1.0 / float(np.interp(0.1 * up_to[-1], up_to, f))
+
+
 def _system(f: Array, S: Array) -> WaveSystem:
     height, period = 4.0 * sqrt(float(np.trapezoid(S, f))), 1.0 / float(f[np.argmax(S)])
     steepness = 2.0 * pi * height / (GRAVITY_MPS2 * period**2)

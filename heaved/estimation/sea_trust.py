@@ -20,6 +20,9 @@ STILL_LIKELIHOOD: Final = 15.0
 STILL_SHARE: Final = 0.5
 """Nor is it a sea when the error of the heave is that share of the heave itself."""
 FACTOR_LIMIT: Final = 10.0
+ENOUGH_WAVES: Final = 8.0
+"""A spectrum of fewer of the longest waves is too coarse for its skirt, and the errors are as many times larger as the
+square of what is lacking (cold starts in swell of 16 and 19 s: 4 and 10 times with fewer than three of them)."""
 NEEDED_S: Final = 60.0
 """Seconds of record from which the observer counts as settled."""
 DIVERGED: Final = 2.5
@@ -27,6 +30,8 @@ DIVERGED: Final = 2.5
 published standard deviation has grown with it by then."""
 SMALL_M: Final = 0.01
 """Differences below this are well whatever the sea."""
+KNOWN_YOUTH: Final = 1.8
+"""Of a model that was fitted to six of the longest waves or more."""
 LONGEST_PEAK_S: Final = 28.0
 """Longer waves than this are not told from the drift of the sensor."""
 
@@ -46,12 +51,15 @@ class SeaTrust:
         self.surprise = self.factor = 1.0
         self._whiteness, self._waves, self._is_still = 1.0, inf, False
         self._is_stubborn = False
+        self._youth = inf
         self._sea: SeaState | None = None
         self._is_recovering = False
         self._standing: tuple[str, ...] = ()
 
-    def fitted(self, whiteness: float, waves: float, error_m: float, sea_std_m: float) -> None:
-        """A fit: whiteness of its innovations, how much likelier it is than noise, error of its heave, that itself."""
+    def fitted(self, whiteness: float, waves: float, error_m: float, sea_std_m: float, waves_seen: float) -> None:
+        """A fit: whiteness of its innovations, how much likelier it is than noise, error of its heave, that itself, and
+        how many of the longest waves it was fitted to."""
+        self._youth = max((ENOUGH_WAVES / max(waves_seen, 1.0)) ** 2, 1.0)
         self._is_stubborn = min(whiteness, self._whiteness) > STUBBORN
         self._whiteness, self._waves = whiteness, waves
         self._is_still = waves < STILL_LIKELIHOOD or error_m > STILL_SHARE * sea_std_m
@@ -60,7 +68,8 @@ class SeaTrust:
         """What the filter says after a beat."""
         self.surprise = max(self._whiteness, surprise)
         ratio = self.divergence.ratio
-        self.factor = min(max(1.0, sqrt(0.5 * self.surprise), ratio), FACTOR_LIMIT)
+        shown = min(max(1.0, sqrt(0.5 * self.surprise), ratio), FACTOR_LIMIT)
+        self.factor = max(shown, self._youth) if self._youth < inf else shown
         self._is_recovering = is_recovering
         found = []
         if self._whiteness > CHANGED or self.surprise > CHANGED_NOW:
@@ -70,6 +79,11 @@ class SeaTrust:
         if sea is not None and not sea.is_still and sea.peak_period_s > LONGEST_PEAK_S:
             found.append(f"swell of {sea.peak_period_s:.0f} s: longer than the sensor can follow")
         self._standing = tuple(found)
+
+    @property
+    def is_model_known(self) -> bool:
+        """Whether the model is so good that what it does not explain is not of the sea."""
+        return self._youth <= KNOWN_YOUTH and self._whiteness <= CHANGED_NOW
 
     @property
     def is_changing(self) -> bool:

@@ -20,7 +20,7 @@ from heaved.estimation import sea_bridge, sea_fit, sea_run
 from heaved.estimation.sea_filter import SeaFilter
 from heaved.estimation.sea_model import SeaModel, SeaSystem, Steady
 from heaved.estimation.sea_smooth import smoothed
-from heaved.estimation.sea_state import sea_state
+from heaved.estimation.sea_state import longest_period_s, sea_state
 from heaved.samples import SeaState
 
 Array = NDArray[np.float64]
@@ -137,6 +137,8 @@ class SeaFit(msgspec.Struct, frozen=True, kw_only=True):
     recent past has holes, and the smoother's weights are not those of its filter."""
     whiteness: float = 1.0
     """Variance of the averaged innovations over the last minute, over what the model has for it; 1 when it is right."""
+    waves_seen: float = 0.0
+    """How many of the longest waves the record of that model holds."""
     heave_std_m: float = 0.0
     """Of the heave that the model describes."""
     waves: float = 0.0
@@ -174,7 +176,7 @@ def _look(window: SeaWindow, record: sea_run.Record) -> SeaFit:
     if stretch_s < (MIN_STRETCH_S if window.candidates else MIN_RECORD_S) and not whole.is_known.all():
         return SeaFit(number=window.number, message="the record has too many holes")
     scores = _scores(window, whole, record.is_known)
-    fitted, shares, waves = _fit_all(window, whole, scores)
+    fitted, shares, seconds, waves = _fit_all(window, whole, scores)
     # Candidates come shortest first: a longer past is exact where the sea is steady, a shorter one has to earn it.
     chosen = max(range(len(fitted)), key=lambda rank: fitted[rank].score + PATIENCE * rank)
     best, share = fitted[chosen], shares[chosen]
@@ -202,6 +204,7 @@ def _look(window: SeaWindow, record: sea_run.Record) -> SeaFit:
         innovation=done.innovation[-kept:].tobytes(),
         delayed=_delayed(window, system, steady, recent, settle).tobytes(),
         whiteness=whiteness(done.innovation, steady),
+        waves_seen=seconds[chosen] / longest_period_s(best.model),
         heave_std_m=sqrt(float(system.heave @ system.stationary @ system.heave)),
         waves=waves,
     )
@@ -347,9 +350,10 @@ def _likelihood(model: SeaModel, steady: Steady, innovation: Array) -> float:
 
 def _fit_all(
     window: SeaWindow, record: sea_run.Record, scores: dict[float, float]
-) -> tuple[tuple[Candidate, ...], list[float], float]:
+) -> tuple[tuple[Candidate, ...], list[float], list[float], float]:
     """A model for each length that the record reaches, the longest that it does not reach gets all there is; the share
-    of each model's variance that was measured; how much likelier than noise the waves are."""
+    of each model's variance that was measured; seconds that each was fitted to; how much likelier than noise the waves
+    are."""
     rate, seconds = 1.0 / record.dt_s, len(record.a_mps2) * record.dt_s
     earlier = {candidate.window_s: candidate.model for candidate in window.candidates}
     known = list(scores)
@@ -378,7 +382,7 @@ def _fit_all(
         Candidate(window_s=length, model=fitted[length].model, score=scores.get(length, unknown)) for length in lengths
     )
     shares = [sea_fit.measured_share(sp, fitted[length].model) for sp, length in zip(spectra, lengths, strict=True)]
-    return candidates, shares, fitted[lengths[0]].waves
+    return candidates, shares, [len(stretch) / rate for stretch in stretches], fitted[lengths[0]].waves
 
 
 def unbroken(record: sea_run.Record, count: int) -> Array:

@@ -38,7 +38,7 @@ DOUBTS = {
 def test_doubts(name: str) -> None:
     whiteness, surprise, is_recovering, sea, settled_s, expected = DOUBTS[name]
     trust = SeaTrust(100)
-    trust.fitted(whiteness, 1e3, 0.01, 1.0)
+    trust.fitted(whiteness, 1e3, 0.01, 1.0, 50.0)
     trust.beat(surprise, is_recovering, sea)
     assert trust.doubts(settled_s) == expected
     assert trust.is_changing == (max(whiteness, surprise) > 3.0)
@@ -49,7 +49,7 @@ def test_what_no_fit_explains_is_no_change() -> None:
     trust = SeaTrust(100)
     seen = []
     for whiteness in (1.0, 300.0, 40.0, 25.0, 300.0, 300.0):
-        trust.fitted(whiteness, 1e3, 0.01, 1.0)
+        trust.fitted(whiteness, 1e3, 0.01, 1.0, 50.0)
         trust.beat(1.0, False, None)
         assert (trust.doubts(100.0) == (CHANGING,)) == (whiteness > 3.0)
         seen.append(trust.is_changing)
@@ -79,6 +79,16 @@ def test_what_was_said_is_held_against_what_is_known_later() -> None:
 @pytest.mark.parametrize(("waves", "error_m", "is_still"), [(1e3, 0.1, False), (14.0, 0.1, True), (1e3, 0.6, True)])
 def test_a_ship_is_still_when_waves_explain_nothing(waves: float, error_m: float, is_still: bool) -> None:
     trust = SeaTrust(100)
-    trust.fitted(1.0, waves, error_m, 1.0)
+    trust.fitted(1.0, waves, error_m, 1.0, 50.0)
     assert trust.is_still == is_still
     assert bool(trust.notes) == is_still
+
+
+@pytest.mark.parametrize(("waves_seen", "factor"), [(2.0, 16.0), (4.0, 4.0), (8.0, 1.0), (50.0, 1.0)])
+def test_a_spectrum_of_few_waves_is_a_coarse_one(waves_seen: float, factor: float) -> None:
+    trust = SeaTrust(100)
+    assert not trust.is_model_known
+    trust.fitted(1.0, 1e3, 0.01, 1.0, waves_seen)
+    trust.beat(1.0, False, None)
+    assert trust.factor == pytest.approx(factor)
+    assert trust.is_model_known == (factor < 1.8)
