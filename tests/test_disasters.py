@@ -9,8 +9,9 @@ from __future__ import annotations
 from functools import cache
 
 import pytest
-from evidence import fault_table
 from evidence.faults import Outcome, Plan, Task, run
+
+from evidence import fault_table
 
 PLAN = Plan(at_s=80.0, duration_s=170.0, memory_s=90.0)
 SEA, RATE_HZ, SEED = "S6", 20.0, 2

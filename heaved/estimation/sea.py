@@ -156,6 +156,8 @@ class SeaObserver:
         if self._guard.step_s is not None:
             self._record.cut(*self._guard.step_s)
             self.steps += 1
+        if self._guard.spoilt_s is not None:
+            self._record.spoil(*self._guard.spoilt_s)
         if f.rejected == rejected and not self._guard.is_burst:
             # What the gate has kept out is missing for the fits too: half a second of it would spoil minutes.
             self._record.push(t_s, a_mps2)
@@ -300,6 +302,7 @@ class SeaObserver:
             looked_s=self._looked_s,
             candidates=self._candidates,
             cuts_s=self._record.cuts_s,
+            spoilt_s=self._record.spoilt_s,
         )
 
     def accept(self, fit: SeaFit) -> str:
@@ -418,6 +421,11 @@ class SeaObserver:
         if self._heave is None or not self._is_told:
             return nan
         return self._heave.std_m(self.t_s, shift_s) * scale
+
+    @property
+    def bias_mps2(self) -> float:
+        """Of the accelerometer, as the filter has it; 0 before the first fit."""
+        return self._bias_mps2 if isfinite(self._bias_mps2) else 0.0
 
     # --- what it knows of the sea ------------------------------------------------------------------------------------
 

@@ -37,6 +37,7 @@ class SeaRecord:
         self._beats.clear()
         self._newest_s = self.started_s = self._asked_s = nan
         self._cuts: list[tuple[float, float]] = []
+        self._spoilt: list[tuple[float, float]] = []
         self._number += 1
         self._awaited = -1
 
@@ -63,6 +64,15 @@ class SeaRecord:
     def cuts_s(self) -> tuple[tuple[float, float], ...]:
         """Where the past is cut: no spectrum is taken across, and no bias."""
         return tuple(self._cuts)
+
+    def spoil(self, from_s: float, to_s: float) -> None:
+        """What is stored of this span has turned out not to be of the sea."""
+        self._spoilt = [span for span in self._spoilt if span[1] > to_s - self._length_s] + [(from_s, to_s)]
+
+    @property
+    def spoilt_s(self) -> tuple[tuple[float, float], ...]:
+        """Spans of which nothing is to be learned."""
+        return tuple(self._spoilt)
 
     def since(self, t_s: float) -> Array:
         """(n, 2) time and acceleration of the beats from ``t_s`` on: a view, overwritten by later ones."""
