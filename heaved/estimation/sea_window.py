@@ -38,13 +38,9 @@ SETTLE_S: Final = 400.0
 models differ by): before the first sample whose innovation is looked at, a filter runs this long."""
 SAME_DT: Final = 1e-3
 """Relative change of the usual interval up to which the gain of a steady filter stays as it was."""
-NEWEST_S: Final = 60.0
-"""The newest stretch is taken when it is that long: the sea may have changed in the hole."""
 WHITENESS_S: Final = 2.0
 """Innovations are averaged over this: engines and slams cancel, what a wrong sea leaves stays."""
 WHITENESS_OVER_S: Final = 60.0
-NEWEST_OF_LONGEST: Final = 0.5
-"""And of the longest stretch that is there: where the sea has changed, the shortest past says so."""
 MIN_RECORD_S: Final = 20.0
 MIN_STRETCH_S: Final = 30.0
 """A record with holes that are too long to be bridged is fitted between them, and not at all when that is shorter and
@@ -176,7 +172,8 @@ def _look(window: SeaWindow, record: sea_run.Record) -> SeaFit:
     drawn = whole.last(len(recent.is_known)).is_known & ~sea_bridge.closed(recent.is_known, record.dt_s, LONG_HOLE_S)
     if window.candidates and np.mean(drawn) > FEW_IN_LONG_HOLES:
         return SeaFit(number=window.number, message="the record has too many holes")
-    stretch_s = len(unbroken(whole, round(max(window.windows_s) / record.dt_s))) * record.dt_s
+    parts = unbroken(whole, round(max(window.windows_s) / record.dt_s))
+    stretch_s = max(map(len, parts), default=0) * record.dt_s
     if stretch_s < (MIN_STRETCH_S if window.candidates else MIN_RECORD_S) and not whole.is_known.all():
         return SeaFit(number=window.number, message="the record has too many holes")
     # What is drawn is no measurement: a filter would be surprised by the next sample, whatever its model.
@@ -369,17 +366,18 @@ def _fit_all(
     earlier = {candidate.window_s: candidate.model for candidate in window.candidates}
     known = list(scores)
     every = sorted(window.windows_s)
-    lengths, stretches = [], []
+    lengths, stretches, longest = [], [], []
     for shorter, length in zip([0.0, *every], every, strict=False):
         if shorter <= seconds:
-            stretch = unbroken(record, round(min(length, seconds) * rate))
-            if len(stretch) >= MIN_RECORD_S * rate:
+            parts = unbroken(record, round(min(length, seconds) * rate))
+            if (most := max(map(len, parts), default=0)) >= MIN_RECORD_S * rate:
                 lengths.append(length)
-                stretches.append(stretch)
+                stretches.append(parts)
+                longest.append(most)
     if not lengths:
         raise np.linalg.LinAlgError("no stretch of it is long enough")
-    spectra = [sea_fit.spectrum(stretch, rate) for stretch in stretches]
-    few = [len(stretch) < FEW_COMPONENTS_BELOW_S * rate for stretch in stretches]
+    spectra = [sea_fit.spectrum(parts, rate) for parts in stretches]
+    few = [most < FEW_COMPONENTS_BELOW_S * rate for most in longest]
     fitted: dict[float, sea_fit.Fitted] = {}
     for are_few in set(few):
         components = min(2, window.components) if are_few else window.components
@@ -393,23 +391,17 @@ def _fit_all(
         Candidate(window_s=length, model=fitted[length].model, score=scores.get(length, unknown)) for length in lengths
     )
     shares = [sea_fit.measured_share(sp, fitted[length].model) for sp, length in zip(spectra, lengths, strict=True)]
-    return candidates, shares, [len(stretch) / rate for stretch in stretches], fitted[lengths[0]].waves
+    return candidates, shares, [sum(map(len, parts)) / rate for parts in stretches], fitted[lengths[0]].waves
 
 
-def unbroken(record: sea_run.Record, count: int) -> Array:
-    """Samples without a hole among the last ``count``: the newest NEWEST_S or more of them, else the longest run.
+def unbroken(record: sea_run.Record, count: int) -> list[Array]:
+    """The stretches without a hole or a cut among the last ``count`` samples, oldest first.
 
     A spectrum cannot bridge a hole: whatever stands in it has power at low frequencies, four decades above the skirt of
     the waves that the error of the heave depends on.
     """
     newest = record.last(count)
-    runs = np.array([run[:2] for run in sea_run.stretches(newest) if run[2]])
-    if not len(runs):
-        return record.a_mps2[:0]
-    lengths = runs[:, 1] - runs[:, 0]
-    enough = np.flatnonzero((lengths * record.dt_s >= NEWEST_S) & (lengths >= NEWEST_OF_LONGEST * np.max(lengths)))
-    first, end = runs[int(enough[-1]) if len(enough) else int(np.argmax(lengths))]
-    return newest.a_mps2[first:end]
+    return [newest.a_mps2[first:end] for first, end, is_known in sea_run.stretches(newest) if is_known]
 
 
 def whiteness(innovation: Array, steady: Steady) -> float:
