@@ -306,10 +306,14 @@ class SeaObserver:
         )
 
     def accept(self, fit: SeaFit) -> str:
-        """Change over to what was fitted: "accepted", "rejected" (a late answer) or "failed"."""
+        """Change over to what was fitted: "accepted", "rejected" (late, or at the wrong moment) or "failed"."""
         if fit.message or fit.model is None:
             return "failed"
         if not self._record.answered(fit.number):
+            return "rejected"
+        if self._heave is not None and self._heave.filter.withheld:
+            # Readings are withheld that the next ones will judge: another filter would not know of them.
+            self._record.ask_again()
             return "rejected"
         system = SeaSystem(fit.model)
         n = len(system.H)

@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 EARLY_EVERY_S: Final = 10.0
 """Between fits, until EARLY_S of record: each sees much more than the one before."""
 EARLY_S: Final = 120.0
+AGAIN_S: Final = 1.0
 
 
 class SeaRecord:
@@ -96,6 +97,10 @@ class SeaRecord:
         self._number += 1
         self._awaited = self._number
         return self._number, self._beats.since(t_s - self._length_s)
+
+    def ask_again(self) -> None:
+        """The answer could not be used: the next look is due AGAIN_S from now."""
+        self._asked_s -= max(self._refresh_s - AGAIN_S, 0.0)
 
     def answered(self, number: int) -> bool:
         """Whether an answer of this number is the one that is awaited, which then is no more."""
