@@ -43,6 +43,10 @@ ERROR_TIME_S: Final = 60.0
 SCALE_TIME_S: Final = 180.0
 """Memory of what the laser says about the standard deviation: the error of a swell grows and fades over 40-80 s, and a
 minute of either kind is not the error that an outage will have."""
+INDEPENDENT_S: Final = 40.0
+"""As long as such an error grows or fades: two numbers of it, amplitude and phase, are independent of the last ones."""
+SURELY: Final = 2.0
+"""Standard errors by which the laser must have shown a smaller error than the modelled one."""
 FOLLOW_S: Final = 60.0
 """Time constant with which the standard deviation takes it over."""
 SCALE_LIMITS: Final = (0.2, 10.0)
@@ -79,7 +83,7 @@ class Reference:
     def __init__(self, params: Params) -> None:
         self._params = params
         self.restarts = 0
-        self._scale2 = 1.0
+        self._scale2, self._judged_s = 1.0, nan
         self._shown2 = self._modelled2 = self._shown_s = 0.0
         self.forget()
 
@@ -118,6 +122,13 @@ class Reference:
     def std_scale(self) -> float:
         """Factor between the error that the laser has shown and the one that was modelled; 1 before any laser."""
         return sqrt(self._scale2)
+
+    def std_scale_at(self, t_s: float) -> float:
+        """:attr:`std_scale` for a moment after the last reading: that the heave is better than modelled is of the sea
+        of then, that it is worse is of the sensor, and stays."""
+        if self._scale2 >= 1.0 or not t_s > self._judged_s:
+            return self.std_scale
+        return sqrt(1.0 + exp((self._judged_s - t_s) / SCALE_TIME_S) * (self._scale2 - 1.0))
 
     def signed(self, laser_m: float) -> float:
         """The reading with the sign of heave, constant included (m)."""
@@ -171,7 +182,9 @@ class Reference:
         low, high = SCALE_LIMITS
         scale2 = min(max(shown2 / self._modelled2, low**2), high**2)
         if scale2 < 1.0:  # To be better than it thinks takes as long to see as its error takes to come and go.
-            scale2 = 1.0 + min(self._shown_s / SCALE_TIME_S, 1.0) * (scale2 - 1.0)
+            independent = 2.0 * max(min(self._shown_s, SCALE_TIME_S) / INDEPENDENT_S, 1.0)
+            scale2 = min(scale2 * (1.0 + SURELY * sqrt(2.0 / independent)), 1.0)
+        self._scale2, self._judged_s = self.std_scale_at(t_s - dt) ** 2, t_s
         self._scale2 += (1.0 - exp(-dt / FOLLOW_S)) * (scale2 - self._scale2)
         return Verdict.ACCEPTED
 
