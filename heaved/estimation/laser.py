@@ -142,6 +142,8 @@ class LaserTeacher:
         shown = lead.compare(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3], observer.omega_radps)
         has_true_gain = isinstance(observer, SeaObserver)
         is_learned = self.lead.update(shown, observer.design_lead_s, has_true_gain=has_true_gain)
+        if is_learned:
+            self.reference.rebase(self._output_t_s)
         was_doubted, self._remark = bool(self._remark), self._doubt(shown, rows[:, 1], observer)
         if (is_learned and first) or (self._remark and not was_doubted):
             self._correction.forget_rows()

@@ -1,5 +1,6 @@
 """Oracle: readings made as sign * (heave + constant) + noise, with the heave known."""
 
+import copy
 from math import isfinite, nan, pi, sqrt
 
 import numpy as np
@@ -84,6 +85,19 @@ def test_a_step_of_the_constant_is_taken_after_three_seconds() -> None:
     assert not gauge.reference.fresh(70.0)  # fifteen seconds of the new one are needed
     gauge.run(70.0, 100.0, 11.0)
     assert gauge.reference.constant_m == pytest.approx(11.0, abs=0.002)
+
+
+def test_a_heave_that_is_made_otherwise_is_no_leap_of_the_laser() -> None:
+    """A lead that has just been learned moves it at once; what leaps beside it is seen as ever."""
+    gauge = Gauge(Params(), error_m=0.02)
+    gauge.run(0.0, 60.0, 12.0)
+    leapt = copy.deepcopy(gauge)
+    assert Verdict.OUTLIER in leapt.run(60.0, 62.0, 12.12)
+    gauge.reference.rebase(60.0 - 1.0 / RATE_HZ)
+    assert set(gauge.run(60.0, 70.0, 12.12)) == {Verdict.ACCEPTED}
+    assert Verdict.OUTLIER in gauge.run(70.0, 72.0, 12.24)
+    leapt.reference.rebase(62.0 - 1.0 / RATE_HZ)
+    assert Verdict.ACCEPTED not in leapt.run(62.0, 62.5, 12.12)
 
 
 def test_freshness_ends_with_the_age_of_the_last_reading() -> None:
