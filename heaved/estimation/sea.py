@@ -337,7 +337,8 @@ class SeaObserver:
         self._smoother = FixedLagSmoother(system, steady, self._params.delay_s)
         self._smoother.fill(fit.t_s, np.frombuffer(fit.predicted_m), np.frombuffer(fit.innovation))
         rows = np.frombuffer(fit.delayed).reshape(-1, 3).tolist()
-        self._ripening = deque([DelayedHeave(t_s=t, heave_m=h, std_m=std) for t, h, std in rows])
+        youth = self._trust.youth
+        self._ripening = deque([DelayedHeave(t_s=t, heave_m=h, std_m=youth * std) for t, h, std in rows])
         self._catch_up(heave, self._smoother, fit.t_s)
         if old is not None and aided is not None:
             # The laser's knowledge of the heave itself comes over; the rest of the state it teaches again.

@@ -44,16 +44,21 @@ def closed(is_known: NDArray[np.bool_], dt_s: float, longest_s: float = LONGEST_
 
 
 def bridged(
-    a: Array, is_known: NDArray[np.bool_], dt_s: float, model: SeaModel, rng: np.random.Generator | None
+    a: Array,
+    is_known: NDArray[np.bool_],
+    dt_s: float,
+    model: SeaModel,
+    rng: np.random.Generator | None,
+    longest_s: float = LONGEST_S,
 ) -> tuple[Array, NDArray[np.bool_]]:
     """``a`` (n,), evenly sampled, with its holes filled as far as they are bridged, and what is known then (n,).
 
-    rng: draws what the conditional mean leaves open; None: the mean alone.
+    rng: draws what the conditional mean leaves open; None: the mean alone. longest_s: of the holes that are bridged.
 
     Raises:
         LinAlgError: the covariance of the model is too near to a pure line for a solution.
     """
-    bridged_too = closed(is_known, dt_s)
+    bridged_too = closed(is_known, dt_s, longest_s)
     if bool(np.all(bridged_too == is_known)):
         return a, is_known
     weights, std = _whitening(model, dt_s)

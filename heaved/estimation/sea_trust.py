@@ -43,6 +43,7 @@ class SeaTrust:
         divergence: of real-time and delayed heave.
         surprise: variance of the averaged innovations over the model's, at the last fit or in the last seconds.
         factor: by which errors are larger than the model says; 1 when it is right.
+        youth: the same for what the spectrum of few waves leaves open alone; inf before the first fit.
     """
 
     def __init__(self, delayed_beats: int) -> None:
@@ -51,7 +52,7 @@ class SeaTrust:
         self.surprise = self.factor = 1.0
         self._whiteness, self._waves, self._is_still = 1.0, inf, False
         self._is_stubborn = False
-        self._youth = inf
+        self.youth = inf
         self._sea: SeaState | None = None
         self._is_recovering = False
         self._standing: tuple[str, ...] = ()
@@ -59,7 +60,7 @@ class SeaTrust:
     def fitted(self, whiteness: float, waves: float, error_m: float, sea_std_m: float, waves_seen: float) -> None:
         """A fit: whiteness of its innovations, how much likelier it is than noise, error of its heave, that itself, and
         how many of the longest waves it was fitted to."""
-        self._youth = max((ENOUGH_WAVES / max(waves_seen, 1.0)) ** 2, 1.0)
+        self.youth = max((ENOUGH_WAVES / max(waves_seen, 1.0)) ** 2, 1.0)
         self._is_stubborn = min(whiteness, self._whiteness) > STUBBORN
         self._whiteness, self._waves = whiteness, waves
         self._is_still = waves < STILL_LIKELIHOOD or error_m > STILL_SHARE * sea_std_m
@@ -69,7 +70,7 @@ class SeaTrust:
         self.surprise = max(self._whiteness, surprise)
         ratio = self.divergence.ratio
         shown = min(max(1.0, sqrt(0.5 * self.surprise), ratio), FACTOR_LIMIT)
-        self.factor = max(shown, self._youth) if self._youth < inf else shown
+        self.factor = max(shown, self.youth) if self.youth < inf else shown
         self._is_recovering = is_recovering
         found = []
         if self._whiteness > CHANGED or self.surprise > CHANGED_NOW:
@@ -83,7 +84,7 @@ class SeaTrust:
     @property
     def is_model_known(self) -> bool:
         """Whether the model is so good that what it does not explain is not of the sea."""
-        return self._youth <= KNOWN_YOUTH and self._whiteness <= CHANGED_NOW
+        return self.youth <= KNOWN_YOUTH and self._whiteness <= CHANGED_NOW
 
     @property
     def is_changing(self) -> bool:

@@ -46,6 +46,10 @@ MIN_STRETCH_S: Final = 30.0
 """A record with holes that are too long to be bridged is fitted between them, and not at all when that is shorter and
 there is a model already."""
 LONG_HOLE_S: Final = 1.0
+LONG_S: Final = 60.0
+MOSTLY: Final = 0.6
+"""Longer holes are bridged only where the stretches between them that are that long are a smaller share of the record:
+what is drawn into three seconds may raise the skirt of a spectrum tenfold."""
 FEW_IN_LONG_HOLES: Final = 0.1
 """Share of the shortest window that may lie in longer holes than that, bridged, when there is a model already: more of
 it is better not learned from. (A sensor at the end of its range loses just the highest waves.)"""
@@ -219,6 +223,15 @@ def _has_many_holes(record: sea_run.Record) -> bool:
     return int(np.count_nonzero(known[:-1] & ~known[1:])) * MANY_HOLES_S > len(known) * record.dt_s
 
 
+def _longest_bridge(record: sea_run.Record) -> float:
+    """Longest holes (s) that are bridged: as short as stretches without holes are there to be fitted."""
+    closed = sea_bridge.closed(record.is_known, record.dt_s, LONG_HOLE_S)
+    stretches = sea_run.stretches(msgspec.structs.replace(record, is_known=closed))
+    most = LONG_S / record.dt_s
+    fitted = sum([end - first for first, end, is_known in stretches if is_known and end - first > most])
+    return LONG_HOLE_S if fitted > MOSTLY * len(closed) else sea_bridge.LONGEST_S
+
+
 def _bridged(window: SeaWindow, record: sea_run.Record, *, is_drawn: bool) -> sea_run.Record:
     """The record with its holes bridged, as far as they are short: what a spectrum can be had of when it ``is_drawn``.
 
@@ -228,14 +241,15 @@ def _bridged(window: SeaWindow, record: sea_run.Record, *, is_drawn: bool) -> se
         return record
     best = max(window.candidates, key=lambda candidate: candidate.score, default=None)
     rng = np.random.default_rng(BRIDGE_SEED) if is_drawn else None
+    longest_s = _longest_bridge(record)
     model, whole = (None if best is None else best.model), record
     for _ in range(1 if model is not None else ROUGH):
         if model is None:
-            lines = msgspec.structs.replace(whole, is_known=sea_bridge.closed(whole.is_known, whole.dt_s))
+            lines = msgspec.structs.replace(whole, is_known=sea_bridge.closed(whole.is_known, whole.dt_s, longest_s))
             model = _fit_all(window, lines, {})[0][-1].model
         # Not across a cut: the level is another one there.
         parts = [
-            sea_bridge.bridged(record.a_mps2[first:end], record.is_known[first:end], record.dt_s, model, rng)
+            sea_bridge.bridged(record.a_mps2[first:end], record.is_known[first:end], record.dt_s, model, rng, longest_s)
             for first, end in itertools.pairwise([0, *record.cuts, len(record.a_mps2)])
         ]
         a, is_known = (np.concatenate(columns) for columns in zip(*parts, strict=True))
