@@ -74,7 +74,9 @@ LEARNT_S: Final = 0.04
 STOP_MEMORY_S: Final = 60.0
 MANY_STOPS: Final = 4
 WELL_KNOWN: Final = 100
-"""Changes from which a channel that has not repeated itself never does."""
+"""Changes from which a channel that has not repeated itself never does,"""
+ALONE_S: Final = 0.06
+"""but for once by chance, no longer than this: of four digits, two in a row are the same once in some hundreds."""
 FEW_CHANGES: Final = 10
 """Before, the resolution is not known."""
 USUAL_STEPS: Final = 3.0
@@ -127,9 +129,10 @@ class StuckGate:
             # A reading that has just come is not one that repeats, but it may be a stop that is known.
             self.is_stuck = bool(self._stops) and t_s - self._stops.get(value, -inf) < STOP_MEMORY_S
             return self.is_stuck
+        is_first = self._t_s == self._since_s
         self._t_s = t_s
         held_s = t_s - self._since_s
-        self.is_stuck = held_s >= self._patience_s(moves) - 1e-6
+        self.is_stuck = held_s >= self._patience_s(moves, is_first) - 1e-6
         if self._rests:
             return self.is_stuck
         if self.is_stuck:
@@ -140,12 +143,12 @@ class StuckGate:
             self.is_stuck = True
         return self.is_stuck
 
-    def _patience_s(self, moves: bool) -> float:
-        """For how long a reading may repeat."""
+    def _patience_s(self, moves: bool, is_first: bool) -> float:
+        """For how long a reading may repeat, this being its first repetition or not."""
         runs_s = (RESTS if self._rests else RUNS) * self._run_s
         if self.spread > MOVES * self._resolution:
             never_repeats = self._rests and self._run_s == 0.0 and self._changes >= WELL_KNOWN
-            return 0.0 if never_repeats else SOON_S + runs_s
+            return (ALONE_S if is_first else 0.0) if never_repeats else SOON_S + runs_s
         if not self._rests:
             return STUCK_S if self._changes > 0 or self._must_live else inf
         if not moves:

@@ -95,6 +95,14 @@ def test_an_angle_that_freezes_is_found_and_one_that_rests_is_not(
     assert not found[t >= 80.0][0]
 
 
+@pytest.mark.parametrize("rate_hz", [20.0, 100.0])
+def test_two_readings_that_are_the_same_by_chance_are_no_fault(rate_hz: float) -> None:
+    t, roll = rolling(rate_hz, 0.0, 0.02)
+    at = int(60.0 * rate_hz)
+    roll[at + 1] = roll[at]
+    assert not stands(StuckGate(rests=True), t, roll).any()
+
+
 def test_on_a_still_ship_nothing_stands_and_a_constant_is_none() -> None:
     t = np.arange(0.0, 60.0, 0.05)
     assert not stands(StuckGate(rests=True), t, np.where(t > 30.0, 0.001, 0.0), moves=False).any()
