@@ -12,6 +12,8 @@ import msgspec
 import pytest
 from evidence.correction import Outcome, Segment, Trial, report, run
 
+from heaved.estimation import correction
+
 TRIALS = {
     sea: Trial(sea=sea, laser="180+120,360+60", duration_s=420.0, rate_hz=10.0, seed=seed)
     for sea, seed in (("S6", 2), ("T3", 1))
@@ -24,7 +26,7 @@ GAINED = 0.9
 
 
 CHANCE = Trial(sea="S6", sensor="slow B", laser="50%", duration_s=480.0, taught=True)
-"""A sensor whose lag the laser has taught: what is left beats, and for a minute a network seems to follow it."""
+"""A sensor whose lag the laser has taught: what is left beats, and for a minute a network may seem to follow it."""
 
 
 @cache
@@ -53,7 +55,9 @@ def test_the_correction_is_never_worse_than_its_observer_and_gains(sea: str) -> 
         assert sum(part.corrected_rms_m for part in kept) < GAINED * sum(part.observer_rms_m for part in kept)
 
 
-def test_a_network_that_agrees_with_the_laser_by_chance_does_no_harm() -> None:
+def test_a_network_that_agrees_with_the_laser_by_chance_does_no_harm(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No chance is waited for: networks are accepted that are no better, and a little worse, on what was held out."""
+    monkeypatch.setattr(correction, "WORTH", 1.5)
     found = run(CHANCE)
     print(report([found]))
     assert found.verdicts["accepted"] >= 1

@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from math import isfinite, nan
+from math import hypot, isfinite, nan
 
 import msgspec
 
@@ -102,13 +102,14 @@ class HeaveChain:
     def at(self, shift_s: float) -> Heave | None:
         """What is known for ``shift_s`` after the last sample, the configured lead added; None: nothing yet."""
         observer, taught = self.observer, self.laser.lead
-        scale = self.laser.std_scale
+        scale = self.laser.std_scale(self.good_t_s + shift_s)
         moment_s = shift_s + self._lead_s
         gain, no_less = taught.gain, scale if scale > 1.0 else 1.0
         std_m = gain * observer.error_std_m(moment_s, scale if self._lead_s == 0.0 else no_less)
         if not isfinite(std_m):
             return None
         motion = observer.at(moment_s, taught.learned_s)
+        std_m = hypot(std_m, taught.error_std_m(motion.heave_m, motion.velocity_mps))
         observer_m, correction_m = gain * motion.heave_m, self.correction.value_m
         return Heave(
             heave_m=observer_m + correction_m,
@@ -124,7 +125,7 @@ class HeaveChain:
     def delayed(self) -> DelayedHeave | None:
         """The newest delayed heave, with what the laser has taught."""
         taught = self.laser.lead
-        self.laser.delayed.take(self.observer.delayed, taught.learned_s, taught.gain)
+        self.laser.delayed.take(self.observer.delayed, taught)
         return self.laser.delayed.newest
 
     def start_over(self) -> None:

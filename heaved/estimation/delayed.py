@@ -8,9 +8,10 @@ readings of the same time do, a minute later; what they have shown is remembered
 from __future__ import annotations
 
 from collections import deque
-from math import inf, nan, sqrt
+from math import hypot, inf, nan, sqrt
 from typing import Final
 
+from heaved.estimation.lead import LeadTracker
 from heaved.samples import DelayedHeave
 
 OVERCONFIDENCE: Final = 2.0
@@ -55,16 +56,23 @@ class DelayedOutput:
             self._read_s = t_s
             self._readings.append((t_s, heave_m))
 
-    def take(self, found: DelayedHeave | None, learned_s: float, gain: float) -> None:
-        """What the observer has newest, and what the laser has taught of the sensor: how early it is, and its scale."""
+    def take(self, found: DelayedHeave | None, taught: LeadTracker) -> None:
+        """What the observer has newest, and what the laser has taught of the sensor: how early it is, and its scale.
+
+        How well these two are known is in the standard deviation: a thousandth of a wave is more than the smoother is
+        off.
+        """
         if found is self._of:
             return
         self._of, before = found, self.newest
         if found is None:
             self.newest = None
             return
-        t_s, heave_m = found.t_s + learned_s, gain * found.heave_m
-        modelled_m = OVERCONFIDENCE * gain * found.std_m
+        t_s, heave_m = found.t_s + taught.learned_s, taught.gain * found.heave_m
+        step_s = nan if before is None else t_s - before.t_s
+        is_next = before is not None and 0.0 < step_s <= MAX_STEP_S
+        velocity_mps = (heave_m - before.heave_m) / step_s if before is not None and is_next else 0.0
+        modelled_m = hypot(OVERCONFIDENCE * taught.gain * found.std_m, taught.error_std_m(found.heave_m, velocity_mps))
         if self._readings:
             self._compare(before, t_s, heave_m, modelled_m)
         self.newest = DelayedHeave(t_s=t_s, heave_m=heave_m, std_m=self.scale * modelled_m)

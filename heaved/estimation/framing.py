@@ -212,7 +212,7 @@ class Framer:
                 notes=observer.notes,
                 remarks=chain.laser.remarks() if self._has_laser else (),
                 tilt_removed=intake.is_tilt_removed(t_s),
-                std_scale=chain.laser.std_scale,
+                std_scale=chain.laser.std_scale(t_s),
                 laser_fault=chain.laser.fault,
                 laser_configured=self._has_laser,
                 laser_fresh=fresh,

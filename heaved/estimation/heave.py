@@ -89,6 +89,8 @@ class HarmonicObserver:
     # What the sea observer has and this one does not.
     sea: SeaState | None = None
     delayed: DelayedHeave | None = None
+    bias_mps2: Final = 0.0
+    """Of the accelerometer: the high-pass of the integrator has no name for it."""
     doubts: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     rejected = 0

@@ -7,7 +7,7 @@ often they come, how many are lost.
 
 from __future__ import annotations
 
-from math import inf, isfinite, nan
+from math import cos, inf, isfinite, nan
 from typing import Final
 
 from heaved.estimation.arrivals import Arrivals
@@ -90,6 +90,8 @@ class Intake:
         if self._tilt_removed:
             tilt = self._attitude_of_acceleration(t_s)
             level = up_acceleration(ax - bias.x_mps2, ay - bias.y_mps2, az, *tilt)
+            # A bias across the deck is not all vertical on a vessel that rolls; what is left of it is the observer's.
+            level += self._chain.observer.bias_mps2 * (1.0 - cos(tilt[0]) * cos(tilt[1]))
             share = min((t_s - self._chain.good_t_s) / TILT_MEMORY_S, 1.0)
             if share > 0.0:
                 self._tilt_square += share * ((level - up) ** 2 - self._tilt_square)

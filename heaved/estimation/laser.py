@@ -51,7 +51,7 @@ class LaserTeacher:
         self.lead = lead.LeadTracker(comparison)
         self.delayed = DelayedOutput(laser.noise_std_m)
         self.fault = Fault.NONE
-        self._stuck = StuckGate()
+        self._stuck = StuckGate(must_live=True)
         self._waiting: deque[LaserSample] = deque(maxlen=1024)
         self._outputs = Ring(int(LATE_S * max_rate_hz), 5)
         """Time, observer output X*, published heave, and the unshifted observer's heave and velocity."""
@@ -62,10 +62,9 @@ class LaserTeacher:
         self._lead_t_s = nan
         self._remark = ""
 
-    @property
-    def std_scale(self) -> float:
+    def std_scale(self, t_s: float) -> float:
         """What the laser says about the observer's standard deviation; nothing where that is made from it."""
-        return 1.0 if self._is_aiding else self.reference.std_scale
+        return 1.0 if self._is_aiding else self.reference.std_scale_at(t_s)
 
     def is_fresh(self, t_s: float) -> bool:
         """Whether there is a reading young enough to be published, of a laser that shows the heave."""
@@ -143,6 +142,8 @@ class LaserTeacher:
         shown = lead.compare(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3], observer.omega_radps)
         has_true_gain = isinstance(observer, SeaObserver)
         is_learned = self.lead.update(shown, observer.design_lead_s, has_true_gain=has_true_gain)
+        if is_learned:
+            self.reference.rebase(self._output_t_s)
         was_doubted, self._remark = bool(self._remark), self._doubt(shown, rows[:, 1], observer)
         if (is_learned and first) or (self._remark and not was_doubted):
             self._correction.forget_rows()

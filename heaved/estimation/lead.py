@@ -10,7 +10,7 @@ The sign of m in eq. (14) is explicit here: a positive lead means that the estim
 
 from __future__ import annotations
 
-from math import atan2, exp, hypot, pi, remainder, sqrt
+from math import atan2, exp, hypot, inf, pi, remainder, sqrt
 from typing import Annotated, Final
 
 import msgspec
@@ -90,6 +90,7 @@ class Comparison(msgspec.Struct, frozen=True):
     """0..1: share of the laser's variance that the shifted, scaled estimate explains."""
     omega_radps: float = 0.0
     """Where the phase was taken; 0: not known."""
+    gain_std: float = inf
 
     def beyond(self, design_lead_s: float) -> float:
         """Lead that the chain's own design does not explain, s: a phase, known but for whole turns."""
@@ -100,17 +101,14 @@ class Comparison(msgspec.Struct, frozen=True):
         """Whether the laser moves down where the estimate moves up."""
         return abs(self.beyond(design_lead_s)) * self.omega_radps > 2.0 * pi * OPPOSED_PERIODS
 
-    @property
-    def gain_std(self) -> float:
-        """Standard error of the gain: it and the phase are two coordinates of one point."""
-        return self.lead_std_s * self.omega_radps * self.gain
-
 
 def compare(t_s: Array, heave_m: Array, velocity_mps: Array, laser_m: Array, omega_radps: float) -> Comparison | None:
     """Regress the laser (n,) on heave (n,) and velocity (n,), besides a constant and a slope.
 
-    With laser = A heave + B velocity the gain is |A - j B omega| and the lead its phase over omega. The standard error
-    counts one independent sample per half period, not one per reading: the residual is as narrow-banded as the sea.
+    With laser = A heave + B velocity the gain is |A - j B omega| and the lead its phase over omega. The standard errors
+    count one independent sample per half period, not one per reading: the residual is as narrow-banded as the sea.
+    A laser that shows only the middle of the waves sees much of the velocity and little of the heave: each coefficient
+    has its own.
     None: fewer than 8 readings, or a window in which the estimate or the laser carries no motion.
     """
     n = len(t_s)
@@ -131,14 +129,17 @@ def compare(t_s: Array, heave_m: Array, velocity_mps: Array, laser_m: Array, ome
         return None
     A, B = float(coefficients[0]), float(coefficients[1])
     independent = max(2.0, span * omega_radps / pi)
-    variance = float(residual @ residual) / n / max(float(np.var(columns[:, 1])), 1e-30) / independent
-    gain = hypot(A, B)
+    gain = max(hypot(A, B), 1e-9)
+    # Of A and B, for a residual of which so few are independent, turned along the phasor and across it.
+    covariance = np.linalg.inv(normal)[:2, :2] * (float(residual @ residual) / independent)
+    along, across = np.array((A, B)) / gain, np.array((-B, A)) / gain
     return Comparison(
         lead_s=atan2(-B, A) / omega_radps,
-        lead_std_s=sqrt(variance) / max(gain, 1e-9) / omega_radps,
+        lead_std_s=sqrt(max(float(across @ covariance @ across), 0.0)) / gain / omega_radps,
         gain=gain,
         coherence=max(0.0, 1.0 - float(residual @ residual) / total),
         omega_radps=omega_radps,
+        gain_std=sqrt(max(float(along @ covariance @ along), 0.0)),
     )
 
 
@@ -146,13 +147,15 @@ class LeadTracker:
     """The slow, bounded estimate of the lead that the chain's own design does not explain (sensor, bus, latency).
 
     Attributes:
+        learned_std_s, gain_std: standard errors of lead and gain as they are in use; 0 before anything is learned. The
+            windows overlap: an average is taken to be no surer than they are.
         refused: why the last comparison was not that of a laser that shows the heave, for people; else empty.
     """
 
     def __init__(self, params: Params) -> None:
         self._params = params
-        self.learned_s = 0.0
-        self.gain = 1.0
+        self.learned_s = self.learned_std_s = 0.0
+        self.gain, self.gain_std = 1.0, 0.0
         self.updates = 0
         self._gains = 0
         self.last: Comparison | None = None
@@ -175,10 +178,13 @@ class LeadTracker:
         measured = comparison.beyond(design_lead_s)
         weight = max(self._weight, 1.0 / (1.0 + self.updates))
         self.learned_s += weight * (measured - self.learned_s)
+        self.learned_std_s += weight * (comparison.lead_std_s - self.learned_std_s)
         self.updates += 1
         if has_true_gain and comparison.coherence > GAIN_COHERENCE and p.gain_limit > 0.0:
             shown = min(max(comparison.gain, 1.0 - p.gain_limit), 1.0 + p.gain_limit)
-            self.gain += max(self._weight, 1.0 / (1.0 + self._gains)) * (shown - self.gain)
+            weight = max(self._weight, 1.0 / (1.0 + self._gains))
+            self.gain += weight * (shown - self.gain)
+            self.gain_std += weight * (comparison.gain_std - self.gain_std)
             self._gains += 1
         return True
 
@@ -199,6 +205,10 @@ class LeadTracker:
         if self.refused:
             return f"laser: {self.refused}"
         return f"laser: {of_lead(self.learned_s)}" if abs(self.learned_s) > SENSORS_S else ""
+
+    def error_std_m(self, heave_m: float, velocity_mps: float) -> float:
+        """Standard deviation of what errors of gain and lead make of a heave: it grows and fades with the waves."""
+        return hypot(self.gain_std * heave_m, self.learned_std_s * velocity_mps)
 
     def restore(self, learned_s: float, gain: float = 1.0) -> None:
         """Start from what an earlier run has learned; the next comparison outweighs half of it."""

@@ -7,7 +7,7 @@ no mean, so the constant is the mean of (signed reading - heave estimate) over t
 from __future__ import annotations
 
 from enum import Enum
-from math import exp, isfinite, nan, sqrt
+from math import exp, inf, isfinite, nan, sqrt
 from typing import Annotated, Final, Literal
 
 import msgspec
@@ -24,6 +24,8 @@ GATE: Final = 8.0
 """Readings further off than this many RMS residuals are not of this target (spray, a passing boat)."""
 LEAP_S: Final = 1.0
 """Between readings no further apart a leap is seen as one, however far the heave itself is off."""
+REBASED_S: Final = 0.25
+"""Between samples no further apart the heave moves over to another lead."""
 BACK: Final = 0.5
 """It has come back when less than that share of a leap is left: in between, noise would bring it back now and then."""
 LEAP_READINGS: Final = 20
@@ -43,6 +45,10 @@ ERROR_TIME_S: Final = 60.0
 SCALE_TIME_S: Final = 180.0
 """Memory of what the laser says about the standard deviation: the error of a swell grows and fades over 40-80 s, and a
 minute of either kind is not the error that an outage will have."""
+INDEPENDENT_S: Final = 40.0
+"""As long as such an error grows or fades: two numbers of it, amplitude and phase, are independent of the last ones."""
+SURELY: Final = 2.0
+"""Standard errors by which the laser must have shown a smaller error than the modelled one."""
 FOLLOW_S: Final = 60.0
 """Time constant with which the standard deviation takes it over."""
 SCALE_LIMITS: Final = (0.2, 10.0)
@@ -79,7 +85,8 @@ class Reference:
     def __init__(self, params: Params) -> None:
         self._params = params
         self.restarts = 0
-        self._scale2 = 1.0
+        self._rebased_s = -inf
+        self._scale2, self._judged_s = 1.0, nan
         self._shown2 = self._modelled2 = self._shown_s = 0.0
         self.forget()
 
@@ -119,6 +126,13 @@ class Reference:
         """Factor between the error that the laser has shown and the one that was modelled; 1 before any laser."""
         return sqrt(self._scale2)
 
+    def std_scale_at(self, t_s: float) -> float:
+        """:attr:`std_scale` for a moment after the last reading: that the heave is better than modelled is of the sea
+        of then, that it is worse is of the sensor, and stays."""
+        if self._scale2 >= 1.0 or not t_s > self._judged_s:
+            return self.std_scale
+        return sqrt(1.0 + exp((self._judged_s - t_s) / SCALE_TIME_S) * (self._scale2 - 1.0))
+
     def signed(self, laser_m: float) -> float:
         """The reading with the sign of heave, constant included (m)."""
         return self._params.sign * laser_m
@@ -137,7 +151,7 @@ class Reference:
         self._t_s = t_s
         floor = (4.0 * self._params.noise_std_m) ** 2
         is_far = self.known and deviation**2 > GATE**2 * max(self._mean_square, floor)
-        if self._has_leapt(since_s, residual) or is_far or abs(deviation) > bounds.HEAVE_M:
+        if self._has_leapt(t_s, since_s, residual) or is_far or abs(deviation) > bounds.HEAVE_M:
             if not isfinite(self._outlier_since_s):
                 self._outlier_since_s = t_s
             if not self.known:  # Readings most of which are refused never add up to a constant.
@@ -171,11 +185,17 @@ class Reference:
         low, high = SCALE_LIMITS
         scale2 = min(max(shown2 / self._modelled2, low**2), high**2)
         if scale2 < 1.0:  # To be better than it thinks takes as long to see as its error takes to come and go.
-            scale2 = 1.0 + min(self._shown_s / SCALE_TIME_S, 1.0) * (scale2 - 1.0)
+            independent = 2.0 * max(min(self._shown_s, SCALE_TIME_S) / INDEPENDENT_S, 1.0)
+            scale2 = min(scale2 * (1.0 + SURELY * sqrt(2.0 / independent)), 1.0)
+        self._scale2, self._judged_s = self.std_scale_at(t_s - dt) ** 2, t_s
         self._scale2 += (1.0 - exp(-dt / FOLLOW_S)) * (scale2 - self._scale2)
         return Verdict.ACCEPTED
 
-    def _has_leapt(self, since_s: float, residual_m: float) -> bool:
+    def rebase(self, t_s: float) -> None:
+        """The heave that the readings are compared with is made otherwise after ``t_s``: it leaps, not the laser."""
+        self._rebased_s = t_s
+
+    def _has_leapt(self, t_s: float, since_s: float, residual_m: float) -> bool:
         """Whether the readings have leapt away from the target that they were on, and not come back.
 
         From one reading to the next only the noise and the movement of the error come in, which are far smaller than
@@ -186,6 +206,8 @@ class Reference:
         if not since_s <= LEAP_S:  # The first, or the first after a pause: nothing to compare with.
             self._leapt_m = 0.0
             return False
+        if t_s - since_s <= self._rebased_s + REBASED_S:
+            return self._leapt_m != 0.0
         usual2 = 2.0 * self.reading_std_m**2 + self._mean_square * since_s**2
         self._steps += 1
         learned = max(LEARNED, 2.0 / self._steps)

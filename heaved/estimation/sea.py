@@ -156,6 +156,8 @@ class SeaObserver:
         if self._guard.step_s is not None:
             self._record.cut(*self._guard.step_s)
             self.steps += 1
+        if self._guard.spoilt_s is not None:
+            self._record.spoil(*self._guard.spoilt_s)
         if f.rejected == rejected and not self._guard.is_burst:
             # What the gate has kept out is missing for the fits too: half a second of it would spoil minutes.
             self._record.push(t_s, a_mps2)
@@ -300,13 +302,18 @@ class SeaObserver:
             looked_s=self._looked_s,
             candidates=self._candidates,
             cuts_s=self._record.cuts_s,
+            spoilt_s=self._record.spoilt_s,
         )
 
     def accept(self, fit: SeaFit) -> str:
-        """Change over to what was fitted: "accepted", "rejected" (a late answer) or "failed"."""
+        """Change over to what was fitted: "accepted", "rejected" (late, or at the wrong moment) or "failed"."""
         if fit.message or fit.model is None:
             return "failed"
         if not self._record.answered(fit.number):
+            return "rejected"
+        if self._heave is not None and self._heave.filter.withheld:
+            # Readings are withheld that the next ones will judge: another filter would not know of them.
+            self._record.ask_again()
             return "rejected"
         system = SeaSystem(fit.model)
         n = len(system.H)
@@ -418,6 +425,11 @@ class SeaObserver:
         if self._heave is None or not self._is_told:
             return nan
         return self._heave.std_m(self.t_s, shift_s) * scale
+
+    @property
+    def bias_mps2(self) -> float:
+        """Of the accelerometer, as the filter has it; 0 before the first fit."""
+        return self._bias_mps2 if isfinite(self._bias_mps2) else 0.0
 
     # --- what it knows of the sea ------------------------------------------------------------------------------------
 

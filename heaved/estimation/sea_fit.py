@@ -39,6 +39,8 @@ MAIN_LOBE: Final = 2.6
 """Ordinates below this over the length of a segment are left out: Hann's main lobe reaches two bins."""
 SEGMENT_S: Final = 300.0
 """Longest segment of the averaged periodogram: finer than that, the fit only becomes slower."""
+SHORTENED: Final = 0.6
+"""Segments may be that much shorter than they could be, so that more stretches of a broken record hold one."""
 NOISE_OVER_HZ: Final = 0.8
 """The sensor's noise is looked for above."""
 NOISE_BANDS: Final = 4
@@ -83,10 +85,11 @@ class Spectrum(msgspec.Struct, frozen=True, eq=False):
         return np.asarray((WEIGHED_FROM_HZ / self.f_hz) ** WEIGHT_POWER)
 
 
-def spectrum(a_mps2: Array, rate_hz: float) -> Spectrum:
-    """Of ``a_mps2`` (n,), evenly sampled; n of at least some tens of seconds."""
-    n = min(len(a_mps2), round(SEGMENT_S * rate_hz))
-    f, power = _welch(a_mps2, rate_hz, n)
+def spectrum(stretches: Array | Sequence[Array], rate_hz: float) -> Spectrum:
+    """Of a record, or of several stretches of one, each (n,), evenly sampled; n of at least some tens of seconds."""
+    parts = [stretches] if isinstance(stretches, np.ndarray) else stretches
+    n = _segment_length([len(part) for part in parts], round(SEGMENT_S * rate_hz))
+    f, power = _welch([part for part in parts if len(part) >= n], rate_hz, n)
     top = min(BAND_HZ[1], BAND_OF_NYQUIST * 0.5 * rate_hz)
     inside = (f >= max(BAND_HZ[0], MAIN_LOBE * rate_hz / n)) & (f <= top)
     edges = np.geomspace(min(NOISE_OVER_HZ, 0.6 * 0.5 * rate_hz), 0.9 * 0.5 * rate_hz, NOISE_BANDS + 1)
@@ -96,13 +99,22 @@ def spectrum(a_mps2: Array, rate_hz: float) -> Spectrum:
     return Spectrum(f[inside], np.maximum(power[inside], 1e-300), min(max(quiet, low), high))
 
 
-def _welch(a: Array, rate_hz: float, n: int) -> tuple[Array, Array]:
+def _segment_length(lengths: Sequence[int], longest: int) -> int:
+    """Length of the segments, the longest that there can be, or somewhat less where more of the record is seen then."""
+    most = min(max(lengths), longest)
+    usable = {min(length, longest) for length in lengths if length >= SHORTENED * most}
+    return max(usable, key=lambda n: (sum([length for length in lengths if length >= n]), n))
+
+
+def _welch(stretches: Sequence[Array], rate_hz: float, n: int) -> tuple[Array, Array]:
     """Averaged periodogram (Welch 1967) of segments of ``n`` samples that overlap by three quarters, each without its
     straight line and under Hann's window: frequencies and one-sided density.
 
     A straight line is taken out by two products, where scipy's solves a least-squares problem of every segment.
     """
-    segments = np.lib.stride_tricks.sliding_window_view(a, n)[:: n - 3 * n // 4]
+    segments = np.concatenate([
+        np.lib.stride_tricks.sliding_window_view(a, n)[:: n - 3 * n // 4] for a in stretches
+    ])  # fmt: skip
     slope = np.linspace(-1.0, 1.0, n)
     slope /= np.sqrt(slope @ slope)
     segments = segments - segments.mean(axis=1, keepdims=True)

@@ -64,6 +64,7 @@ class Guard:
         step_s: from the first reading that may be of two levels to the first after a step, when the last reading has
             shown one; None: it has not.
         is_burst: whether the last reading is of a burst, and not fit to be learned from.
+        spoilt_s: the readings since when a burst that the last reading has shown began: they are neither; None: none.
     """
 
     def __init__(self) -> None:
@@ -81,10 +82,11 @@ class Guard:
         self.step_s: tuple[float, float] | None = None
         self._at_s = nan
         self.is_burst = False
+        self.spoilt_s: tuple[float, float] | None = None
 
     def step(self, f: SeaFilter, t_s: float, a_mps2: float) -> tuple[float, float]:
         """As :meth:`SeaFilter.step`."""
-        self.step_s = None
+        self.step_s = self.spoilt_s = None
         if f is not self._of:
             self._of = f
             self.restart()
@@ -100,7 +102,8 @@ class Guard:
 
     def rest(self, f: SeaFilter) -> None:
         """The filter goes on unguarded."""
-        f.burst_variance, self.step_s, self.is_burst = 0.0, None, False
+        f.burst_variance, self.is_burst = 0.0, False
+        self.step_s = self.spoilt_s = None
         self._of = None
 
     def restart(self) -> None:
@@ -144,6 +147,7 @@ class Guard:
         for t_s, a_mps2, _ in suspects:
             f.step(t_s, a_mps2)
         self._burst_s, self._alike, self._before = suspects[0][0], 0.0, 0.0
+        self.spoilt_s = suspects[0][0], suspects[-1][0]
 
     def _is_step(self, f: SeaFilter, count: int) -> bool:
         """Whether a step explains the last ``count`` readings; if it does, the filter has gone through them again."""

@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 EARLY_EVERY_S: Final = 10.0
 """Between fits, until EARLY_S of record: each sees much more than the one before."""
 EARLY_S: Final = 120.0
+AGAIN_S: Final = 1.0
 
 
 class SeaRecord:
@@ -37,6 +38,7 @@ class SeaRecord:
         self._beats.clear()
         self._newest_s = self.started_s = self._asked_s = nan
         self._cuts: list[tuple[float, float]] = []
+        self._spoilt: list[tuple[float, float]] = []
         self._number += 1
         self._awaited = -1
 
@@ -64,6 +66,15 @@ class SeaRecord:
         """Where the past is cut: no spectrum is taken across, and no bias."""
         return tuple(self._cuts)
 
+    def spoil(self, from_s: float, to_s: float) -> None:
+        """What is stored of this span has turned out not to be of the sea."""
+        self._spoilt = [span for span in self._spoilt if span[1] > to_s - self._length_s] + [(from_s, to_s)]
+
+    @property
+    def spoilt_s(self) -> tuple[tuple[float, float], ...]:
+        """Spans of which nothing is to be learned."""
+        return tuple(self._spoilt)
+
     def since(self, t_s: float) -> Array:
         """(n, 2) time and acceleration of the beats from ``t_s`` on: a view, overwritten by later ones."""
         return self._beats.since(t_s)
@@ -86,6 +97,10 @@ class SeaRecord:
         self._number += 1
         self._awaited = self._number
         return self._number, self._beats.since(t_s - self._length_s)
+
+    def ask_again(self) -> None:
+        """The answer could not be used: the next look is due AGAIN_S from now."""
+        self._asked_s -= max(self._refresh_s - AGAIN_S, 0.0)
 
     def answered(self, number: int) -> bool:
         """Whether an answer of this number is the one that is awaited, which then is no more."""

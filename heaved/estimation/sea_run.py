@@ -72,14 +72,14 @@ class Record(msgspec.Struct, frozen=True, eq=False):
         cuts = tuple([cut - left_out for cut in self.cuts if cut > left_out])
         return Record(self.end_s, self.dt_s, self.a_mps2[left_out:], self.is_known[left_out:], cuts)
 
-    def cut(self, cuts_s: Sequence[tuple[float, float]]) -> Record:
-        """With a cut at the end of each of the spans (s), and nothing known within it."""
+    def cut(self, cuts_s: Sequence[tuple[float, float]], spoilt_s: Sequence[tuple[float, float]] = ()) -> Record:
+        """With a cut at the end of each of the spans ``cuts_s`` (s), and nothing known within them and ``spoilt_s``."""
         first_s = self.end_s - self.dt_s * (len(self.a_mps2) - 1)
         is_known, places = self.is_known.copy(), set()
-        for span in cuts_s:
+        for i, span in enumerate((*cuts_s, *spoilt_s)):
             begin, end = (min(max(round((t_s - first_s) / self.dt_s), 0), len(is_known)) for t_s in span)
             is_known[begin:end] = False
-            if 0 < end < len(is_known):
+            if i < len(cuts_s) and 0 < end < len(is_known):
                 places.add(end)
         return msgspec.structs.replace(self, is_known=is_known, cuts=tuple(sorted(places)))
 

@@ -38,8 +38,6 @@ SETTLE_S: Final = 400.0
 models differ by): before the first sample whose innovation is looked at, a filter runs this long."""
 SAME_DT: Final = 1e-3
 """Relative change of the usual interval up to which the gain of a steady filter stays as it was."""
-NEWEST_S: Final = 60.0
-"""The newest stretch is taken when it is that long: the sea may have changed in the hole."""
 WHITENESS_S: Final = 2.0
 """Innovations are averaged over this: engines and slams cancel, what a wrong sea leaves stays."""
 WHITENESS_OVER_S: Final = 60.0
@@ -104,6 +102,8 @@ class SeaWindow(msgspec.Struct, frozen=True, kw_only=True, tag="sea"):
     cuts_s: tuple[tuple[float, float], ...] = ()
     """Spans (s) after which it is measured otherwise than before, and in which it is neither: no spectrum is taken
     across, and of the bias nothing is known."""
+    spoilt_s: tuple[tuple[float, float], ...] = ()
+    """Spans (s) that are not of the sea."""
 
 
 class SeaFit(msgspec.Struct, frozen=True, kw_only=True):
@@ -157,7 +157,7 @@ def look(window: SeaWindow) -> SeaFit:
     if (t[-1] - t[0]) > SLOWEST_S * (len(t) - 1) and float(np.median(np.diff(t))) > SLOWEST_S:
         return SeaFit(number=window.number, message="the samples are too far apart to show waves")
     try:
-        return _look(window, sea_run.even(t, a).cut(window.cuts_s))
+        return _look(window, sea_run.even(t, a).cut(window.cuts_s, window.spoilt_s))
     except np.linalg.LinAlgError as error:
         return SeaFit(number=window.number, message=f"the record has no spectrum that can be fitted: {error}")
 
@@ -167,15 +167,18 @@ def _look(window: SeaWindow, record: sea_run.Record) -> SeaFit:
     Raises:
         LinAlgError: no model can be made of the record.
     """
-    whole = _bridged(window, record)
+    whole = _bridged(window, record, is_drawn=True)
     recent = record.last(round(min(window.windows_s) / record.dt_s))
     drawn = whole.last(len(recent.is_known)).is_known & ~sea_bridge.closed(recent.is_known, record.dt_s, LONG_HOLE_S)
     if window.candidates and np.mean(drawn) > FEW_IN_LONG_HOLES:
         return SeaFit(number=window.number, message="the record has too many holes")
-    stretch_s = len(unbroken(whole, round(max(window.windows_s) / record.dt_s))) * record.dt_s
+    parts = unbroken(whole, round(max(window.windows_s) / record.dt_s))
+    stretch_s = max(map(len, parts), default=0) * record.dt_s
     if stretch_s < (MIN_STRETCH_S if window.candidates else MIN_RECORD_S) and not whole.is_known.all():
         return SeaFit(number=window.number, message="the record has too many holes")
-    scores = _scores(window, whole, record.is_known)
+    # What is drawn is no measurement: a filter would be surprised by the next sample, whatever its model.
+    told = _bridged(window, record, is_drawn=False) if window.candidates and _has_many_holes(record) else record
+    scores = _scores(window, told, record.is_known)
     fitted, shares, seconds, waves = _fit_all(window, whole, scores)
     # Candidates come shortest first: a longer past is exact where the sea is steady, a shorter one has to earn it.
     chosen = max(range(len(fitted)), key=lambda rank: fitted[rank].score + PATIENCE * rank)
@@ -210,15 +213,21 @@ def _look(window: SeaWindow, record: sea_run.Record) -> SeaFit:
     )
 
 
-def _bridged(window: SeaWindow, record: sea_run.Record) -> sea_run.Record:
-    """The record with its holes bridged, as far as they are short: what a spectrum can be had of.
+def _has_many_holes(record: sea_run.Record) -> bool:
+    """More than can be taken as exceptions."""
+    known = record.is_known
+    return int(np.count_nonzero(known[:-1] & ~known[1:])) * MANY_HOLES_S > len(known) * record.dt_s
+
+
+def _bridged(window: SeaWindow, record: sea_run.Record, *, is_drawn: bool) -> sea_run.Record:
+    """The record with its holes bridged, as far as they are short: what a spectrum can be had of when it ``is_drawn``.
 
     The model that bridges them is the last one; without one it is found with the holes bridged by straight lines first.
     """
     if record.is_known.all():
         return record
     best = max(window.candidates, key=lambda candidate: candidate.score, default=None)
-    rng = np.random.default_rng(BRIDGE_SEED)
+    rng = np.random.default_rng(BRIDGE_SEED) if is_drawn else None
     model, whole = (None if best is None else best.model), record
     for _ in range(1 if model is not None else ROUGH):
         if model is None:
@@ -261,15 +270,13 @@ def _run(
 ) -> tuple[sea_run.Run, float]:
     """The filter over the recent past; and variance of the innovations over the model's, where noise is known by that
     alone, else 1."""
-    count, known = len(recent.a_mps2), recent.is_known
-    holes = int(np.count_nonzero(known[:-1] & ~known[1:]))
-    if holes * MANY_HOLES_S <= count * recent.dt_s:
-        return sea_run.run(system, steady, recent, full_start=count < settle, kept=judged), 1.0
+    if not _has_many_holes(recent):
+        return sea_run.run(system, steady, recent, full_start=len(recent.a_mps2) < settle, kept=judged), 1.0
     # It begins with all that is not known of the state: nothing has to settle.
     recent = recent.last(judged + round(START_S / recent.dt_s))
     f = SeaFilter(system, steady, nan, np.zeros(len(system.H)), system.stationary)
     done, excess = sea_run.one_by_one(f, recent, judged)
-    return done, excess if np.mean(known[-judged:]) < NOISE_KNOWN else 1.0
+    return done, excess if np.mean(recent.is_known[-judged:]) < NOISE_KNOWN else 1.0
 
 
 def _delayed(
@@ -315,14 +322,15 @@ def _scores(
     measured = is_known[-fresh:]
     if not measured.any():
         return {candidate.window_s: candidate.score for candidate in window.candidates}
+    is_whole = bool(recent.is_known.all()) and not recent.cuts
     found: dict[float, float] = {}
     for candidate in window.candidates:
         system = SeaSystem(candidate.model)
         steady = _steady(system, candidate, record.dt_s)
         if steady is None:
             continue
-        y = sea_run.run(system, steady, recent, full_start=False, full_holes=False).innovation[-fresh:]
-        likelihood = _likelihood(candidate.model, steady, np.where(measured, y, nan))
+        done = sea_run.run(system, steady, recent, full_start=False, full_holes=not is_whole, kept=fresh)
+        likelihood = _likelihood(candidate.model, steady, np.where(measured, done.innovation[-fresh:], nan))
         found[candidate.window_s] = SCORE_MEMORY * candidate.score + (likelihood if np.isfinite(likelihood) else -1e9)
     best = max(found.values(), default=0.0)
     return {window_s: score - best for window_s, score in found.items()}
@@ -358,17 +366,18 @@ def _fit_all(
     earlier = {candidate.window_s: candidate.model for candidate in window.candidates}
     known = list(scores)
     every = sorted(window.windows_s)
-    lengths, stretches = [], []
+    lengths, stretches, longest = [], [], []
     for shorter, length in zip([0.0, *every], every, strict=False):
         if shorter <= seconds:
-            stretch = unbroken(record, round(min(length, seconds) * rate))
-            if len(stretch) >= MIN_RECORD_S * rate:
+            parts = unbroken(record, round(min(length, seconds) * rate))
+            if (most := max(map(len, parts), default=0)) >= MIN_RECORD_S * rate:
                 lengths.append(length)
-                stretches.append(stretch)
+                stretches.append(parts)
+                longest.append(most)
     if not lengths:
         raise np.linalg.LinAlgError("no stretch of it is long enough")
-    spectra = [sea_fit.spectrum(stretch, rate) for stretch in stretches]
-    few = [len(stretch) < FEW_COMPONENTS_BELOW_S * rate for stretch in stretches]
+    spectra = [sea_fit.spectrum(parts, rate) for parts in stretches]
+    few = [most < FEW_COMPONENTS_BELOW_S * rate for most in longest]
     fitted: dict[float, sea_fit.Fitted] = {}
     for are_few in set(few):
         components = min(2, window.components) if are_few else window.components
@@ -382,23 +391,17 @@ def _fit_all(
         Candidate(window_s=length, model=fitted[length].model, score=scores.get(length, unknown)) for length in lengths
     )
     shares = [sea_fit.measured_share(sp, fitted[length].model) for sp, length in zip(spectra, lengths, strict=True)]
-    return candidates, shares, [len(stretch) / rate for stretch in stretches], fitted[lengths[0]].waves
+    return candidates, shares, [sum(map(len, parts)) / rate for parts in stretches], fitted[lengths[0]].waves
 
 
-def unbroken(record: sea_run.Record, count: int) -> Array:
-    """Samples without a hole among the last ``count``: the newest NEWEST_S or more of them, else the longest run.
+def unbroken(record: sea_run.Record, count: int) -> list[Array]:
+    """The stretches without a hole or a cut among the last ``count`` samples, oldest first.
 
     A spectrum cannot bridge a hole: whatever stands in it has power at low frequencies, four decades above the skirt of
     the waves that the error of the heave depends on.
     """
     newest = record.last(count)
-    runs = np.array([run[:2] for run in sea_run.stretches(newest) if run[2]])
-    if not len(runs):
-        return record.a_mps2[:0]
-    lengths = runs[:, 1] - runs[:, 0]
-    enough = np.flatnonzero(lengths * record.dt_s >= NEWEST_S)
-    first, end = runs[int(enough[-1]) if len(enough) else int(np.argmax(lengths))]
-    return newest.a_mps2[first:end]
+    return [newest.a_mps2[first:end] for first, end, is_known in sea_run.stretches(newest) if is_known]
 
 
 def whiteness(innovation: Array, steady: Steady) -> float:

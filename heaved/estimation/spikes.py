@@ -171,7 +171,8 @@ class StuckGate:
             self._step += STEP_MEMORY * (size - self._step)
             weight = min(1.0, (t_s - self._learnt_s) / SPREAD_TIME_S)
             self._mean += weight * (value - self._mean)
-            self._mean_square += weight * ((value - self._mean) ** 2 - self._mean_square)
+            off = value - self._mean
+            self._mean_square += weight * (off * off - self._mean_square)
             self.spread = sqrt(self._mean_square)
         else:
             self._mean = value

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from heaved.estimation.delayed import FIRST_S, LARGEST_SCALE, OVERCONFIDENCE, DelayedOutput
+from heaved.estimation.lead import LeadTracker, Params
 from heaved.samples import DelayedHeave
 
 DELAY_S = 60.0
@@ -18,6 +19,13 @@ NOISE_M = 0.002
 
 def sea(t_s: float) -> float:
     return sin(2.0 * pi * t_s / 9.0) + 0.3 * sin(2.0 * pi * t_s / 6.1)
+
+
+def taught(learned_s: float = 0.0, gain: float = 1.0) -> LeadTracker:
+    """A tracker that knows them for sure."""
+    tracker = LeadTracker(Params())
+    tracker.learned_s, tracker.gain = learned_s, gain
+    return tracker
 
 
 def run(
@@ -39,7 +47,7 @@ def run(
         at_s = t_s - DELAY_S
         off_m = 2.0**0.5 * error_m * sin(2.0 * pi * at_s / 23.0)
         heave_m = (sea(at_s + learned_s) + off_m) / gain
-        output.take(DelayedHeave(t_s=at_s, heave_m=heave_m, std_m=MODELLED_M / OVERCONFIDENCE), learned_s, gain)
+        output.take(DelayedHeave(t_s=at_s, heave_m=heave_m, std_m=MODELLED_M / OVERCONFIDENCE), taught(learned_s, gain))
         assert output.newest is not None
         found.append(output.newest)
     return found
@@ -51,6 +59,23 @@ def test_lead_and_scale_of_the_sensor_are_in_it() -> None:
     assert newest.t_s == pytest.approx(110.0 - STEP_S - DELAY_S - 0.15)
     assert newest.heave_m == pytest.approx(sea(newest.t_s))
     assert newest.std_m == pytest.approx(0.98 * MODELLED_M)
+
+
+def test_how_well_lead_and_scale_are_known_is_in_its_standard_deviation() -> None:
+    """Error of the product and of the shift by that of their Gaussian factors, drawn; the slope taken between two."""
+    tracker = taught(-0.15, 1.02)
+    tracker.gain_std, tracker.learned_std_s = 0.004, 0.006
+    rng = np.random.default_rng(3)
+    gains, leads_s = 0.004 * rng.standard_normal(20_000), 0.006 * rng.standard_normal(20_000)
+    output = DelayedOutput(NOISE_M)
+    for k in range(600):
+        at_s = STEP_S * k
+        output.take(DelayedHeave(t_s=at_s, heave_m=3.0 * sea(at_s), std_m=0.001), tracker)
+        if k % 40 == 39:
+            drawn = (1.02 + gains) * 3.0 * np.array([sea(at_s + s) for s in leads_s[:4000].tolist()]).repeat(5)
+            assert output.newest is not None
+            due_m = float(np.hypot(np.std(drawn), 1.02 * OVERCONFIDENCE * 0.001))
+            assert output.newest.std_m == pytest.approx(due_m, rel=0.06)
 
 
 @pytest.mark.parametrize("error_m", [0.03, 0.1])
@@ -84,7 +109,7 @@ def test_nothing_is_compared_across_a_hole() -> None:
     run(output, (0.0, 200.0), 0.0)
     for t_s in np.arange(200.0, 400.0, 0.1).tolist():
         output.give(t_s, sea(t_s) + 7.0)  # whatever was read then
-    output.take(None, 0.0, 1.0)
+    output.take(None, taught())
     assert output.newest is None
     run(output, (460.0, 520.0), 0.0)
     assert output.scale == 1.0

@@ -71,6 +71,25 @@ def test_with_residuals_as_narrow_as_the_sea_it_still_does() -> None:
     assert np.mean(np.abs(np.array(normalised)) < 1.96) > 0.9
 
 
+def test_a_laser_that_shows_the_middle_of_the_waves_alone_knows_the_lead_better_than_the_gain() -> None:
+    """Each standard error against what a hundred draws of the noise make of its own number."""
+    rng = np.random.default_rng(8)
+    found = []
+    for _ in range(100):
+        t, heave, velocity, laser = readings(rng, 0.1, 1.0, 0.0, share=1.0)
+        middle = np.abs(heave) < 0.012
+        for low, high in ((1.05, 1.3), (0.7, 0.95)):
+            laser = laser + 0.003 * np.sin(rng.uniform(low, high) * OMEGA * t + rng.uniform(0.0, 2.0 * pi))
+        shown = compare(t[middle], heave[middle], velocity[middle], laser[middle], OMEGA)
+        assert shown is not None
+        found.append(((shown.gain - 1.0) / shown.gain_std, (shown.lead_s - 0.1) / shown.lead_std_s,
+                      shown.gain_std / (shown.lead_std_s * OMEGA)))  # fmt: skip
+    gain, lead, ratio = np.array(found).T
+    assert np.mean(np.abs(gain) < 1.96) > 0.9
+    assert np.mean(np.abs(lead) < 1.96) > 0.9
+    assert float(np.median(ratio)) > 3.0
+
+
 def test_too_few_readings_or_no_motion_give_no_comparison() -> None:
     t, heave, velocity, laser = readings(np.random.default_rng(5), 0.0, 1.0, 0.0)
     assert compare(t[:7], heave[:7], velocity[:7], laser[:7], OMEGA) is None

@@ -1,6 +1,7 @@
 """Oracle: readings made as sign * (heave + constant) + noise, with the heave known."""
 
-from math import isfinite, nan, pi
+import copy
+from math import isfinite, nan, pi, sqrt
 
 import numpy as np
 import pytest
@@ -86,6 +87,19 @@ def test_a_step_of_the_constant_is_taken_after_three_seconds() -> None:
     assert gauge.reference.constant_m == pytest.approx(11.0, abs=0.002)
 
 
+def test_a_heave_that_is_made_otherwise_is_no_leap_of_the_laser() -> None:
+    """A lead that has just been learned moves it at once; what leaps beside it is seen as ever."""
+    gauge = Gauge(Params(), error_m=0.02)
+    gauge.run(0.0, 60.0, 12.0)
+    leapt = copy.deepcopy(gauge)
+    assert Verdict.OUTLIER in leapt.run(60.0, 62.0, 12.12)
+    gauge.reference.rebase(60.0 - 1.0 / RATE_HZ)
+    assert set(gauge.run(60.0, 70.0, 12.12)) == {Verdict.ACCEPTED}
+    assert Verdict.OUTLIER in gauge.run(70.0, 72.0, 12.24)
+    leapt.reference.rebase(62.0 - 1.0 / RATE_HZ)
+    assert Verdict.ACCEPTED not in leapt.run(62.0, 62.5, 12.12)
+
+
 def test_freshness_ends_with_the_age_of_the_last_reading() -> None:
     gauge = Gauge(Params(max_age_s=0.5))
     assert not gauge.reference.fresh(0.0)
@@ -96,12 +110,33 @@ def test_freshness_ends_with_the_age_of_the_last_reading() -> None:
     assert not gauge.reference.fresh(last + 0.51)
 
 
-@pytest.mark.parametrize(("error_m", "modelled_m", "scale"), [(0.01, 0.01, 1.0), (0.02, 0.01, 2.0), (0.004, 0.02, 0.2)])
+@pytest.mark.parametrize(("error_m", "modelled_m", "scale"), [(0.01, 0.01, 1.0), (0.02, 0.01, 2.0)])
 def test_the_scale_is_the_ratio_of_shown_and_modelled_error(error_m: float, modelled_m: float, scale: float) -> None:
     gauge = Gauge(Params(), error_m=error_m)
     assert gauge.reference.std_scale == 1.0
     gauge.run(0.0, 600.0, 12.0, modelled_std_m=modelled_m)
     assert gauge.reference.std_scale == pytest.approx(scale, rel=0.15)
+
+
+def test_a_smaller_error_is_believed_as_far_as_it_is_sure_and_fades_with_the_laser() -> None:
+    """Nine independent numbers in the memory of the comparison: two standard errors of a variance are 2 sqrt(2/9)."""
+    gauge = Gauge(Params(), error_m=0.004)
+    gauge.run(0.0, 900.0, 12.0, modelled_std_m=0.02)
+    sure = 0.2 * sqrt(1.0 + 2.0 * sqrt(2.0 / 9.0))
+    assert gauge.reference.std_scale_at(900.0) == pytest.approx(sure, rel=0.15)
+    faded = [gauge.reference.std_scale_at(900.0 + s) for s in (60.0, 180.0, 360.0, 3600.0)]
+    assert faded == sorted(faded)
+    assert faded[1] > 0.75
+    assert faded[-1] == pytest.approx(1.0, abs=1e-6)
+    gauge.run(4500.0, 4501.0, 12.0, modelled_std_m=0.02)  # It comes back, and has to show it again.
+    assert gauge.reference.std_scale_at(4501.0) > 0.95
+    assert gauge.reference.std_scale_at(3000.0) == gauge.reference.std_scale
+
+
+def test_a_larger_error_stays_when_the_laser_has_gone() -> None:
+    gauge = Gauge(Params(), error_m=0.02)
+    gauge.run(0.0, 600.0, 12.0, modelled_std_m=0.01)
+    assert gauge.reference.std_scale_at(9000.0) == gauge.reference.std_scale > 1.5
 
 
 def test_the_scale_is_bounded_and_needs_a_model() -> None:

@@ -7,7 +7,7 @@ import pytest
 from seas import Kalman, model, simulated
 
 from heaved.estimation import sigma
-from heaved.estimation.sea_filter import GATE_LASTS, SeaFilter
+from heaved.estimation.sea_filter import GATE_LASTS, WANDERS, GaugeError, SeaFilter
 from heaved.estimation.sea_model import SeaSystem, measurement_variance
 
 DT_S = 0.05
@@ -242,3 +242,49 @@ def test_what_is_no_number_never_gets_in(bad: float, system: SeaSystem, sea: tup
         ours.step(t[i], bad if 300 <= i < 305 else a[i])
     assert ours.is_sound()
     assert ours.rejected == 5
+
+
+def test_the_error_of_a_gauge_is_estimated_as_by_the_textbooks_augmented_filter(
+    system: SeaSystem, sea: tuple[Array, Array, Array]
+) -> None:
+    """One state of sea, constant, scale and time with one covariance matrix; readings between and at the samples."""
+    t, heave_m, a = sea
+    n, rng, R = len(system.H), np.random.default_rng(5), measurement_variance(1e-6, DT_S)
+    ours = cold(system)
+    ours.gauge = GaugeError.at_first(12.1, n)
+    x = np.concatenate((ours.x, ours.gauge.value))
+    P = np.zeros((n + 3, n + 3))
+    P[:n, :n], P[n:, n:] = system.stationary, ours.gauge.V
+
+    def update(y: float, row: Array, noise2: float) -> tuple[Array, Array]:
+        K = P @ row / (row @ P @ row + noise2)
+        I_KH = np.eye(n + 3) - np.outer(K, row)
+        return x + K * y, I_KH @ P @ I_KH.T + noise2 * np.outer(K, K)
+
+    F, Q = np.eye(n + 3), np.zeros((n + 3, n + 3))
+    F[:n, :n], Q[:n, :n] = system.transition(DT_S)
+    sample = np.concatenate((system.H, np.zeros(3)))
+    back, _ = system.transition(0.02)
+    rows = (system.heave, system.heave @ np.linalg.inv(back))
+    for i in range(1200):
+        ours.step(t[i], a[i])
+        x, P = F @ x, F @ P @ F.T + Q
+        x, P = update(a[i] - sample @ x, sample, R)
+        if i % 3 == 0:
+            row = rows[i % 2]
+            laser_m = 12.0 + 1.02 * heave_m[i] + 0.002 * rng.standard_normal()
+            ours.gauge.wander(3.0 * DT_S)
+            P[n:, n:] += np.diag(np.square(WANDERS)) * 3.0 * DT_S / 60.0
+            moving = row @ system.A
+            expected_m = x[n] + (1.0 + x[n + 1]) * (row @ x[:n]) + x[n + 2] * (moving @ x[:n])
+            jacobian = np.concatenate(((1.0 + x[n + 1]) * row + x[n + 2] * moving, (1.0, row @ x[:n], moving @ x[:n])))
+            y, variance = ours.laser_innovation(row, laser_m)
+            assert (y, variance) == pytest.approx((laser_m - expected_m, jacobian @ P @ jacobian), rel=1e-6, abs=1e-9)
+            ours.aid(row, laser_m, 4e-6)
+            x, P = update(laser_m - expected_m, jacobian, 4e-6)
+        assert ours.x == pytest.approx(x[:n], rel=1e-6, abs=1e-7)
+        assert ours.gauge.value == pytest.approx(x[n:], rel=1e-6, abs=1e-7)
+    assert ours.rejected == 0
+    assert ours.gauge.value[1] == pytest.approx(0.02, abs=3.0 * float(np.sqrt(P[n + 1, n + 1])))
+    joint = np.block([[ours.covariance, ours.gauge.c], [ours.gauge.c.T, ours.gauge.V]])
+    assert joint == pytest.approx(P, rel=1e-5, abs=1e-9)
