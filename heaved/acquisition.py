@@ -163,7 +163,8 @@ class Acquisition:
             self.accepted_s = self._clock()
         if result != self.last_training:
             self.last_training = result
-            _log.info("training of the correction", result=result, seconds=network.seconds, detail=network.message)
+            detail = {"detail": network.message} if network.message else {}
+            _log.info("training of the correction", result=result, seconds=network.seconds, **detail)
 
     def accept_fit(self, fit: SeaFit) -> None:
         """Hand a fit of the sea to the pipeline."""
@@ -177,7 +178,7 @@ class Acquisition:
             self.fitted_s = self._clock()
         if result != self.last_fit:
             self.last_fit = result
-            _log.info("fit of the sea", result=result, detail=fit.message)
+            _log.info("fit of the sea", result=result, **({"detail": fit.message} if fit.message else {}))
 
     def accept_refit(self, result: RefitResult | None) -> None:
         """Hand a refit of the hull's flexure to its stage, if that still waits for it; None: it came to nothing."""

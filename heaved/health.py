@@ -113,6 +113,7 @@ class DeviceHealth:
             return self._back(t_s) if t_s - self._held_since_s >= self._back_after_s else None
         if not self._said_up:
             self._said_up = True
+            self._singles.clear()  # A line that opened a moment after the first polls has lost nothing.
             return Event("info", "device up", {"device": self.device})
         return self._summary(t_s)
 

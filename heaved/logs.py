@@ -182,7 +182,7 @@ def _place(caught: _Caught | None) -> str:
 
 def _counted(record: logging.LogRecord, count: int, period_s: float) -> logging.LogRecord:
     """The last of some that were not printed, with their number; its traceback has been printed before."""
-    note = f"(repeated {count} times in {period_s:.0f} s)"
+    note = f"(repeated {'once' if count == 1 else f'{count} times'} in {period_s:.0f} s)"
     if isinstance(record.msg, dict):
         told = {key: value for key, value in record.msg.items() if key != "exc_info"}
         message: Any = _stamp(None, "", told | {"event": f"{told.get('event')} {note}"})

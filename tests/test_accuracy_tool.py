@@ -12,10 +12,9 @@ import accuracy
 import msgspec
 import numpy as np
 import pytest
+from evidence import asked, baselines, closed_loop, estimators, gates, heave, scenarios
 from evidence.scenarios import Setting, triplet
 from scipy.signal import butter, freqs
-
-from evidence import asked, baselines, closed_loop, estimators, gates, heave, scenarios
 
 RATE_HZ = 20.0
 BIAS_MPS2 = 0.03

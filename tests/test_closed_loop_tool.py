@@ -9,9 +9,9 @@ from pathlib import Path
 import accuracy
 import numpy as np
 import pytest
+from evidence import closed_loop
 from evidence.closed_loop_figure import hook_motion
 
-from evidence import closed_loop
 from heaved.estimation.heave import Params
 
 OBSERVER = Params().observer

@@ -14,10 +14,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from evidence import fault_table, faults
 from evidence.disasters import DISASTERS, HONEST_OF, IMU, Disaster, Span, spoiled
 from evidence.faults import Outcome, Plan, Published, Task
 
-from evidence import fault_table, faults
 from heaved.pipeline import Pipeline
 from heaved.samples import (
     CorrectionState,

@@ -158,3 +158,9 @@ def test_results_by_fault(polls):
     assert dict(polls.health.results) == {Fault.NONE: 7, Fault.STUCK: 3}
     assert polls.health.last_fault is Fault.STUCK
     assert polls.health.last_fault_s == polls.now_s
+
+
+def test_polls_before_the_line_has_opened_are_no_losses(polls):
+    polls.feed(26, Fault.DISCONNECTED)
+    polls.feed(10_000)
+    assert polls.texts() == ["device up"]

@@ -6,11 +6,11 @@ from functools import cache
 
 import numpy as np
 import pytest
+from evidence import scenarios
 from evidence.limits import causal_heave_limit, noncausal_heave_limit
 from scipy.linalg import solve_toeplitz
 from scipy.signal import fftconvolve
 
-from evidence import scenarios
 from heaved.samples import GRAVITY_MPS2
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import SENSORS, ImuModel, record

@@ -9,11 +9,11 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from evidence import estimators, scenarios, scores, summary
 from evidence.estimators import Ahead, Delayed, Trace
 from evidence.figures import draw_record
 from evidence.scenarios import Limits, Setting, triplet
 
-from evidence import estimators, scenarios, scores, summary
 from heaved.samples import HeaveState
 
 Array = np.ndarray

@@ -38,9 +38,6 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["OMP_NUM_THREADS"] = "1"
 
 import msgspec
-from evidence.scenarios import Setting
-from evidence.summary import Judged, Result
-
 from evidence import (
     asked,
     attitude,
@@ -59,6 +56,9 @@ from evidence import (
     scenarios,
     tables,
 )
+from evidence.scenarios import Setting
+from evidence.summary import Judged, Result
+
 from heaved.simulate.sensors import SENSORS, laser_pattern
 
 CHECKOUT = Path(__file__).resolve().parent.parent

@@ -232,10 +232,14 @@ def explain_tcp_silence(heard: bytes, transaction: int, request: Request, *, lat
             "rest comes later",
         )
     numbers = [int.from_bytes(frame[:2]) for frame in frames]
+    if find_tcp_answer(heard, transaction, request):
+        # It came between the end of the waiting and this look at what has been heard.
+        return Explanation(Fault.TIMEOUT, "the answer came just too late: raise timeout_ms")
     if transaction in numbers:
+        other = frames[numbers.index(transaction)]
         return Explanation(
             Fault.EXCEPTION,
-            f"an answer with another unit id or function ({frames[-1][6]}, {frames[-1][7]}) than asked "
+            f"an answer with another unit id or function ({other[6]}, {other[7]}) than asked "
             f"({request.device_id}, {request.function}): check device_id",
         )
     if not all(0 < number < transaction for number in numbers):

@@ -16,7 +16,7 @@ from heaved.estimation.angle_gate import AngleGate, wrapped
 from heaved.estimation.bounds import ANGLE_RATE_RADPS, HEAVE_ACCELERATION_MPS2
 from heaved.estimation.measured_rate import MeasuredRate
 from heaved.estimation.mounting import SignWatch, UnitsWatch
-from heaved.estimation.spikes import SpikeGate, StuckGate
+from heaved.estimation.spikes import ALONE_S, SpikeGate, StuckGate
 from heaved.samples import GRAVITY_MPS2, Fault, ImuSample
 
 SIDEWAYS_MPS2: Final = 16.0
@@ -145,8 +145,9 @@ class Conditioner:
             SpikeGate(HEAVE_ACCELERATION_MPS2),
         )
         self._force_stuck = (
-            StuckGate(rests=True),
-            StuckGate(rests=True),
+            # Without one of these the tilt is not removed: what is measured counts as measured otherwise.
+            StuckGate(rests=True, chance_s=ALONE_S),
+            StuckGate(rests=True, chance_s=ALONE_S),
             StuckGate(must_live=True),
         )
         self._roll_stuck, self._pitch_stuck = StuckGate(rests=True), StuckGate(rests=True)

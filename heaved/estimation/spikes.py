@@ -74,7 +74,9 @@ LEARNT_S: Final = 0.04
 STOP_MEMORY_S: Final = 60.0
 MANY_STOPS: Final = 4
 WELL_KNOWN: Final = 100
-"""Changes from which a channel that has not repeated itself never does."""
+"""Changes from which a channel that has not repeated itself never does,"""
+ALONE_S: Final = 0.06
+"""but for once by chance, where that may be: of four digits, two in a row are the same once in some hundreds."""
 FEW_CHANGES: Final = 10
 """Before, the resolution is not known."""
 USUAL_STEPS: Final = 3.0
@@ -95,14 +97,15 @@ class StuckGate:
     angle has no such end, and rests at the crests of the motion: there a run is honest that is left by a usual step.
     """
 
-    def __init__(self, *, rests: bool = False, must_live: bool = False) -> None:
+    def __init__(self, *, rests: bool = False, must_live: bool = False, chance_s: float = 0.0) -> None:
         """``rests``: the range has no end that the motion may reach, as with angles and the smaller accelerations.
         ``must_live``: a value that has never been another is stuck, too; no vessel has nothing of this.
+        ``chance_s``: a repetition alone is chance when it lasts less, and to lose a reading would cost more.
         """
         self.is_stuck = False
         self.spread = 0.0
         """RMS of the readings about their mean of some seconds."""
-        self._rests, self._must_live = rests, must_live
+        self._rests, self._must_live, self._chance_s = rests, must_live, chance_s
         self._value = self._before = self._since_s = self._t_s = nan
         self._run_s = 0.0
         self._changes = -1  # The first reading is none.
@@ -127,9 +130,10 @@ class StuckGate:
             # A reading that has just come is not one that repeats, but it may be a stop that is known.
             self.is_stuck = bool(self._stops) and t_s - self._stops.get(value, -inf) < STOP_MEMORY_S
             return self.is_stuck
+        is_first = self._t_s == self._since_s
         self._t_s = t_s
         held_s = t_s - self._since_s
-        self.is_stuck = held_s >= self._patience_s(moves) - 1e-6
+        self.is_stuck = held_s >= self._patience_s(moves, is_first) - 1e-6
         if self._rests:
             return self.is_stuck
         if self.is_stuck:
@@ -140,12 +144,12 @@ class StuckGate:
             self.is_stuck = True
         return self.is_stuck
 
-    def _patience_s(self, moves: bool) -> float:
-        """For how long a reading may repeat."""
+    def _patience_s(self, moves: bool, is_first: bool) -> float:
+        """For how long a reading may repeat, this being its first repetition or not."""
         runs_s = (RESTS if self._rests else RUNS) * self._run_s
         if self.spread > MOVES * self._resolution:
             never_repeats = self._rests and self._run_s == 0.0 and self._changes >= WELL_KNOWN
-            return 0.0 if never_repeats else SOON_S + runs_s
+            return (self._chance_s if is_first else 0.0) if never_repeats else SOON_S + runs_s
         if not self._rests:
             return STUCK_S if self._changes > 0 or self._must_live else inf
         if not moves:

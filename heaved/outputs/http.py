@@ -181,7 +181,7 @@ class HttpServer:
         def is_ours(record: logging.LogRecord) -> bool:
             error = record.exc_info[1] if record.exc_info else None
             if isinstance(error, HttpProcessingError):
-                self._complain("bad_request", f"not HTTP: {error.message.partition(chr(10))[0]}")
+                self._complain("bad_request", f"not HTTP: {error.message.partition(chr(10))[0].rstrip(': ')}")
                 return False
             return record.levelno >= logging.WARNING
 

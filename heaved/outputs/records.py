@@ -13,7 +13,7 @@ import msgspec
 from heaved.samples import CorrectionState, HeaveState, LaserState
 
 PROTO_MAJOR: Final = 1
-PROTO_MINOR: Final = 1
+PROTO_MINOR: Final = 2
 
 
 class VersionRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class", tag="VERSION"):

@@ -140,7 +140,10 @@ def table(snapshot: Snapshot) -> str:
         lines += _titled("forecast", _columns([("in", "heave", "std"), *cells]))
     heads = ("device", "role", "state", "rate", "good", "faults", "last fault")
     lines += ["", *_columns([heads, *map(_device_cells, status.devices)])]
-    lines += [f"  {device.name}: {device.detail}" for device in status.devices if device.detail]
+    for device in status.devices:
+        if device.detail:
+            is_named = device.detail.startswith(f"{device.name} (")
+            lines.append(f"  {device.detail}" if is_named else f"  {device.name}: {device.detail}")
     lines += ["", _row("clients", f"{status.clients} connected, {status.dropped} lines dropped for slow ones")]
     if status.clock is not None:
         lines.append(_row("clock", f"UTC stepped {status.clock.steps} times since the start"))

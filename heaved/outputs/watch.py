@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import Final, TextIO
 
 from heaved.outputs.client import SILENCE_S, StreamConnection, Trouble, Unreachable
-from heaved.outputs.records import MotionRecord, StatusRecord
+from heaved.outputs.records import DeviceStatus, MotionRecord, StatusRecord
 from heaved.outputs.report import duration, signed, spread
 from heaved.samples import HeaveState
 from heaved.text import printable
@@ -116,8 +116,9 @@ class View:
         if is_old:
             yield _BOLD + _RED, f"  DATA {duration(age_s)} OLD"
         else:
-            reasons = f": {', '.join(motion.quality.reasons)}" if motion.quality.reasons else ""
-            yield _BOLD + colour, f"  {motion.quality.heave.value.upper()}{reasons}"
+            state, (first, *others) = motion.quality.heave.value.upper(), motion.quality.reasons or ("",)
+            yield _BOLD + colour, f"  {state}: {first}" if first else f"  {state}"
+            yield from ((colour, f"  {' ' * len(state)}  {reason}") for reason in others)
         yield "", ""
         scale_m = max((heave_m for _, heave_m in self._heaves), default=0.0)
         yield "", bar(motion.heave_m, scale_m, width)
@@ -149,7 +150,15 @@ def _device_lines(status: StatusRecord) -> Iterator[tuple[str, str]]:
         fault = "" if device.last_fault is None else f"   last fault {device.last_fault}"
         state = "up" if device.up else "DOWN"
         colour = _GREEN if device.up else _RED
-        yield colour, f"  {device.name} ({device.role}) {state}   {rate}{fault}   {device.detail}".rstrip()
+        yield colour, f"  {device.name} ({device.role}) {state}   {rate}{fault}"
+        if device.detail:
+            yield colour, f"    {_without_place(device)}"
+
+
+def _without_place(device: DeviceStatus) -> str:
+    """What is wrong, without the device's name and link before it: on a narrow screen nothing else would be seen."""
+    place, _, what = device.detail.partition("): ")
+    return what if what and place.startswith(f"{device.name} (") else device.detail
 
 
 def watch(host: str, port: int, out: TextIO) -> None:

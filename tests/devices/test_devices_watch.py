@@ -123,6 +123,7 @@ def test_tcp_answer_is_the_one_with_the_number() -> None:
     [
         (b"", Fault.TIMEOUT, "no answer", True),
         (TCP_LATE, Fault.TIMEOUT, "late ones", True),
+        (TCP_GOOD, Fault.TIMEOUT, "just too late: raise timeout_ms", True),
         (mbap_answer(9, 81, b"\x03\x02\x00\x00"), Fault.EXCEPTION, "81", True),
         (TCP_GOOD[:-1], Fault.CRC, "no whole", False),
         (b"HTTP/1.1 400", Fault.CRC, "check the port", False),

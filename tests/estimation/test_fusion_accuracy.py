@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import msgspec
 import pytest
-from evidence.attitude import FIVE, IMM, INSTANT, METHODS, OUTLIERS, POINT_SETS, Passage, Row
-
 from evidence import attitude
+from evidence.attitude import FIVE, IMM, INSTANT, METHODS, OUTLIERS, POINT_SETS, Passage, Row
 
 SHORT = Passage(stages=((0.0, 0.3), (40.0, 2.5), (80.0, 0.3)), duration_s=120.0)
 SEEDS = (1, 2)

@@ -83,6 +83,24 @@ def test_view_of_old_data_and_of_trouble() -> None:
     assert "DEGRADED" in text
 
 
+def test_what_is_wrong_is_seen_on_a_narrow_terminal() -> None:
+    view = View("here:5570")
+    view.connected("1.2.3", 0.0)
+    reasons = ("no attitude or no horizontal acceleration: tilt not removed", "laser: no fresh reference")
+    quality = msgspec.structs.replace(motion(HeaveState.DEGRADED).quality, reasons=reasons)
+    view.take(motion(quality=quality), 0.0)
+    device = msgspec.structs.replace(
+        make_status().devices[0],
+        up=False,
+        detail="imu (tcp://192.168.100.200:15511, id 1): connection refused: check the port",
+    )
+    view.take(make_status(devices=(device,)), 0.0)
+    lines = drawn(view, 0.1, 80).splitlines()
+    at = next(row for row, line in enumerate(lines) if "DEGRADED" in line)
+    assert [line.strip() for line in lines[at : at + 2]] == [f"DEGRADED: {reasons[0]}", reasons[1]]
+    assert "    connection refused: check the port" in lines
+
+
 @pytest.mark.parametrize("width", [1, 20, 40, 80, 200])
 def test_no_line_is_wider_than_the_terminal(width: int) -> None:
     view = View("here:5570")
