@@ -257,6 +257,10 @@ class DirectPredictor:
         # Predictions by extrapolation, and the slope now.
         taps = np.concatenate([taps[:count], (taps[-1:] - taps[-2:-1]) / 1e-3])
         self._regressors = Regressors(self._window, n, taps, rates=self._with_rates)
+        now, soon = fading_taps(interval_s, np.array([interval_s, interval_s + 1e-3]))
+        self._next_slope = np.zeros(self._regressors.width)
+        """On the vectors of the sample before: the slope of the extrapolation at the next one."""
+        self._next_slope[-settling:] = (soon - now)[::-1] / 1e-3
         self._learner = Learner(
             horizons,
             interval_s,
@@ -323,8 +327,10 @@ class DirectPredictor:
             known.append(measured)
             means.append(channel.mean)
         if self._with_rates:
-            if not isfinite(sum(rates)):  # one that is missing is what was expected of it
-                expected = (self._curves @ self._slopes[0]).tolist()
+            if not isfinite(sum(rates)):
+                # One that is missing is what the angles' extrapolation has for now. The slope of what was predicted from
+                # earlier ones of these would be fed with itself, and run away.
+                expected = (self._regressors.now() @ self._next_slope).tolist()
                 rates = [r if isfinite(r) else p if isfinite(p) else 0.0 for r, p in zip(rates, expected, strict=True)]
             self._rates = list(rates)
             taken += self._rates
