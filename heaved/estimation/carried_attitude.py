@@ -31,7 +31,7 @@ RATED_S: Final = 0.25
 COMPARED_S: Final = 0.25
 """Rates and straight lines are held against angles that lie so far apart: the motion shows over the noise,"""
 TOGETHER_S: Final = 1.0
-"""and no further than this: the bend of a wave shows."""
+"""and lines no further than this: the bend of a wave shows."""
 COMPARED: Final = 8
 """Comparisons before anything is concluded,"""
 COMPARED_MEMORY: Final = 40.0
@@ -67,7 +67,7 @@ class Attitude(msgspec.Struct, frozen=True, gc=False):
 
     def serves(self, t_s: float) -> bool:
         """Whether it may be published for a moment, on a straight line."""
-        return t_s - self.t_s <= self.line_s
+        return t_s - self.t_s <= self.line_s and t_s - self.measured_s <= CARRIED_S
 
 
 UNKNOWN: Final = Attitude()
@@ -167,7 +167,7 @@ class CarriedAttitude:
         # The rates are those of the sample, the angles may be older.
         late_s, first = t_s - measured.t_s, self._from
         late_roll, late_pitch = (late_s * self._roll_rate, late_s * self._pitch_rate) if late_s > 0.0 else (0.0, 0.0)
-        if first is not None and (elapsed_s := measured.t_s - first.t_s) <= TOGETHER_S:
+        if first is not None:
             roll, pitch = measured.roll_rad - first.roll_rad, measured.pitch_rad - first.pitch_rad
             off_roll, off_pitch = roll - self._turned_roll + late_roll, pitch - self._turned_pitch + late_pitch
             if isfinite(off_roll + off_pitch):
@@ -175,10 +175,11 @@ class CarriedAttitude:
                 share = 1.0 / self._rated
                 self._off_square += share * (off_roll * off_roll + off_pitch * off_pitch - self._off_square)
                 self._moved_square += share * (roll * roll + pitch * pitch - self._moved_square)
-            line_roll, line_pitch = first.at(measured.t_s)
-            off = max(abs(measured.roll_rad - line_roll), abs(measured.pitch_rad - line_pitch)) / elapsed_s**2
-            self._lined = min(self._lined + 1.0, COMPARED_MEMORY)
-            self._bend_square += (off * off - self._bend_square) / self._lined
+            if (elapsed_s := measured.t_s - first.t_s) <= TOGETHER_S:
+                line_roll, line_pitch = first.at(measured.t_s)
+                off = max(abs(measured.roll_rad - line_roll), abs(measured.pitch_rad - line_pitch)) / elapsed_s**2
+                self._lined = min(self._lined + 1.0, COMPARED_MEMORY)
+                self._bend_square += (off * off - self._bend_square) / self._lined
         self._from = measured
         self._turned_roll, self._turned_pitch = late_roll, late_pitch
 

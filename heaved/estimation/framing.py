@@ -82,7 +82,7 @@ class Framer:
         self._has_laser, self._points, self._lead_s = has_laser, point, lead_s
         self.resets: Counter[tuple[str, str]] = Counter()
         self._is_beyond = False
-        self._delayed: tuple[DelayedHeave, DelayedHeave] | None = None
+        self._delayed: tuple[DelayedHeave, DelayedHeave | None] | None = None
         """The newest of the chain, and what is published of it."""
         # Between two predictions: the noise of the measured attitude, over 50 ms, would be most of the rate.
         self._rate_between = tuple(rock_horizons_s.index(h) for h in STANDARD_HORIZONS_S[:2])
@@ -166,13 +166,16 @@ class Framer:
         found, before = self._chain.delayed(), self._delayed
         if found is None or abs(found.heave_m) > HEAVE_M:
             return None
-        if before is None or found is not before[0]:
+        if not self._intake.force_std_s > 0.0:
+            self._delayed = found, found
+        elif before is None or found is not before[0]:
             elapsed_s = found.t_s - before[0].t_s if before is not None else nan
+            # Of the first one, and of one after a pause, it is not known.
             is_next = before is not None and 0.0 < elapsed_s <= LONGEST_STEP_S
-            velocity_mps = (found.heave_m - before[0].heave_m) / elapsed_s if before is not None and is_next else 0.0
+            velocity_mps = (found.heave_m - before[0].heave_m) / elapsed_s if before is not None and is_next else nan
             std_m = hypot(found.std_m, self._intake.force_std_s * velocity_mps)
-            before = self._delayed = found, msgspec.structs.replace(found, std_m=std_m)
-        return before[1] if self._intake.force_std_s > 0.0 else found
+            self._delayed = found, msgspec.structs.replace(found, std_m=std_m) if isfinite(std_m) else None
+        return self._delayed[1] if self._delayed is not None else None
 
     def _serving(self, t_s: float, rock: Sequence[RockPrediction]) -> Measured:
         """Roll and pitch of a moment: as of the last sample, or moved on as predicted or for an instant in line."""

@@ -1,7 +1,7 @@
 """IMU samples on their way into the heave chain: bias and tilt come out, and account is kept of the line.
 
-Between readings of the attitude it is carried on (:mod:`heaved.estimation.carried_attitude`); the accelerometers may show
-another moment than it does. What a frame says of the samples is known here: what was wrong with the last one, how
+Between readings of the attitude it is carried on (:mod:`heaved.estimation.carried_attitude`); the accelerometers may
+show another moment than it does. What a frame says of the samples is known here: what was wrong with the last one, how
 often they come, how many are lost.
 """
 
@@ -12,7 +12,7 @@ from math import inf, isfinite, nan
 from typing import Final
 
 from heaved.estimation.arrivals import Arrivals
-from heaved.estimation.carried_attitude import UNKNOWN, Attitude, CarriedAttitude
+from heaved.estimation.carried_attitude import Attitude, CarriedAttitude
 from heaved.estimation.chain import HeaveChain
 from heaved.estimation.conditioning import NOTHING, Conditioned
 from heaved.estimation.frames import up_acceleration

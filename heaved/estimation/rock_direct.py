@@ -338,8 +338,8 @@ class DirectPredictor:
             means.append(channel.mean)
         if self._with_rates:
             if not isfinite(sum(rates)):
-                # One that is missing is what the angles' extrapolation has for now. The slope of what was predicted from
-                # earlier ones of these would be fed with itself, and run away.
+                # One that is missing is what the angles' extrapolation has for now. The slope of what was predicted
+                # from earlier ones of these would be fed with itself, and run away.
                 expected = (self._regressors.now() @ self._next_slope).tolist()
                 rates = [r if isfinite(r) else p if isfinite(p) else 0.0 for r, p in zip(rates, expected, strict=True)]
             self._rates = list(rates)
@@ -376,7 +376,12 @@ class DirectPredictor:
                 self._until_learned = LEARNED_TOGETHER
                 self._learn_for_holes()
         if self._batch_due and self._limits is not None:
-            curves = self._curves.T + [channel.level for channel in channels]
+            # A filter for holes that knows too little yet is not published, nor held against it.
+            levels = [
+                nan if c in self.holed and not self.filters[c].known else channel.level
+                for c, channel in enumerate(channels)
+            ]
+            curves = self._curves.T + levels
             self._out = self._out + 1 if self._limits.left_by(curves, (0.0, *self.horizons_s)).any() else 0
 
     def _bound(self, taken: Sequence[float]) -> None:

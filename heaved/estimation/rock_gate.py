@@ -98,7 +98,7 @@ class Channel:
 
     def reach(self, x: float) -> float:
         """How far from the mean the motion may be soon, from where it is now."""
-        if self._mean_count < 0.5 * self._mean_memory:
+        if self._mean_count * self._timing.interval_s < MANOEUVRE_MEAN_S:
             return inf
         return max(FARTHEST * sqrt(self._square), FARTHER * abs(x - self.mean))
 

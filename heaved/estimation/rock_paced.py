@@ -47,8 +47,8 @@ SAME_S: Final = 1e-4
 """Samples closer together are one; where they come in bursts, those closer than the shortest interval."""
 BURSTS: Final = 0.7
 """Share of the samples that are farther apart than that, below which they come in bursts."""
-WAIT_S: Final = 4.0
-"""For so long readings are waited for to show their rate."""
+WAIT_S: Final = 8.0
+"""For so long readings are waited for to show their rate: a sensor of 1.4 Hz does."""
 SLOWER: Final = 1.5
 """Intervals of samples to one of readings, at least, that make them a stream of their own,"""
 REGULAR: Final = 0.7

@@ -11,8 +11,9 @@ from evidence.rock import ARCSEC, SCENES, motion
 
 from heaved.estimation import rock
 from heaved.estimation.arrivals import usual_interval
+from heaved.estimation.carried_attitude import angle_rates
 from heaved.estimation.rock_carry import Carry
-from heaved.estimation.rock_chain import DirectRockPredictor, RockChain, angle_rates
+from heaved.estimation.rock_chain import DirectRockPredictor, RockChain
 from heaved.estimation.rock_direct import DirectPredictor, Params
 from heaved.estimation.rock_paced import PacedPredictor
 from heaved.samples import ImuSample
@@ -409,3 +410,25 @@ def test_before_anything_is_known_nothing_is_claimed():
     assert all(np.isnan(p.roll_rad) and np.isnan(p.roll_interval_rad) for p in (*found, *chain.at(1.01)))
     predictor = DirectRockPredictor()
     assert all(np.isnan(p.yaw_rad) for p in predictor.at(0.0))
+
+
+@pytest.mark.parametrize("axis", [1, 2])
+def test_rates_that_are_gone_do_not_make_predictions_feed_on_themselves(axis):
+    """Two minutes with body rates, then half a minute without them, or with the angle of one axis alone missing."""
+    rng = np.random.default_rng(4)
+    one, worst = RockChain(rock.Params()), 0.0
+    for k in range(3000):
+        t = 0.05 * k
+        true = 0.10 * np.sin(0.7 * t) + 0.03 * np.sin(1.1 * t), 0.04 * np.sin(0.9 * t + 1.0)
+        rates = 0.07 * np.cos(0.7 * t) + 0.033 * np.cos(1.1 * t), 0.036 * np.cos(0.9 * t + 1.0)
+        roll, pitch = (float(x + 2e-4 * rng.standard_normal()) for x in true)
+        is_gone = t > 120.0
+        gyro = [nan] * 3 if is_gone and axis == 1 else [float(rates[0]), -float(rates[1]), 0.0]
+        sample = ImuSample(
+            t_s=t, roll_rad=nan if is_gone and axis == 2 else roll, pitch_rad=pitch, yaw_rad=0.0,
+            gx_radps=gyro[0], gy_radps=gyro[1], gz_radps=gyro[2],
+        )  # fmt: skip
+        half = next(p for p in one.step(sample, good=True) if p.horizon_s == 0.5)
+        if is_gone:
+            worst = max(worst, abs(half.pitch_rad - 0.04 * np.sin(0.9 * (t + 0.5) + 1.0)))
+    assert worst < 0.01
