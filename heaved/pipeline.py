@@ -180,6 +180,7 @@ class Pipeline:
     def _foresee(self, conditioned: Conditioned) -> Sequence[RockPrediction]:
         """Predictions for the time of the sample, from when its angles were measured: earlier, with a slow sensor."""
         sample, attitude = conditioned.sample, conditioned.attitude
+        self._rock.time_std_s = conditioned.attitude_std_s
         if attitude is None or attitude.t_s == sample.t_s:
             if attitude is None and conditioned.attitude_is_slow:
                 return self._rock.at(sample.t_s)
@@ -201,7 +202,7 @@ class Pipeline:
             return None
         conditioned, rock = first
         sample, t = conditioned.sample, sample.t_s
-        self._intake.take(conditioned)
+        self._intake.take(conditioned, rock)
         if self._has_laser:
             self._chain.laser.teach(t, self._chain.observer)
         self.stages.take(sample)

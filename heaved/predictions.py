@@ -181,6 +181,15 @@ class RockPredictions(_Predictions[RockPrediction]):
             self._limits = NO_LIMITS
         return angles_rad
 
+    def of_uncertain_time(self, std_s: float) -> RockPredictions:
+        """The same where it is known so well only of when they are: they are off by as much of their own rates."""
+        angles_rad = self.angles_rad
+        off = std_s * np.abs(np.gradient(angles_rad, np.array(self.horizons_s), axis=0))
+        intervals_rad = np.hypot(self.intervals_rad, 2.0 * off)
+        return RockPredictions(
+            self.horizons_s, angles_rad, self.yaw_from_rad, np.hypot(self.stds_rad, off), intervals_rad
+        )
+
     @staticmethod
     def angles_of(several: Sequence[RockPredictions]) -> Array:
         """Those of N with as many horizons, (N, H, 3): see :func:`worked_out`."""

@@ -14,6 +14,7 @@ import msgspec
 
 from heaved.estimation.angle_gate import AngleGate, wrapped
 from heaved.estimation.bounds import ANGLE_RATE_RADPS, HEAVE_ACCELERATION_MPS2
+from heaved.estimation.carried_attitude import Attitude
 from heaved.estimation.measured_rate import MeasuredRate
 from heaved.estimation.mounting import SignWatch, UnitsWatch
 from heaved.estimation.spikes import ALONE_S, SpikeGate, StuckGate
@@ -44,33 +45,13 @@ class Notes(msgspec.Struct, frozen=True, gc=False):
     """Why nothing of it can be used."""
     signs: str = ""
     """What speaks against the signs of the angles."""
+    are_signs_open: bool = False
+    """It may still prove right."""
     remarks: tuple[str, ...] = ()
     """What people should know."""
 
 
 NOTHING: Final = Notes()
-
-
-class Attitude(msgspec.Struct, frozen=True, gc=False):
-    """Roll and pitch as last measured, rad, and what is known of them until they are again."""
-
-    t_s: float = nan
-    """When they were measured; nan: never, or no more to be believed."""
-    roll_rad: float = nan
-    pitch_rad: float = nan
-    yaw_rad: float = nan
-    roll_rate_radps: float = nan
-    pitch_rate_radps: float = nan
-    roll_std_rad: float = nan
-    """RMS of how far off a reading was where the ones before had led: more than its own error."""
-    pitch_std_rad: float = nan
-
-    def at(self, t_s: float) -> tuple[float, float]:
-        """Roll and pitch a little later, moved on with their rates."""
-        since_s = t_s - self.t_s
-        if since_s == 0.0:
-            return self.roll_rad, self.pitch_rad
-        return self.roll_rad + since_s * self.roll_rate_radps, self.pitch_rad + since_s * self.pitch_rate_radps
 
 
 class Conditioned(msgspec.Struct, frozen=True, gc=False):
@@ -86,6 +67,8 @@ class Conditioned(msgspec.Struct, frozen=True, gc=False):
     """How well that is known."""
     attitude: Attitude | None
     """None: there is no new one."""
+    attitude_std_s: float
+    """How well it is known when it was measured."""
     attitude_is_slow: bool
     """Angles are measured more slowly than they are polled."""
     notes: Notes
@@ -220,9 +203,11 @@ class Conditioner:
                 self._pitch_gate.rate_radps,
                 self._roll_gate.std_rad,
                 self._pitch_gate.std_rad,
+                attitude_t_s,
             )
             if is_level
             else None,
+            attitude_std_s=self._angles.rate.uncertainty_s,
             attitude_is_slow=self._angles.is_slow,
             notes=self._notes,
         )
@@ -231,8 +216,8 @@ class Conditioner:
         """A sample of which nothing is taken."""
         if t_s - self._noted_s >= NOTED_S:
             self._note(t_s)
-        nothing, is_slow = ImuSample(t_s=t_s, fault=device_fault), self._angles.is_slow
-        return Conditioned(nothing, fault, nan, 0.0, None, is_slow, self._notes)
+        nothing, angles = ImuSample(t_s=t_s, fault=device_fault), self._angles
+        return Conditioned(nothing, fault, nan, 0.0, None, angles.rate.uncertainty_s, angles.is_slow, self._notes)
 
     def _judged_forces(self, t_s: float, ax: float, ay: float, az: float) -> tuple[float, float, float, Fault]:
         """What may be used of the specific force, and what is wrong with the vertical one. OUT_OF_RANGE: with all."""
@@ -299,6 +284,7 @@ class Conditioner:
         notes = Notes(
             unusable=self._units.reason,
             signs=self._signs.suspicion,
+            are_signs_open=self._signs.is_open,
             remarks=tuple(found + remarks),
         )
         if notes != self._notes:

@@ -19,8 +19,9 @@ from heaved.estimation.bounds import (
     HEAVE_VELOCITY_MPS,
     POINT_HEAVE_M,
 )
+from heaved.estimation.carried_attitude import UNKNOWN, predicted
+from heaved.estimation.carried_attitude import Attitude as Measured
 from heaved.estimation.chain import Heave, HeaveChain
-from heaved.estimation.conditioning import Attitude as Measured
 from heaved.estimation.intake import Intake
 from heaved.estimation.points import Attitude, Point
 from heaved.estimation.quality import COAST_S, Facts, judge
@@ -29,6 +30,7 @@ from heaved.estimation.stages import Stages
 from heaved.predictions import PlainForecasts
 from heaved.samples import (
     CorrectionState,
+    DelayedHeave,
     HeaveState,
     LaserState,
     MotionFrame,
@@ -52,6 +54,8 @@ NOTHING: Final = Heave(
 LINE_PER_S: Final = 4.0
 """A straight line of a rolling vessel's angles is worse than a prediction by so much of it for each second: half of the
 angle's acceleration times the square of half a second is some three times what predictions are off by then."""
+LONGEST_STEP_S: Final = 0.5
+"""Delayed heaves further apart show no velocity."""
 BEYOND_PHYSICS: Final = "estimate beyond what a vessel does: withheld"
 
 
@@ -78,6 +82,8 @@ class Framer:
         self._has_laser, self._points, self._lead_s = has_laser, point, lead_s
         self.resets: Counter[tuple[str, str]] = Counter()
         self._is_beyond = False
+        self._delayed: tuple[DelayedHeave, DelayedHeave | None] | None = None
+        """The newest of the chain, and what is published of it."""
         # Between two predictions: the noise of the measured attitude, over 50 ms, would be most of the rate.
         self._rate_between = tuple(rock_horizons_s.index(h) for h in STANDARD_HORIZONS_S[:2])
 
@@ -117,12 +123,12 @@ class Framer:
             roll_rad=roll,
             pitch_rad=pitch,
             yaw_rad=yaw,
-            points=self._point_motions(heave, self._moving(t_s, tuple(rock))) if self._points else (),
+            points=self._point_motions(heave, self._moving(attitude, t_s, tuple(rock))) if self._points else (),
             rock=rock,
             quiet=quiet,
             forecast=heave.forecast,
             compensation_lead_s=self._lead_s,
-            delayed=chain.delayed(),
+            delayed=self._possible_delayed(),
             sea=chain.observer.sea,
             crane_roll_rad=crane_roll,
             crane_pitch_rad=crane_pitch,
@@ -142,37 +148,61 @@ class Framer:
             return None
         if not self._intake.force_std_s > 0.0:
             return heave
-        return msgspec.structs.replace(heave, std_m=hypot(heave.std_m, self._intake.force_std_s * heave.velocity_mps))
+        late_s, forecast = self._intake.force_std_s, heave.forecast
+        # Of later moments: as fast as the wave is now at its fastest.
+        fastest_mps = hypot(heave.velocity_mps, self._chain.observer.omega_radps * heave.observer_m)
+        return msgspec.structs.replace(
+            heave,
+            std_m=hypot(heave.std_m, late_s * heave.velocity_mps),
+            forecast=PlainForecasts(
+                forecast.horizons_s,
+                [one.heave_m for one in forecast],
+                [hypot(one.std_m, late_s * fastest_mps) for one in forecast],
+            ),
+        )
+
+    def _possible_delayed(self) -> DelayedHeave | None:
+        """The delayed heave likewise, its velocity that since the one before."""
+        found, before = self._chain.delayed(), self._delayed
+        if found is None or abs(found.heave_m) > HEAVE_M:
+            return None
+        if not self._intake.force_std_s > 0.0:
+            self._delayed = found, found
+        elif before is None or found is not before[0]:
+            elapsed_s = found.t_s - before[0].t_s if before is not None else nan
+            # Of the first one, and of one after a pause, it is not known.
+            is_next = before is not None and 0.0 < elapsed_s <= LONGEST_STEP_S
+            velocity_mps = (found.heave_m - before[0].heave_m) / elapsed_s if before is not None and is_next else nan
+            std_m = hypot(found.std_m, self._intake.force_std_s * velocity_mps)
+            self._delayed = found, msgspec.structs.replace(found, std_m=std_m) if isfinite(std_m) else None
+        return self._delayed[1] if self._delayed is not None else None
 
     def _serving(self, t_s: float, rock: Sequence[RockPrediction]) -> Measured:
-        """Roll and pitch that serve at ``t_s``: measured; or of a slow sensor, predicted from when they were."""
-        measured = self._intake.attitude(t_s)
-        if not (self._intake.attitude_is_slow and measured.t_s < t_s):
-            return measured
-        predicted = self._moving(t_s, tuple(rock))
-        return msgspec.structs.replace(measured, t_s=t_s, roll_rad=predicted.roll_rad, pitch_rad=predicted.pitch_rad)
+        """Roll and pitch of a moment: as of the last sample, or moved on as predicted or for an instant in line."""
+        last = self._intake.attitude
+        if last.t_s == t_s:
+            return last
+        if (now := predicted(t_s, last, rock)) is not None:
+            return now
+        if not last.serves(t_s):
+            return UNKNOWN
+        roll, pitch = last.at(t_s)
+        return msgspec.structs.replace(last, roll_rad=roll, pitch_rad=pitch)
 
-    def _moving(self, t_s: float, predictions: tuple[RockPrediction, ...]) -> Attitude:
-        """Roll and pitch for the moment that the heave of ``t_s`` is for, their rates and standard deviations.
+    def _moving(self, serving: Measured, t_s: float, predictions: tuple[RockPrediction, ...]) -> Attitude:
+        """The same for the moment that the heave of ``t_s`` is for, with rates and standard deviations.
 
-        Angles of an earlier moment are moved on, those of a slow sensor as predicted, others with their last rates. How
-        well an angle is known is what the predictions for as long ahead are worth: too much for a measured one, since
-        it is the whole of what the sensor adds and of what a prediction does.
+        How well an angle is known is what the predictions for as long ahead are worth: too much for a measured one,
+        since it is the whole of what the sensor adds and of what a prediction does.
         """
-        measured = self._intake.attitude(t_s)
-        roll, pitch = measured.at(t_s)
+        roll, pitch = serving.roll_rad, serving.pitch_rad
         soon, later = (predictions[i] for i in self._rate_between)
         apart_s = later.horizon_s - soon.horizon_s
         roll_rate = (later.roll_rad - soon.roll_rad) / apart_s
         pitch_rate = (later.pitch_rad - soon.pitch_rad) / apart_s
-        is_old = measured.t_s < t_s
-        if is_old and self._intake.attitude_is_slow and isfinite(roll_rate + pitch_rate):
-            roll = soon.roll_rad - soon.horizon_s * roll_rate
-            pitch = soon.pitch_rad - soon.horizon_s * pitch_rate
-        age_s = t_s - measured.t_s
-        roll_std, pitch_std = _stds(predictions, self._lead_s + age_s)
-        if is_old and not self._intake.attitude_is_slow:
-            roll_std, pitch_std = (std * (1.0 + LINE_PER_S * age_s) for std in (roll_std, pitch_std))
+        roll_std, pitch_std = _stds(predictions, self._lead_s + t_s - serving.measured_s)
+        if (line_s := t_s - serving.t_s) > 0.0:
+            roll_std, pitch_std = (std * (1.0 + LINE_PER_S * line_s) for std in (roll_std, pitch_std))
         if self._lead_s > 0.0:
             roll, pitch = roll + self._lead_s * roll_rate, pitch + self._lead_s * pitch_rate
         return Attitude(
@@ -180,8 +210,8 @@ class Framer:
             pitch,
             roll_rate,
             pitch_rate,
-            roll_std if isfinite(roll_std) else measured.roll_std_rad,
-            pitch_std if isfinite(pitch_std) else measured.pitch_std_rad,
+            roll_std if isfinite(roll_std) else serving.roll_std_rad,
+            pitch_std if isfinite(pitch_std) else serving.pitch_std_rad,
         )
 
     def _point_motions(self, heave: Heave, attitude: Attitude) -> tuple[PointMotion, ...]:
@@ -226,8 +256,9 @@ class Framer:
             reasons = (notes.unusable or BEYOND_PHYSICS, *reasons)
         elif notes.signs:
             # Waves can do that to a vessel that leans less than they do. But if the heave is in doubt besides, it is
-            # that: gravity is not taken out, but put in twice.
-            state = HeaveState.DEGRADED if state is HeaveState.VALID else HeaveState.INVALID
+            # that: gravity is not taken out, but put in twice. And so it is until it has been found out.
+            is_usable = state is HeaveState.VALID and not notes.are_signs_open
+            state = HeaveState.DEGRADED if is_usable else HeaveState.INVALID
             reasons = (notes.signs, *reasons)
         if intake.is_recovering(t_s):
             state = HeaveState.DEGRADED if state is HeaveState.VALID else state

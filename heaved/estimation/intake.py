@@ -1,25 +1,27 @@
 """IMU samples on their way into the heave chain: bias and tilt come out, and account is kept of the line.
 
-The attitude of an earlier sample serves while it is fresh, moved on with its rates; the accelerometers may show another
-moment than the attitude does. What a frame says of the samples is known here: what was wrong with the last one, how
+Between readings of the attitude it is carried on (:mod:`heaved.estimation.carried_attitude`); the accelerometers may
+show another moment than it does. What a frame says of the samples is known here: what was wrong with the last one, how
 often they come, how many are lost.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import cos, inf, isfinite, nan
 from typing import Final
 
 from heaved.estimation.arrivals import Arrivals
+from heaved.estimation.carried_attitude import Attitude, CarriedAttitude
 from heaved.estimation.chain import HeaveChain
-from heaved.estimation.conditioning import NOTHING, Attitude, Conditioned
+from heaved.estimation.conditioning import NOTHING, Conditioned
 from heaved.estimation.frames import up_acceleration
 from heaved.estimation.level_bias import LevelBias
 from heaved.estimation.trail import Trail
-from heaved.samples import GRAVITY_MPS2, Fault
+from heaved.samples import GRAVITY_MPS2, Fault, RockPrediction
 
 ATTITUDE_HOLD_S: Final = 0.5
-"""The last attitude serves this long; then the tilt is unknown."""
+"""What is known of the attitude serves this long on a straight line; then the tilt is unknown."""
 TILT_LASTS_S: Final = 5.0
 """With the tilt removed for that long, or not removed, the record is of one kind."""
 LAG_S: Final = 0.005
@@ -32,7 +34,6 @@ TILT_MEMORY_S: Final = 60.0
 TOO_TILTED: Final = "no attitude or no horizontal acceleration: too much tilt in the acceleration to use it"
 TILT_LINGERS: Final = 3.0
 """What tilt has done to the heave is gone after so many times as long as it was in the acceleration."""
-UNKNOWN: Final = Attitude()
 
 
 class Intake:
@@ -55,7 +56,7 @@ class Intake:
         self.withheld = ""
         self.attitude_is_slow = False
         self.force_std_s = 0.0
-        self._attitude = UNKNOWN
+        self._carried = CarriedAttitude()
         self._attitudes = Trail(int(max_rate_hz))
         self._tilt_removed, self._tilt_since_s = False, nan
         self._tilted_s = nan
@@ -63,20 +64,20 @@ class Intake:
         self._tilt_square = 0.0
         self._level_bias = LevelBias()
 
-    def take(self, conditioned: Conditioned) -> None:
-        """Take one sample in, as far as there are readings in it."""
+    def take(self, conditioned: Conditioned, rock: Sequence[RockPrediction]) -> None:
+        """Take one sample in, as far as there are readings in it; ``rock``: the predictions from it."""
         self.fault, self.notes, self.force_std_s = conditioned.fault, conditioned.notes, conditioned.force_std_s
         self.attitude_is_slow = conditioned.attitude_is_slow
         if (attitude := conditioned.attitude) is not None:
-            self._attitude = attitude
             self._attitudes.push((attitude.t_s, attitude.roll_rad, attitude.pitch_rad))
+        self._carried.take(conditioned.sample, attitude, rock)
         t_s = conditioned.force_t_s
         if not isfinite(t_s):
             return
         sample = conditioned.sample
         ax, ay, az = sample.ax_mps2, sample.ay_mps2, sample.az_mps2
         up = az - GRAVITY_MPS2
-        has_tilt = t_s - self._attitude.t_s <= ATTITUDE_HOLD_S and isfinite(ax + ay)
+        has_tilt = t_s - self._carried.latest.t_s <= ATTITUDE_HOLD_S and isfinite(ax + ay)
         self.withheld = ""
         if has_tilt:
             self._tilted_s = t_s
@@ -101,13 +102,14 @@ class Intake:
         if tilt is not None:
             bias.take(t_s, ax, ay, az, *tilt)
 
-    def attitude(self, t_s: float) -> Attitude:
-        """Roll, pitch and yaw that serve at ``t_s``, as of when they were measured; nan when they are too old."""
-        return self._attitude if t_s - self._attitude.t_s <= ATTITUDE_HOLD_S else UNKNOWN
+    @property
+    def attitude(self) -> Attitude:
+        """Roll, pitch and yaw of the last sample, or of when they were last known."""
+        return self._carried.latest
 
     def is_tilt_removed(self, t_s: float) -> bool:
         """Whether the vertical acceleration is free of the tilt, and the attitude known at ``t_s``."""
-        return self._tilt_removed and t_s - self._attitude.t_s <= ATTITUDE_HOLD_S
+        return self._tilt_removed and t_s - self.attitude.t_s <= ATTITUDE_HOLD_S
 
     def is_recovering(self, t_s: float) -> bool:
         """Whether the heave still suffers from tilt that was not removed a moment ago."""
@@ -119,11 +121,11 @@ class Intake:
         lag_s = -self._chain.lead.learned_s
         if lag_s < LAG_S:
             lag_s = 0.0
-        if t_s - lag_s < self._attitude.t_s:
+        if t_s - lag_s < self.attitude.t_s:
             then = self._attitudes.at(t_s - lag_s)
             if then is not None:
                 return then[1], then[2]
-        return self._attitude.at(t_s - lag_s)
+        return self.attitude.at(t_s - lag_s)
 
     def _note_tilt(self, t_s: float, is_removed: bool) -> None:
         """Whether the tilt is removed; one that comes and goes with a slow attitude sensor is one state, not two."""

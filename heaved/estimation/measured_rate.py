@@ -200,7 +200,7 @@ def _clock(t_s: Array, is_new: NDArray[np.bool_]) -> tuple[float, float, float] 
         return None
     period_s = float(np.sum(gaps[usual])) / shown
     found = _even(t_s, new, poll_s) if period_s >= MANY * poll_s else _explaining(t_s, new, period_s, poll_s)
-    return (*found, poll_s) if found is not None else None
+    return (float(found[0]), float(found[1]), poll_s) if found is not None else None
 
 
 def _even(t_s: Array, new: NDArray[np.bool_], poll_s: float) -> tuple[float, float] | None:

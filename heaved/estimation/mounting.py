@@ -168,6 +168,11 @@ class SignWatch:
         self._with, self._without = _Slow(), _Slow()
         self._mean = self._square = 0.0
 
+    @property
+    def is_open(self) -> bool:
+        """Whether there is a suspicion that has not been held against enough of what is below the waves yet."""
+        return bool(self.suspicion) and self._warm_seconds < MEMORY_S
+
     def take(self, t_s: float, ax: float, ay: float, az: float, roll_rad: float, pitch_rad: float) -> None:
         """Specific force and attitude of one moment, all finite; more often than EVERY_S is not looked at."""
         since_s = t_s - self._t_s

@@ -4,31 +4,18 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from math import cos, isfinite, nan, pi, sin, tan
+from math import isfinite, nan, pi
 from typing import Final
 
 import msgspec
 
 from heaved.estimation import rock, rock_direct
+from heaved.estimation.carried_attitude import angle_rates
 from heaved.estimation.rock_paced import PacedPredictor
 from heaved.predictions import TURN, RockPredictions
 from heaved.samples import ImuSample, RockPrediction, RockScore
 
 AXES: Final = ("roll", "pitch", "yaw")
-
-
-def angle_rates(sample: ImuSample) -> tuple[float, float, float]:
-    """Derivatives of roll, pitch and yaw from the body rates of a sample, rad/s; nan where they are not known.
-
-    The z-y-x Euler rates, with pitch and yaw turned round as :mod:`heaved.samples` counts them (bow up, clockwise).
-    """
-    roll, pitch = sample.roll_rad, sample.pitch_rad
-    if not (abs(pitch) < 1.5 and isfinite(roll)):
-        return nan, nan, nan
-    s, c = sin(roll), cos(roll)
-    across = sample.gy_radps * s + sample.gz_radps * c
-    along = sample.gy_radps * c - sample.gz_radps * s
-    return sample.gx_radps - across * tan(pitch), -along, -across / cos(pitch)
 
 
 class DirectRockPredictor:
@@ -85,7 +72,9 @@ class RockChain:
         self._unknown = RockPredictions.unknown(self.horizons_s)
         self.latest: Sequence[RockPrediction] = self._unknown
         """Predictions from the last sample."""
-        self._t_s = nan
+        self.time_std_s = 0.0
+        """How well the times of the angles are known: of a sensor that measures more slowly than it is polled."""
+        self._t_s = self._roll_rad = self._pitch_rad = nan
         self._ml = rock.RockPredictor(params) if params.predictor == "ml" else None
         self._direct: DirectRockPredictor | None = None
         self._rated = False
@@ -113,7 +102,12 @@ class RockChain:
             if (gap_s := self._params.max_gap_s) is not None:
                 params = msgspec.structs.replace(params, max_gap_s=gap_s)
             self._direct = DirectRockPredictor(params, rates=self._rated)
-        rates = (angle_rates(sample) if good else (nan, nan, nan)) if self._rated else None
+        rates = None
+        if self._rated:
+            # Without angles the last ones do: what they add to the rates is small.
+            self._roll_rad = attitude[0] if isfinite(attitude[0]) else self._roll_rad
+            self._pitch_rad = attitude[1] if isfinite(attitude[1]) else self._pitch_rad
+            rates = angle_rates(sample, self._roll_rad, self._pitch_rad) if good else (nan, nan, nan)
         self.latest = self._direct.step(t_s, *attitude, rates)
         return self.latest
 
@@ -121,7 +115,10 @@ class RockChain:
         """Predictions as seen from a moment without a sample; nothing is advanced."""
         if self._ml is not None:
             return rock.carried(tuple(self.latest), t_s - self._t_s)
-        return self._direct.at(t_s) if self._direct is not None else self._unknown
+        if self._direct is None:
+            return self._unknown
+        seen = self._direct.at(t_s)
+        return seen.of_uncertain_time(self.time_std_s) if self.time_std_s > 0.0 else seen
 
     def scores(self) -> tuple[RockScore, ...]:
         """How the predictions have fared, by axis and horizon; empty for a predictor that keeps no account."""

@@ -21,7 +21,7 @@ the filter knows of the holes once it hands over again. What else may be wrong w
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
 from math import ceil, exp, inf, isfinite, nan
 from typing import Annotated, Final
@@ -55,6 +55,11 @@ FILLED_S: Final = 10.0
 """What the filter said of its errors fades within that time, for the lags hold what it has filled them with."""
 MEASURED: Final = 0.75
 """Share of the nodes that a filter for holes learns from that were measured: the odd missing one is filled well."""
+SURPRISED_S: Final = 0.5
+"""Predictions for so long ahead, the longest that is known so soon, show that the motion has become another one,"""
+SURPRISED: Final = 2.0
+"""when they are off by more than usual by so many of their deviations; what is more widens all others."""
+SURPRISED_FOR_S: Final = 4.0
 OUT: Final = 4
 """Predictions are looked at as often as experts are chosen: so often beyond the limits on end, which is longer than a
 spike is seen, and everything begins anew."""
@@ -257,6 +262,10 @@ class DirectPredictor:
         # Predictions by extrapolation, and the slope now.
         taps = np.concatenate([taps[:count], (taps[-1:] - taps[-2:-1]) / 1e-3])
         self._regressors = Regressors(self._window, n, taps, rates=self._with_rates)
+        now, soon = fading_taps(interval_s, np.array([interval_s, interval_s + 1e-3]))
+        self._next_slope = np.zeros(self._regressors.width)
+        """On the vectors of the sample before: the slope of the extrapolation at the next one."""
+        self._next_slope[-settling:] = (soon - now)[::-1] / 1e-3
         self._learner = Learner(
             horizons,
             interval_s,
@@ -271,6 +280,11 @@ class DirectPredictor:
         self._batch_due = False
 
         self._curve_s = np.append(0.0, horizons)
+        self._surprised_node = max(int(np.searchsorted(horizons, SURPRISED_S + 1e-6)) - 1, 0)
+        ahead = max(round(float(horizons[self._surprised_node]) / interval_s), 1)
+        self._earlier: deque[Array] = deque(maxlen=ahead)
+        self.surprise = [0.0] * n
+        """Of each channel: by how many deviations predictions were off lately, at most; it fades."""
         # Interpolation of the predicted curve: one sample on, and its slope at each horizon.
         ahead_s = interval_s * np.arange(1, ceil(horizons[-1] / interval_s) + 2)
         gap_weights = curve_weights(horizons, ahead_s)
@@ -323,8 +337,10 @@ class DirectPredictor:
             known.append(measured)
             means.append(channel.mean)
         if self._with_rates:
-            if not isfinite(sum(rates)):  # one that is missing is what was expected of it
-                expected = (self._curves @ self._slopes[0]).tolist()
+            if not isfinite(sum(rates)):
+                # One that is missing is what the angles' extrapolation has for now. The slope of what was predicted
+                # from earlier ones of these would be fed with itself, and run away.
+                expected = (self._regressors.now() @ self._next_slope).tolist()
                 rates = [r if isfinite(r) else p if isfinite(p) else 0.0 for r, p in zip(rates, expected, strict=True)]
             self._rates = list(rates)
             taken += self._rates
@@ -343,6 +359,8 @@ class DirectPredictor:
         for c in self.holed:
             hole = self.filters[c]
             self._curves[c] = hole.mean + hole.curve(self._row_index, self._curve_s)
+        self._bound(taken)
+        self._be_surprised(known)
         self._until_row -= 1
         self._batch_due = False
         if self._until_row == 0:
@@ -358,8 +376,45 @@ class DirectPredictor:
                 self._until_learned = LEARNED_TOGETHER
                 self._learn_for_holes()
         if self._batch_due and self._limits is not None:
-            curves = self._curves.T + [channel.level for channel in channels]
+            # A filter for holes that knows too little yet is not published, nor held against it.
+            levels = [
+                nan if c in self.holed and not self.filters[c].known else channel.level
+                for c, channel in enumerate(channels)
+            ]
+            curves = self._curves.T + levels
             self._out = self._out + 1 if self._limits.left_by(curves, (0.0, *self.horizons_s)).any() else 0
+
+    def _bound(self, taken: Sequence[float]) -> None:
+        """Predictions of channels with limits stay within reach of the motion."""
+        if self._limits is None:
+            return
+        for c, (channel, largest) in enumerate(zip(self._channels, self._limits.largest, strict=True)):
+            if largest < inf and (reach := channel.reach(taken[c])) < inf:
+                curve = self._curves[c]
+                np.clip(curve, channel.mean - reach, channel.mean + reach, out=curve)
+
+    def _be_surprised(self, known: Sequence[bool]) -> None:
+        """Hold what was predicted SURPRISED_S ago against what there is now."""
+        earlier, node = self._earlier, self._surprised_node
+        if len(earlier) == earlier.maxlen:
+            off = np.abs(self._curves[:, 0] - earlier[0])
+            std = self._switch.std[node]
+            with np.errstate(invalid="ignore", divide="ignore"):
+                stds = off / std
+            fade = exp(-self._interval_s / SURPRISED_FOR_S)
+            for c, (is_known, one) in enumerate(zip(known, stds.tolist(), strict=True)):
+                self.surprise[c] *= fade
+                if is_known and c not in self.holed and self.surprise[c] < one < inf:
+                    self.surprise[c] = one
+        now = self._curves[:, node + 1].copy()
+        for c, channel in enumerate(self._channels):
+            if channel.unsettled > 0 or not channel.ready:
+                now[c] = nan
+        earlier.append(now)
+
+    def wider(self, channel: int) -> float:
+        """By how much deviations are larger than usual: the motion has just become another one."""
+        return max(1.0, self.surprise[channel] - SURPRISED) if self._built else 1.0
 
     # -- holes -----------------------------------------------------------------------------------------------------
 

@@ -32,6 +32,11 @@ AGREED: Final = 0.3
 """Deviations that scatter by less than this share of their median are a step."""
 MANOEUVRE: Final = 8.0
 """Deviations from the slow mean beyond so many standard deviations are no wave motion."""
+FARTHEST: Final = 6.0
+"""No more of them from the mean is the motion going to be,"""
+FARTHER: Final = 3.0
+"""unless so many times as far away as it is now: a regression that sees what it has not learned from, as a list that
+has just come about, may say anything."""
 MANOEUVRE_MEAN_S: Final = 10.0
 MANOEUVRE_LASTS_S: Final = 60.0
 """After which it is the new sea."""
@@ -90,6 +95,12 @@ class Channel:
     @property
     def ready(self) -> bool:
         return self.since >= self._timing.settling
+
+    def reach(self, x: float) -> float:
+        """How far from the mean the motion may be soon, from where it is now."""
+        if self._mean_count * self._timing.interval_s < MANOEUVRE_MEAN_S:
+            return inf
+        return max(FARTHEST * sqrt(self._square), FARTHER * abs(x - self.mean))
 
     @property
     def absent(self) -> int:

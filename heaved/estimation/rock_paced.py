@@ -47,8 +47,8 @@ SAME_S: Final = 1e-4
 """Samples closer together are one; where they come in bursts, those closer than the shortest interval."""
 BURSTS: Final = 0.7
 """Share of the samples that are farther apart than that, below which they come in bursts."""
-WAIT_S: Final = 4.0
-"""For so long readings are waited for to show their rate."""
+WAIT_S: Final = 8.0
+"""For so long readings are waited for to show their rate: a sensor of 1.4 Hz does."""
 SLOWER: Final = 1.5
 """Intervals of samples to one of readings, at least, that make them a stream of their own,"""
 REGULAR: Final = 0.7
@@ -226,27 +226,29 @@ class PacedPredictor:
         of the readings, or what the filter for holes says, if that is more."""
         std, half_width = self.scored.std, self.scored.half_width
         fed = self.fed
+        if fed is not None and max(wider := [fed.wider(c) for c in range(self._n)]) > 1.0:
+            std, half_width = std * wider, half_width * wider
         if fed is None or (self._whole_s == t_s and not fed.holed and not fed.given_back and not self._thin):
             return std, half_width
         std, half_width, horizons = std.copy(), half_width.copy(), np.array(self.horizons_s)
         origin_s = self._blocks.origin_s if self._blocks is not None else self.t_s
         for c in range(self._n):
             later = horizons + max(t_s - max(self._read_s[c], self._whole_s), 0.0)
-            wider = np.interp(later, horizons, std[:, c])
+            own_std = np.interp(later, horizons, std[:, c])
             half_width[:, c] = np.interp(later, horizons, half_width[:, c])
             if c in fed.holed or c in fed.given_back:
                 spread = fed.spread if c in fed.holed else fed.spread_left
                 own = spread(c, horizons + (t_s - origin_s))
                 half_width[:, c] = np.fmax(half_width[:, c], GAUSSIAN_QUANTILE * own)
-                wider = np.fmax(wider, own)
-            std[:, c] = wider
+                own_std = np.fmax(own_std, own)
+            std[:, c] = own_std
         if self._thin:
             self._follow_thin(t_s)
             for c, lost_s in enumerate(self._lost_s):
                 if c not in fed.holed:
-                    wider = 1.0 / max(1.0 - lost_s / THIN_S, 0.1) ** 0.5
-                    std[:, c] *= wider
-                    half_width[:, c] *= wider
+                    thinner = 1.0 / max(1.0 - lost_s / THIN_S, 0.1) ** 0.5
+                    std[:, c] *= thinner
+                    half_width[:, c] *= thinner
         return std, half_width
 
     def _follow_thin(self, t_s: float) -> None:

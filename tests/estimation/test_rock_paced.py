@@ -11,8 +11,9 @@ from evidence.rock import ARCSEC, SCENES, motion
 
 from heaved.estimation import rock
 from heaved.estimation.arrivals import usual_interval
+from heaved.estimation.carried_attitude import angle_rates
 from heaved.estimation.rock_carry import Carry
-from heaved.estimation.rock_chain import DirectRockPredictor, RockChain, angle_rates
+from heaved.estimation.rock_chain import DirectRockPredictor, RockChain
 from heaved.estimation.rock_direct import DirectPredictor, Params
 from heaved.estimation.rock_paced import PacedPredictor
 from heaved.samples import ImuSample
@@ -314,8 +315,9 @@ def sample(t, *, gyro=True):
 
 def test_angle_rates_are_the_derivatives_of_the_angles():
     for t in (0.3, 2.0, 5.5):
-        assert np.allclose(angle_rates(sample(t)), attitude(t)[1], atol=1e-8)
-    assert np.isnan(angle_rates(ImuSample(t_s=0.0, gx_radps=0.1))).all()
+        one = sample(t)
+        assert np.allclose(angle_rates(one, one.roll_rad, one.pitch_rad), attitude(t)[1], atol=1e-8)
+    assert np.isnan(angle_rates(ImuSample(t_s=0.0, gx_radps=0.1), nan, nan)).all()
 
 
 @pytest.mark.parametrize("gyro", [False, True])
@@ -408,3 +410,27 @@ def test_before_anything_is_known_nothing_is_claimed():
     assert all(np.isnan(p.roll_rad) and np.isnan(p.roll_interval_rad) for p in (*found, *chain.at(1.01)))
     predictor = DirectRockPredictor()
     assert all(np.isnan(p.yaw_rad) for p in predictor.at(0.0))
+
+
+@pytest.mark.parametrize("is_roll_gone", [False, True], ids=["no rates", "no roll"])
+def test_rates_that_are_gone_do_not_make_predictions_feed_on_themselves(is_roll_gone):
+    """Three minutes of a broad sea with body rates, then 20 s without them, or without the roll that they turn with."""
+    rng = np.random.default_rng(4)
+    omega, phase = 2.0 * pi * rng.uniform(0.07, 0.16, (2, 40)), rng.uniform(0.0, TURN, (2, 40))
+    size = np.array([[0.012], [0.006]])
+    chain, worst = RockChain(rock.Params()), 0.0
+    for k in range(4000):
+        t = 0.05 * k
+        roll, pitch = (size * np.sin(omega * t + phase)).sum(axis=1) + 2e-4 * rng.standard_normal(2)
+        rates = (size * omega * np.cos(omega * t + phase)).sum(axis=1) + 2e-4 * rng.standard_normal(2)
+        is_gone = t > 180.0
+        gx, gy, gz = (nan, nan, nan) if is_gone and not is_roll_gone else (float(rates[0]), -float(rates[1]), 0.0)
+        sample = ImuSample(
+            t_s=t, roll_rad=nan if is_gone and is_roll_gone else float(roll), pitch_rad=float(pitch), yaw_rad=0.0,
+            gx_radps=gx, gy_radps=gy, gz_radps=gz,
+        )  # fmt: skip
+        half = next(p for p in chain.step(sample, good=True) if p.horizon_s == 0.5)
+        if is_gone:
+            true = float((size[1] * np.sin(omega[1] * (t + 0.5) + phase[1])).sum())
+            worst = max(worst, abs(half.pitch_rad - true))
+    assert np.degrees(worst) < 0.15  # of 1.5 degrees RMS
