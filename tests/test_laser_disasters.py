@@ -229,7 +229,7 @@ def test_an_aiding_laser_never_makes_the_heave_lie(disaster: Disaster, name: str
         assert frames[-1][1].quality.laser is LaserState.VALID or "one" in disaster.name
     else:  # It is the heave without a laser, and as sure of itself.
         assert error_m < 1.1 * alone_m
-        assert np.mean(stds(frames, last_s)) == pytest.approx(np.mean(stds(alone, last_s)), rel=0.25)
+        assert np.mean(stds(frames, last_s)) == pytest.approx(np.mean(stds(alone, last_s)), rel=0.4)
         assert frames[-1][1].quality.laser is LaserState.STALE
 
 

@@ -197,7 +197,7 @@ DISASTERS = [
     Disaster("clipped for 30 s", 30.0, clipped, "imu: stuck" + EXTRAPOLATED, D, 5.0, 30.0),
     Disaster("a docking bump", 0.5, bumped, "", V, 3.0, 0.0),
     Disaster("a list of 5 degrees", 600.0, listing, "", V, 600.0, 0.0),
-    Disaster("no attitude for 30 s", 30.0, to(ImuSample, roll_rad=nan, pitch_rad=nan, yaw_rad=nan), TILT, D, 1.0),
+    Disaster("no attitude for 30 s", 30.0, to(ImuSample, roll_rad=nan, pitch_rad=nan, yaw_rad=nan), TILT, D, 4.0),
     Disaster("three of five lost", 60.0, holed, "imu: # % of the samples missing", D, 60.0),
     Disaster("laser frozen", 100.0, to(LaserSample, laser_m=12.02), "laser: stuck", V, 5.0, 0.0, True),
     Disaster("laser on the ship", 100.0, standing, DISAGREE, D, 100.0, 0.0, True),

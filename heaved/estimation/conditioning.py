@@ -17,7 +17,7 @@ from heaved.estimation.bounds import ANGLE_RATE_RADPS, HEAVE_ACCELERATION_MPS2
 from heaved.estimation.carried_attitude import Attitude
 from heaved.estimation.measured_rate import MeasuredRate
 from heaved.estimation.mounting import SignWatch, UnitsWatch
-from heaved.estimation.spikes import ALONE_S, SpikeGate, StuckGate
+from heaved.estimation.spikes import SpikeGate, StuckGate
 from heaved.samples import GRAVITY_MPS2, Fault, ImuSample
 
 SIDEWAYS_MPS2: Final = 16.0
@@ -129,8 +129,8 @@ class Conditioner:
         )
         self._force_stuck = (
             # Without one of these the tilt is not removed: what is measured counts as measured otherwise.
-            StuckGate(rests=True, chance_s=ALONE_S),
-            StuckGate(rests=True, chance_s=ALONE_S),
+            StuckGate(rests=True, by_chance=True),
+            StuckGate(rests=True, by_chance=True),
             StuckGate(must_live=True),
         )
         self._roll_stuck, self._pitch_stuck = StuckGate(rests=True), StuckGate(rests=True)

@@ -51,6 +51,8 @@ NOTHING: Final = Heave(
     forecast=PlainForecasts((), (), ()),
 )
 """While nothing is known of the heave."""
+CARRIED: Final = 1.5
+"""Where readings are missing there was mostly something wrong with the last ones too: so much less is known at once."""
 LINE_PER_S: Final = 4.0
 """A straight line of a rolling vessel's angles is worse than a prediction by so much of it for each second: half of the
 angle's acceleration times the square of half a second is some three times what predictions are off by then."""
@@ -202,7 +204,8 @@ class Framer:
         pitch_rate = (later.pitch_rad - soon.pitch_rad) / apart_s
         roll_std, pitch_std = _stds(predictions, self._lead_s + t_s - serving.measured_s)
         if (line_s := t_s - serving.t_s) > 0.0:
-            roll_std, pitch_std = (std * (1.0 + LINE_PER_S * line_s) for std in (roll_std, pitch_std))
+            factor = CARRIED * (1.0 + LINE_PER_S * line_s)
+            roll_std, pitch_std = factor * roll_std, factor * pitch_std
         if self._lead_s > 0.0:
             roll, pitch = roll + self._lead_s * roll_rate, pitch + self._lead_s * pitch_rate
         return Attitude(

@@ -156,6 +156,9 @@ class SeaObserver:
         if self._guard.step_s is not None:
             self._record.cut(*self._guard.step_s)
             self.steps += 1
+            for at_s, value in self._guard.since_step[:-1]:
+                if self._record.follows(at_s):
+                    self._record.push(at_s, value)
         if self._guard.spoilt_s is not None:
             self._record.spoil(*self._guard.spoilt_s)
         if f.rejected == rejected and not self._guard.is_burst:
@@ -368,6 +371,8 @@ class SeaObserver:
                 said = heave.filter.step(t_s, a_mps2)
                 unaided = self._aiding.unaided
                 smoother.push(t_s, *(said if unaided is None else unaided.step(t_s, a_mps2)))
+        if cuts:
+            heave.filter.open_bias()
         heave.moved()
 
     def _install(self, system: SeaSystem, steady: Steady, t_s: float, x: Array, P: Array | None) -> SeaHeave:

@@ -26,6 +26,8 @@ STEADY: Final = 1e-8
 """Relative difference of every variance below which the covariance counts as converged."""
 GATE: Final = 10.0
 """Innovations beyond this many standard deviations are not of the sea."""
+RELEASE: Final = 4.0
+"""After one that is not, the next ones within this are: what is expected grows unsure, and a step would slip in."""
 GATE_MEMORY: Final = 0.02
 """Weight of one innovation in the variance that opens the gate for a sea that grows."""
 GATE_LASTS: Final = 10
@@ -280,7 +282,7 @@ class SeaFilter:
     def _is_outlier(self, y: float, S: float) -> bool:
         variance = max(S, self._seen)
         self._seen += GATE_MEMORY * (min(y * y, OPENING**2 * variance) - self._seen)
-        if abs(y) <= GATE * sqrt(variance):
+        if abs(y) <= (RELEASE if self.withheld else GATE) * sqrt(variance):
             self.withheld = 0
         elif isfinite(y) and self.withheld >= GATE_LASTS:
             return False

@@ -63,6 +63,7 @@ class Guard:
     Attributes:
         step_s: from the first reading that may be of two levels to the first after a step, when the last reading has
             shown one; None: it has not.
+        since_step: (time, value) of the readings since then, some of which had been withheld.
         is_burst: whether the last reading is of a burst, and not fit to be learned from.
         spoilt_s: the readings since when a burst that the last reading has shown began: they are neither; None: none.
     """
@@ -80,6 +81,7 @@ class Guard:
         self._burst_s = self._retry_s = -inf
         self._alike = self._before = 0.0
         self.step_s: tuple[float, float] | None = None
+        self.since_step: tuple[tuple[float, float], ...] = ()
         self._at_s = nan
         self.is_burst = False
         self.spoilt_s: tuple[float, float] | None = None
@@ -154,6 +156,7 @@ class Guard:
         skipped = self._past[-count - 1][0]
         if not self._goes_through(f, count, is_step=True):
             return False
+        self.since_step = tuple([(t_s, a_mps2) for t_s, a_mps2, _ in self._past if t_s >= self._at_s])
         self.restart()
         self.step_s = skipped, self._at_s
         return True

@@ -75,8 +75,6 @@ STOP_MEMORY_S: Final = 60.0
 MANY_STOPS: Final = 4
 WELL_KNOWN: Final = 100
 """Changes from which a channel that has not repeated itself never does,"""
-ALONE_S: Final = 0.06
-"""but for once by chance, where that may be: of four digits, two in a row are the same once in some hundreds."""
 FEW_CHANGES: Final = 10
 """Before, the resolution is not known."""
 USUAL_STEPS: Final = 3.0
@@ -97,15 +95,15 @@ class StuckGate:
     angle has no such end, and rests at the crests of the motion: there a run is honest that is left by a usual step.
     """
 
-    def __init__(self, *, rests: bool = False, must_live: bool = False, chance_s: float = 0.0) -> None:
+    def __init__(self, *, rests: bool = False, must_live: bool = False, by_chance: bool = False) -> None:
         """``rests``: the range has no end that the motion may reach, as with angles and the smaller accelerations.
         ``must_live``: a value that has never been another is stuck, too; no vessel has nothing of this.
-        ``chance_s``: a repetition alone is chance when it lasts less, and to lose a reading would cost more.
+        ``by_chance``: a repetition alone may be chance, and to lose a reading would cost more.
         """
         self.is_stuck = False
         self.spread = 0.0
         """RMS of the readings about their mean of some seconds."""
-        self._rests, self._must_live, self._chance_s = rests, must_live, chance_s
+        self._rests, self._must_live, self._by_chance = rests, must_live, by_chance
         self._value = self._before = self._since_s = self._t_s = nan
         self._run_s = 0.0
         self._changes = -1  # The first reading is none.
@@ -149,7 +147,9 @@ class StuckGate:
         runs_s = (RESTS if self._rests else RUNS) * self._run_s
         if self.spread > MOVES * self._resolution:
             never_repeats = self._rests and self._run_s == 0.0 and self._changes >= WELL_KNOWN
-            return (self._chance_s if is_first else 0.0) if never_repeats else SOON_S + runs_s
+            if never_repeats:
+                return inf if is_first and self._by_chance else 0.0
+            return SOON_S + runs_s
         if not self._rests:
             return STUCK_S if self._changes > 0 or self._must_live else inf
         if not moves:

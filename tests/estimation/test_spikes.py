@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from heaved.estimation.spikes import ALONE_S, SpikeGate, StuckGate
+from heaved.estimation.spikes import SpikeGate, StuckGate
 
 
 def sea(rate_hz: float, duration_s: float = 60.0) -> tuple[np.ndarray, np.ndarray]:
@@ -100,7 +100,7 @@ def test_two_readings_that_are_the_same_by_chance_are_no_fault(rate_hz: float) -
     t, roll = rolling(rate_hz, 0.0, 0.02)
     at = int(60.0 * rate_hz)
     roll[at + 1] = roll[at]
-    assert not stands(StuckGate(rests=True, chance_s=ALONE_S), t, roll).any()
+    assert not stands(StuckGate(rests=True, by_chance=True), t, roll).any()
 
 
 def test_on_a_still_ship_nothing_stands_and_a_constant_is_none() -> None:
