@@ -196,7 +196,8 @@ def _sensor(setting: Setting) -> ImuModel:
     if setting.tilt not in ("none", "exact", "noisy"):
         raise ValueError(f"tilt must be none, exact or noisy, not {setting.tilt!r}")
     model = imu_model(setting.sensor)
-    return model if setting.tilt == "noisy" else msgspec.structs.replace(model, attitude_noise_rad=0.0)
+    # A level ship's sensor is noisy, too: angles that never change beside a deck that sways are those of none.
+    return msgspec.structs.replace(model, attitude_noise_rad=0.0) if setting.tilt == "exact" else model
 
 
 def segments_of(scenario: str, from_s: float, end_s: float) -> tuple[Segment, ...]:
