@@ -45,7 +45,6 @@ class HeaveChain:
         observer: the harmonic or the sea observer, as configured.
         laser: what the laser has taught.
         correction: the residual network.
-        resets: of the observer, by (filter, reason).
     """
 
     def __init__(
@@ -65,7 +64,6 @@ class HeaveChain:
         self.correction = ResidualCorrection(correction, max_rate_hz)
         self.laser = LaserTeacher(laser, heave.lead, self.correction, max_rate_hz)
         self.good_t_s = nan
-        self.resets: Counter[tuple[str, str]] = Counter()
         self._resets_seen = 0
 
     def _new_observer(self) -> HarmonicObserver | SeaObserver:
@@ -80,7 +78,6 @@ class HeaveChain:
         self.observer.step(t_s, up_mps2)
         if (resets := self.observer.resets.total()) != self._resets_seen:
             self._resets_seen = resets
-            self.resets = Counter({("heave", reason): count for reason, count in self.observer.resets.items()})
             self.laser.forget()
         if self._has_laser:
             self._note(t_s)
@@ -132,6 +129,15 @@ class HeaveChain:
         """An observer that knows nothing, after a restoration that failed."""
         self.observer = self._new_observer()
         self._resets_seen = 0
+
+    @property
+    def resets(self) -> Counter[tuple[str, str]]:
+        """Of the observer, by (filter, reason), and steps of the level that it has found."""
+        observer = self.observer
+        found = Counter({("heave", reason): count for reason, count in observer.resets.items()})
+        if isinstance(observer, SeaObserver) and observer.steps:
+            found["heave", "step of the level"] = observer.steps
+        return found
 
     @property
     def lead(self) -> lead.LeadTracker:
