@@ -168,7 +168,7 @@ DISASTERS = [
     Disaster("random registers for 10 s", random_registers((*FORCES, *ANGLES, *RATES), 1.0, 10.0), "imu: out_of_range"),
     Disaster("random angles now and then", random_registers(ANGLES, 0.3, 20.0)),
     Disaster("random angles for 10 s", random_registers(ANGLES, 1.0, 10.0), TILT),
-    Disaster("registers of their neighbours", shifted),
+    Disaster("registers of their neighbours", shifted, tilt_error_deg=3.0),
     Disaster("angles frozen for 4 s", frozen(ANGLES, 4.0), "roll and pitch stuck"),
     Disaster("angles frozen for 20 s", frozen(ANGLES, 20.0), TILT),
     Disaster("roll frozen", frozen((3,), 20.0), "imu: roll stuck"),
