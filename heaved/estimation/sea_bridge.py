@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz, solveh_banded
-from scipy.signal import lfilter
+from scipy.linalg.lapack import dtbtrs
 
 from heaved.estimation.sea_model import SeaModel
 
@@ -66,7 +66,7 @@ def bridged(
     level = float(np.mean(a[is_known]))
     there = [np.where(is_known, a - level, 0.0)]
     if rng is not None:
-        drawn = lfilter([std], weights, rng.standard_normal(len(a) + SETTLED * len(weights)))[-len(a) :]
+        drawn = _autoregression(weights, std * rng.standard_normal(len(a) + SETTLED * len(weights)))[-len(a) :]
         there.append(np.where(is_known, drawn, 0.0))
     # The products of the whitening filter with itself, by distance; beyond its length they are zero.
     products = np.append(np.correlate(weights, weights, mode="full")[len(weights) - 1 :], 0.0)
@@ -82,6 +82,12 @@ def bridged(
     filled = a.copy()
     filled[places] = found
     return np.where(bridged_too, filled, a), bridged_too
+
+
+def _autoregression(weights: Array, noise: Array) -> Array:
+    """What the whitening filter makes ``noise`` (n,) of. (By a banded solution: scipy.signal would cost 24 MB.)"""
+    made, _ = dtbtrs(np.repeat(weights[:, None], len(noise), axis=1), noise[:, None], uplo="L")
+    return np.asarray(made[:, 0])
 
 
 def _whitening(model: SeaModel, dt_s: float) -> tuple[Array, float]:
