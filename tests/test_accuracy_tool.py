@@ -111,7 +111,7 @@ def test_each_seed_draws_its_own_part() -> None:
 
 
 @pytest.mark.parametrize(
-    ("tilt", "rolls", "noise_rad"), [("none", False, 0.0), ("exact", True, 0.0), ("noisy", True, 3.5e-4)]
+    ("tilt", "rolls", "noise_rad"), [("none", False, 3.5e-4), ("exact", True, 0.0), ("noisy", True, 3.5e-4)]
 )
 def test_the_tilt_is_known_as_said(tilt: scenarios.Tilt, rolls: bool, noise_rad: float) -> None:
     recording = scenarios.build("S6", triplet(1), msgspec.structs.replace(SHORT, tilt=tilt)).recording
