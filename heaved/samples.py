@@ -211,8 +211,18 @@ class WaveSystem(msgspec.Struct, frozen=True, kw_only=True):
     peak_period_s: float
 
 
+class Vibration(msgspec.Struct, frozen=True, kw_only=True):
+    """What shakes the accelerometer beside the waves: an engine, a thruster, the hull's own bending."""
+
+    frequency_hz: float
+    """As it is seen: what is faster than half the rate of the samples has folded to another one."""
+    width_hz: float
+    """Half the height of its peak is that wide: small for a line, several hertz for a broad band."""
+    rms_mps2: float
+
+
 class SeaState(msgspec.Struct, frozen=True, kw_only=True):
-    """The sea as the vessel's heave shows it."""
+    """The sea as the vessel's heave shows it, and what the accelerometer shows beside it."""
 
     significant_height_m: float
     """4 standard deviations of the heave."""
@@ -232,6 +242,12 @@ class SeaState(msgspec.Struct, frozen=True, kw_only=True):
     """What was fitted, for people."""
     is_still: bool = False
     """No motion above the noise of the sensor."""
+    vibration: tuple[Vibration, ...] = ()
+    """Strongest first; none on a quiet hull."""
+    noise_mps2_rthz: float = nan
+    """Density of the accelerometer's white noise, one-sided, as the record shows it."""
+    bias_walk_mps2_rts: float = nan
+    """Random walk of its bias, as far as the record shows it."""
 
 
 class HullAngles(msgspec.Struct, frozen=True, gc=False, kw_only=True):
