@@ -304,6 +304,8 @@ class SeaObserver:
             delay_s=p.delay_s,
             looked_s=self._looked_s,
             candidates=self._candidates,
+            period_s=self._beat.period_s,
+            averaged=self._beat.averaged,
             cuts_s=self._record.cuts_s,
             spoilt_s=self._record.spoilt_s,
         )

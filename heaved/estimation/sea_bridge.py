@@ -94,7 +94,7 @@ def _whitening(model: SeaModel, dt_s: float) -> tuple[Array, float]:
     """(p + 1,) filter that leaves white noise of samples every ``dt_s``, 1, -a_1 ... -a_p, and the std of that."""
     count = 1 << int(np.ceil(np.log2(1.0 / (LOWEST_HZ * dt_s))))
     f: Array = np.fft.rfftfreq(count, dt_s)[1:].astype(np.float64)
-    covariance = np.fft.irfft(np.append(0.0, model.acceleration_spectrum(f))) / (2.0 * dt_s)
+    covariance = np.fft.irfft(np.append(0.0, model.acceleration_spectrum(f, dt_s))) / (2.0 * dt_s)
     order = max(8, round(MEMORY_S / dt_s))
     a = solve_toeplitz(covariance[:order], covariance[1 : order + 1])
     variance = float(covariance[0] - a @ covariance[1 : order + 1])

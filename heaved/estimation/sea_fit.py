@@ -1,8 +1,9 @@
 """Fitting the sea model to the recent past: Whittle's likelihood of the spectrum of the vertical acceleration.
 
-    minimise  sum_f  (log S(f) + P(f) / S(f)) (f_1 / f)^0.7,      S = w^4 sum_k S_k + N + 2 B / w^2,
+    minimise  sum_f  (log S(f) + P(f) / S(f)) (f_1 / f)^0.7,      S = w^4 sum_k S_k + V + N + 2 B / w^2,
 
-over log f0, log zeta and log L of each component and log N, P being the periodogram. The ordinates of a periodogram are
+over log f0, log zeta and log L of each component and log N, V being what shakes the sensor
+(:mod:`sea_resonances`) and P being the periodogram. The ordinates of a periodogram are
 nearly independent exponential variables, so Fisher scoring applies: each step is the weighted least-squares fit of
 P / S - 1 by the slopes of log S, and a handful of steps do what a general minimiser needs hundreds of evaluations for.
 All starts, of all spectra that are to be fitted, run side by side, all of them to the end (one that is behind three
@@ -19,15 +20,16 @@ components cannot follow above the waves; the noise that the filter is given is 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from math import log, pi
+from collections.abc import Callable, Sequence
+from math import inf, log, pi
 from typing import Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.sea_model import SeaModel
+from heaved.estimation.sea_model import Resonance, SeaModel, shaking_spectrum
+from heaved.estimation.sea_resonances import Above
 
 Array = NDArray[np.float64]
 
@@ -39,12 +41,37 @@ MAIN_LOBE: Final = 2.6
 """Ordinates below this over the length of a segment are left out: Hann's main lobe reaches two bins."""
 SEGMENT_S: Final = 300.0
 """Longest segment of the averaged periodogram: finer than that, the fit only becomes slower."""
+LEAST_PASSED: Final = 0.01
+HIGHEST_OF_NYQUIST: Final = 0.99
+"""What shakes the sensor is looked for up to here."""
+INDEPENDENT: Final = 1.9
+"""Independent periodograms in a length of a segment: Hann's window, three quarters of overlap."""
 SHORTENED: Final = 0.6
 """Segments may be that much shorter than they could be, so that more stretches of a broken record hold one."""
 NOISE_OVER_HZ: Final = 0.8
 """The sensor's noise is looked for above."""
 NOISE_BANDS: Final = 4
 """In that many bands of equal ratio; the quietest counts, because an engine fills one of them, not all."""
+FLOOR_WIDTH: Final = 1.4
+FLOOR_ORDINATES: Final = 6
+CHANCE: Final = 3.0
+"""The noise is no more than the lowest part of the periodogram within the waves' band, which has so many standard
+deviations of chance: what shakes the sensor may fill all the bands above."""
+LEAST_OF_MEAN: Final = 0.2
+WALK_BELOW_HZ: Final = 0.035
+"""The walk of the bias is looked for below: no wave that counts is longer."""
+WALKS: Final = np.linspace(-3.0, 10.0, 66)
+"""Logarithms of the variances of a walk, over that which is expected, that are tried."""
+WALK_SPREADS: Final = (0.4, 2.5)
+WALK_IS_OTHER: Final = 0.02
+"""Before anything is seen, that logarithm has the first of the spreads, a data sheet's, but in one of fifty sensors the
+second: a fluctuation of a few ordinates changes little, a bias that does walk a hundred times more is believed."""
+WALK_PRIOR: Final = np.log(
+    (1.0 - WALK_IS_OTHER) / WALK_SPREADS[0] * np.exp(-0.5 * (WALKS / WALK_SPREADS[0]) ** 2)
+    + WALK_IS_OTHER / WALK_SPREADS[1] * np.exp(-0.5 * (WALKS / WALK_SPREADS[1]) ** 2)
+)
+INDEPENDENT_ORDINATES: Final = 0.7
+"""Of neighbouring ordinates, under Hann's window."""
 WEIGHED_FROM_HZ: Final = 0.15
 """f_1: ordinates at this frequency have the weight 1."""
 WEIGHT_POWER: Final = 0.7
@@ -62,15 +89,16 @@ DAMPING_GUESS: Final = 0.3
 POOLED: Final = 0.03
 """Ordinates nearer together than this share of their frequency are pooled: over that the model is a straight line."""
 
-LIMITS: Final = {"frequency_hz": (0.025, 0.6), "damping": (0.05, 1.0), "level": (1e-10, 1e5), "noise": (1e-12, 1e2)}
+LIMITS: Final = {"frequency_hz": (0.033, 0.6), "damping": (0.05, 1.0), "level": (1e-10, 1e5), "noise": (1e-12, 1e2)}
 """A chain that is damped less than that is a line, and costs digits; one that is damped more has a pole far above the
 waves, and its past cannot be computed back."""
-PRIOR: Final = {"frequency": 0.05, "damping": 0.2, "level": 1e-3, "noise": 1e-3}
-"""Weights of weak priors on the logarithms, 1/variance: around the start, and around DAMPING_GUESS."""
+PRIOR: Final = {"frequency": 0.05, "damping": 0.2, "level": 1e-3, "noise": 20.0}
+"""Weights of weak priors on the logarithms, 1/variance: around the start, and around DAMPING_GUESS. Noise is
+what the record shows above the waves, unless there is clearly more within their band."""
 
 
 class Spectrum(msgspec.Struct, frozen=True, eq=False):
-    """Averaged periodogram of the vertical acceleration within the band, and the sensor's noise."""
+    """Averaged periodogram of the vertical acceleration within the band, and what else the accelerometer shows."""
 
     f_hz: Array
     """(n,)"""
@@ -78,6 +106,10 @@ class Spectrum(msgspec.Struct, frozen=True, eq=False):
     """(n,) one-sided, (m/s2)2/Hz"""
     noise_psd: float
     """one-sided, (m/s2)2/Hz"""
+    above: Above
+    """The periodogram above the band."""
+    resonances: tuple[Resonance, ...] = ()
+    """What has been found there."""
 
     @property
     def weight(self) -> Array:
@@ -85,18 +117,42 @@ class Spectrum(msgspec.Struct, frozen=True, eq=False):
         return np.asarray((WEIGHED_FROM_HZ / self.f_hz) ** WEIGHT_POWER)
 
 
-def spectrum(stretches: Array | Sequence[Array], rate_hz: float) -> Spectrum:
-    """Of a record, or of several stretches of one, each (n,), evenly sampled; n of at least some tens of seconds."""
+def spectrum(
+    stretches: Array | Sequence[Array], rate_hz: float, passed: Callable[[Array], Array] = np.ones_like
+) -> Spectrum:
+    """Of a record, or of several stretches of one, each (n,), evenly sampled; n of at least some tens of seconds.
+
+    passed: share of white noise that is left at some frequencies, where what is sampled are means.
+    """
     parts = [stretches] if isinstance(stretches, np.ndarray) else stretches
     n = _segment_length([len(part) for part in parts], round(SEGMENT_S * rate_hz))
     f, power = _welch([part for part in parts if len(part) >= n], rate_hz, n)
     top = min(BAND_HZ[1], BAND_OF_NYQUIST * 0.5 * rate_hz)
     inside = (f >= max(BAND_HZ[0], MAIN_LOBE * rate_hz / n)) & (f <= top)
     edges = np.geomspace(min(NOISE_OVER_HZ, 0.6 * 0.5 * rate_hz), 0.9 * 0.5 * rate_hz, NOISE_BANDS + 1)
-    bands = [power[(f >= low) & (f < high)] for low, high in itertools.pairwise(edges)]
+    white = np.concatenate(([1.0], np.maximum(passed(f[1:]), LEAST_PASSED)))
+    bands = [(power / white)[(f >= low) & (f < high)] for low, high in itertools.pairwise(edges)]
     quiet = min(float(np.mean(band)) for band in bands if len(band))
     low, high = LIMITS["noise"]
-    return Spectrum(f[inside], np.maximum(power[inside], 1e-300), min(max(quiet, low), high))
+    outside = (f > top) & (f <= HIGHEST_OF_NYQUIST * 0.5 * rate_hz)
+    averages = max(1.0, INDEPENDENT * sum([len(part) for part in parts if len(part) >= n]) / n - 1.0)
+    quiet = min(quiet, _floor(f[inside], power[inside], averages))
+    above = Above(f[outside], np.maximum(power[outside], 1e-300), white[outside], averages, 1.0 / rate_hz)
+    return Spectrum(f[inside], np.maximum(power[inside], 1e-300), min(max(quiet, low), high), above)
+
+
+def _floor(f: Array, power: Array, averages: float) -> float:
+    """What white noise is hardly above: the least mean of the periodogram over a band within the waves', so far up that
+    chance would not have put it below."""
+    ends = np.maximum(np.searchsorted(f, f * FLOOR_WIDTH), np.arange(len(f)) + FLOOR_ORDINATES)
+    starts = np.flatnonzero(ends < len(f))
+    if not len(starts):
+        return inf
+    ends, sums = ends[starts], np.concatenate(([0.0], np.cumsum(power)))
+    count = (ends - starts) * averages * INDEPENDENT_ORDINATES
+    # The cube root of a mean of exponential variables is normal (Wilson & Hilferty 1931).
+    least = np.maximum(1.0 - 1.0 / (9.0 * count) - CHANCE / (3.0 * np.sqrt(count)), LEAST_OF_MEAN) ** 3
+    return float(np.min((sums[ends] - sums[starts]) / (ends - starts) / least))
 
 
 def _segment_length(lengths: Sequence[int], longest: int) -> int:
@@ -135,7 +191,7 @@ def _pooled(sp: Spectrum) -> tuple[Spectrum, Array]:
     first = np.flatnonzero(np.diff(np.floor(np.cumsum(1.0 / width) - 1.0 / width + 1e-9), prepend=-1.0))
     count = np.diff(first, append=len(sp.f_hz))
     f, power = (np.add.reduceat(values, first) / count for values in (sp.f_hz, sp.power))
-    return Spectrum(f, power, sp.noise_psd), np.add.reduceat(sp.weight, first)
+    return msgspec.structs.replace(sp, f_hz=f, power=power), np.add.reduceat(sp.weight, first)
 
 
 class Fitted(msgspec.Struct, frozen=True):
@@ -177,12 +233,28 @@ def _fitted(sp: Spectrum, theta: Array, cost: float, stages: int, bias_walk_psd:
         frequency_hz=parts[0],
         damping=parts[1],
         level_m2phz=parts[2],
-        noise_psd=sp.noise_psd,
+        noise_psd=float(values[-1]),
         bias_walk_psd=bias_walk_psd,
+        resonances=sp.resonances,
     )
-    S = msgspec.structs.replace(model, noise_psd=float(values[-1])).acceleration_spectrum(sp.f_hz)
+    S = model.acceleration_spectrum(sp.f_hz, sp.above.dt_s)
     waves = _noise_cost(sp, bias_walk_psd) - float(np.sum(np.log(S) + sp.power / S))
     return Fitted(model, cost, waves)
+
+
+def bias_walk(stretch: Array, rate_hz: float, model: SeaModel, expected_psd: float) -> float:
+    """The walk of the bias, (m/s2)2/s, that ``stretch`` (n,) shows below the waves of ``model``: the likeliest one, when
+    ``expected_psd`` is what its data sheet says."""
+    f, power = _welch([stretch], rate_hz, len(stretch))
+    inside = (f >= MAIN_LOBE * rate_hz / len(stretch)) & (f <= WALK_BELOW_HZ)
+    if not inside.any():
+        return model.bias_walk_psd
+    f, power = f[inside], power[inside]
+    rest = msgspec.structs.replace(model, bias_walk_psd=0.0).acceleration_spectrum(f, 1.0 / rate_hz)
+    levels = expected_psd * np.exp(WALKS)
+    S = rest + levels[:, None] * (2.0 / (2.0 * pi * f) ** 2)
+    cost = INDEPENDENT_ORDINATES * np.sum(np.log(S) + power / S, axis=1) - WALK_PRIOR
+    return float(levels[np.argmin(cost)])
 
 
 def measured_share(sp: Spectrum, model: SeaModel) -> float:
@@ -193,8 +265,8 @@ def measured_share(sp: Spectrum, model: SeaModel) -> float:
     skirts are right may be a third too high at the peak: no matter to the filter, but not what people call the height
     of the sea.
     """
-    waves = model.heave_spectrum(sp.f_hz)
-    seen = waves * sp.power / model.acceleration_spectrum(sp.f_hz)
+    waves = model.wave_spectrum(sp.f_hz)
+    seen = waves * sp.power / model.acceleration_spectrum(sp.f_hz, sp.above.dt_s)
     whole = float(np.trapezoid(waves, sp.f_hz))
     return float(np.trapezoid(seen, sp.f_hz)) / whole if whole > 0.0 else 1.0
 
@@ -236,14 +308,15 @@ class _Whittle:
                 ([sp.f_hz for sp, _ in spectra], 1.0),
                 ([sp.power for sp, _ in spectra], 1.0),
                 ([weight for _, weight in spectra], 0.0),
+                ([_shaking(sp) for sp, _ in spectra], 0.0),
             )
         ]
-        f, self.power, self.weight = padded
+        f, self.power, self.weight, shaking = padded
         self._stages = stages
         self._f2 = f[:, None, :] ** 2
         w2 = (2.0 * pi * f) ** 2
         self._high_pass = w2[:, None, :] ** 2 * self._f2 ** (2 * (stages - 3))
-        self._bias = 2.0 * bias_walk_psd / w2
+        self._rest = 2.0 * bias_walk_psd / w2 + shaking
 
     def spectrum(self, theta: Array) -> tuple[Array, Array]:
         """S (s, n) of each model, and the slopes J (s, 3K + 1, n) of log S."""
@@ -255,7 +328,7 @@ class _Whittle:
         resonance = 1.0 / ((1.0 - x2) ** 2 + c * x2)
         chains = self._high_pass * scale * _power(resonance, M)
         N = np.exp(theta[:, 3 * K :])
-        S = chains.sum(axis=1) + (N + self._bias)
+        S = chains.sum(axis=1) + (N + self._rest)
         J = np.empty((*theta.shape, S.shape[1]))
         share = np.divide(chains, S[:, None, :], out=J[:, 2 * K : 3 * K])
         x2_resonance = x2 * resonance
@@ -263,6 +336,10 @@ class _Whittle:
         J[:, K : 2 * K] = share * (2.0 * M - 2.0 * M * c * x2_resonance)
         J[:, 3 * K] = N / S
         return S, J
+
+
+def _shaking(sp: Spectrum) -> Array:
+    return shaking_spectrum(sp.resonances, sp.f_hz, sp.above.dt_s)
 
 
 def _power(base: Array, exponent: int) -> Array:
@@ -312,7 +389,7 @@ def _score(whittle: _Whittle, starts: Array) -> tuple[Array, Array]:
 
 def _noise_cost(sp: Spectrum, bias_walk_psd: float) -> float:
     """The cost of the best model without waves: white noise of any level, and the bias."""
-    floor = 2.0 * bias_walk_psd / (2.0 * pi * sp.f_hz) ** 2
+    floor = 2.0 * bias_walk_psd / (2.0 * pi * sp.f_hz) ** 2 + _shaking(sp)
     levels = np.geomspace(max(float(np.min(sp.power)), 1e-12), float(np.max(sp.power)) + 1e-12, 60)
     S = levels[:, None] + floor
     return float(np.min(np.sum(np.log(S) + sp.power / S, axis=1)))

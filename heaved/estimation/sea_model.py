@@ -19,12 +19,26 @@ component would be spent on the tail.) The vertical acceleration is an exact lin
 driving noise in it; a slow bias is a state of its own.
 
 Velocities are kept as x'/w, so that every element of the state is in metres and of the size of the heave.
+
+Beside the waves the accelerometer shows white noise, the wander of its bias, and what shakes it: engines, propellers,
+the hull's own bending. Each of these is a resonance: two equal resonators, the position of the first driving the
+second, whose acceleration is what is measured; it falls with f^4 towards the waves, as the acceleration of everything
+does that stays where it is. Noise drives it at the samples, not between them, and in that direction of the state (n =
+4) in which the two zeros at f = 0 stay where they are: were it driven in between, what its broad flank has above half
+the rate of the samples would fold back into the waves, where there is nothing of it. With z = exp(2 pi i f dt) and the
+poles p, p* of a resonator,
+
+    S(f) ~ |(z - 1) / ((z - p) (z - p*))|^4,     L = S(f0).
+
+States of it are kept in m/s2. What lies right above the waves and is broad is short waves: a resonance that counts as
+heave.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
-from math import ceil, log2, sqrt
+from math import ceil, log2, pi, sqrt
 from typing import Final
 
 import msgspec
@@ -43,6 +57,33 @@ BIAS_SPREAD_MPS2: Final = 0.5
 """What is known of the accelerometer's bias at the start, with what a wrong tilt adds."""
 
 
+PAIR: Final = 4
+"""States of a resonance."""
+SHORT_WAVES_STEP_S: Final = 0.05
+"""Samples so often show short waves as they are."""
+
+
+class Resonance(msgspec.Struct, frozen=True, kw_only=True):
+    """What shakes the accelerometer beside the waves."""
+
+    frequency_hz: float
+    damping: float
+    level: float
+    """Spectrum of the acceleration at that frequency, one-sided, (m/s2)2/Hz."""
+    is_heave: bool = False
+    """Short waves: its displacement is part of the heave."""
+
+    def spectrum(self, f_hz: Array, dt_s: float) -> Array:
+        """One-sided spectrum of the acceleration, (m/s2)2/Hz, at ``f_hz`` (n,), of samples every ``dt_s``."""
+        peak = resonance_shape(np.array([self.frequency_hz]), self.frequency_hz, self.damping, dt_s)
+        return np.asarray(self.level / peak * resonance_shape(f_hz, self.frequency_hz, self.damping, dt_s))
+
+    @property
+    def variance(self) -> float:
+        """Of the acceleration, (m/s2)2: exact for a line, about that for a broad band."""
+        return 0.5 * pi * self.damping * self.frequency_hz * self.level
+
+
 class SeaModel(msgspec.Struct, frozen=True, kw_only=True):
     """Spectrum of the sea and noise of its measurement; K components, each of ``stages`` resonators."""
 
@@ -58,29 +99,53 @@ class SeaModel(msgspec.Struct, frozen=True, kw_only=True):
     """White noise of the vertical acceleration, one-sided, (m/s2)2/Hz."""
     bias_walk_psd: float
     """Random walk of its bias: variance per second, (m/s2)2/s."""
+    resonances: tuple[Resonance, ...] = ()
 
     def heave_spectrum(self, f_hz: Array) -> Array:
         """One-sided heave spectrum, m2/Hz, at ``f_hz`` (n,) > 0."""
+        total = self.wave_spectrum(f_hz)
+        for one in self.resonances:
+            if one.is_heave:
+                total += one.spectrum(f_hz, SHORT_WAVES_STEP_S) / (2.0 * np.pi * f_hz) ** 4
+        return total
+
+    def wave_spectrum(self, f_hz: Array) -> Array:
+        """That of the chains alone."""
         total = np.zeros_like(f_hz)
         for f0, zeta, level in zip(self.frequency_hz, self.damping, self.level_m2phz, strict=True):
             total += level * chain_shape(f_hz / f0, zeta, self.stages)
         return total
 
-    def acceleration_spectrum(self, f_hz: Array) -> Array:
-        """One-sided spectrum of the measured vertical acceleration, noise and bias included, (m/s2)2/Hz."""
+    def acceleration_spectrum(self, f_hz: Array, dt_s: float) -> Array:
+        """One-sided spectrum of the vertical acceleration as it is measured every ``dt_s``, (m/s2)2/Hz: with what
+        shakes the sensor, its noise and its bias."""
         w2 = (2.0 * np.pi * f_hz) ** 2
-        return w2**2 * self.heave_spectrum(f_hz) + self.noise_psd + 2.0 * self.bias_walk_psd / w2
+        waves = w2**2 * self.wave_spectrum(f_hz) + shaking_spectrum(self.resonances, f_hz, dt_s)
+        return waves + self.noise_psd + 2.0 * self.bias_walk_psd / w2
 
     @property
     def size(self) -> int:
-        """n = 2 M K + 1 states: (x, x'/w) of each stage of each chain, then the bias."""
-        return 2 * self.stages * len(self.frequency_hz) + 1
+        """n states: (x, x'/w) of each stage of each chain, and of both of each resonance, then the bias."""
+        return 2 * self.stages * len(self.frequency_hz) + PAIR * len(self.resonances) + 1
 
 
 def chain_shape(x: Array, zeta: float, stages: int) -> Array:
     """Spectrum of one chain over x = f / f0 (n,), 1 at its resonance."""
     c = 4.0 * zeta * zeta
     return np.asarray(c**stages * x ** (4 * (stages - 3)) / ((1.0 - x * x) ** 2 + c * x * x) ** stages)
+
+
+def resonance_shape(f_hz: Array, f0_hz: float, zeta: float, dt_s: float) -> Array:
+    """Spectrum (n,) of the acceleration of a resonance, ``zeta`` < 1, but for its level."""
+    z = np.exp(2j * pi * dt_s * f_hz)
+    w = 2.0 * pi * f0_hz
+    pole = np.exp(complex(-zeta, sqrt(1.0 - zeta * zeta)) * w * dt_s)
+    return np.asarray(np.abs((z - 1.0) / ((z - pole) * (z - np.conj(pole)))) ** 4)
+
+
+def shaking_spectrum(resonances: Sequence[Resonance], f_hz: Array, dt_s: float) -> Array:
+    """One-sided spectrum of the acceleration (m/s2)2/Hz of all of them, at ``f_hz`` (n,), of samples every ``dt_s``."""
+    return np.asarray(sum([one.spectrum(f_hz, dt_s) for one in resonances], np.zeros_like(f_hz)))
 
 
 class SeaSystem:
@@ -113,48 +178,70 @@ class SeaSystem:
             self.H[:] += w * self.A[at + 1] * _inside(n, at, at + 2 * M)
             self.heave[at], self.velocity[at + 1] = 1.0, w
             self.diffusion[at + 2 * M - 1] = 2.0 * (zeta * w) ** 2 * level
+        self.blocks = [slice(at, at + 2 * M) for at in range(0, 2 * M * len(model.frequency_hz), 2 * M)]
+        """The parts of the state, but for the bias, that nothing of the rest acts upon."""
+        self._shaken = self.blocks[-1].stop
+        for one in model.resonances:
+            w, at = 2.0 * np.pi * one.frequency_hz, self.blocks[-1].stop
+            for x in (at, at + 2):
+                self.A[x, x + 1], self.A[x + 1, x], self.A[x + 1, x + 1] = w, -w, -2.0 * one.damping * w
+            self.A[at + 1, at + 2] = 2.0 * one.damping * w
+            self.H[:] += self.A[at + 1] / w
+            if one.is_heave:
+                self.heave[at], self.velocity[at + 1] = 1.0 / w**2, 1.0 / w
+            self.diffusion[at + 3] = 2.0 * (one.damping * w) ** 2 * one.level
+            self.blocks.append(slice(at, at + PAIR))
         self.H[-1] = 1.0
         self.diffusion[-1] = model.bias_walk_psd
 
     def transition(self, dt_s: float) -> tuple[Array, Array]:
         """F = expm(A dt) and Q of the same step (n, n) each, exact (Van Loan 1978). ``dt_s`` > 0."""
         # Van Loan's exponential runs backwards too, where a damped chain explodes: a long step is doubled from a short.
-        doublings = max(0, ceil(log2(max(dt_s * float(np.max(np.abs(self.A))), 1.0))))
-        dt_s /= 2.0**doublings
-        n, M2 = len(self.H), 2 * self.model.stages
+        fastest = float(np.max(np.abs(self.A[: self._shaken, : self._shaken])))
+        doublings = max(0, ceil(log2(max(dt_s * fastest, 1.0))))
+        whole_s, dt_s = dt_s, dt_s / 2.0**doublings
+        n = len(self.H)
         F, Q = np.eye(n), np.zeros((n, n))
-        for at in range(0, n - 1, M2):
-            block = slice(at, at + M2)
+        for block in self.blocks[: len(self.model.frequency_hz)]:
             A = self.A[block, block]
-            joint = np.zeros((2 * M2, 2 * M2))
-            joint[:M2, :M2], joint[M2:, M2:] = -A, A.T
-            joint[:M2, M2:] = np.diag(self.diffusion[block])
+            size = len(A)
+            joint = np.zeros((2 * size, 2 * size))
+            joint[:size, :size], joint[size:, size:] = -A, A.T
+            joint[:size, size:] = np.diag(self.diffusion[block])
             e = expm(joint * dt_s)
-            F[block, block] = e[M2:, M2:].T
-            q = F[block, block] @ e[:M2, M2:]
+            F[block, block] = e[size:, size:].T
+            q = F[block, block] @ e[:size, size:]
             Q[block, block] = 0.5 * (q + q.T)
         Q[-1, -1] = self.diffusion[-1] * dt_s
         for _ in range(doublings):
             Q = Q + F @ Q @ F.T
             F, Q = F @ F, 0.5 * (Q + Q.T)
+        for one, block in zip(self.model.resonances, self.blocks[len(self.model.frequency_hz) :], strict=True):
+            F[block, block] = moved = expm(self.A[block, block] * whole_s)
+            if 2.0 * one.frequency_hz * whole_s < 1.0:
+                driven = _driven(moved, self.H[block])
+                z = np.exp(2j * pi * one.frequency_hz * whole_s)
+                gain = self.H[block] @ np.linalg.solve(z * np.eye(PAIR) - moved, driven)
+                Q[block, block] = np.outer(driven, driven) * (one.level / (2.0 * whole_s * abs(gain) ** 2))
+            else:
+                P = self.stationary[block, block]
+                q = P - moved @ P @ moved.T
+                Q[block, block] = 0.5 * (q + q.T)
         return F, Q
 
     def moved(self, tau_s: float) -> Array:
         """F^(tau / dt) without Q, for any sign of ``tau_s``: (n, n)."""
-        n, M2 = len(self.H), 2 * self.model.stages
-        F = np.eye(n)
-        for at in range(0, n - 1, M2):
-            block = slice(at, at + M2)
+        F = np.eye(len(self.H))
+        for block in self.blocks:
             F[block, block] = expm(self.A[block, block] * tau_s)
         return F
 
     @cached_property
     def stationary(self) -> Array:
         """Covariance (n, n) of the state of which nothing is known but the spectrum: P = F P F' + Q of any step."""
-        n, M2 = len(self.H), 2 * self.model.stages
+        n = len(self.H)
         P = np.zeros((n, n))
-        for at in range(0, n - 1, M2):
-            block = slice(at, at + M2)
+        for block in self.blocks:
             P[block, block] = _stationary(self.A[block, block], np.diag(self.diffusion[block]))
         P[-1, -1] = BIAS_SPREAD_MPS2**2
         return P
@@ -236,6 +323,15 @@ def _stationary(A: Array, D: Array) -> Array:
         if not float(np.trace(more)) > 1e-15 * float(np.trace(P)):
             return 0.5 * (P + P.T)
         F = F @ F
+
+
+def _driven(F: Array, H: Array) -> Array:
+    """(4,) the direction in which noise drives a resonance: H (z I - F)^-1 g = (z - 1)^2 z / det(z I - F)."""
+    coefficients = np.poly(F)
+    adjoint = [np.eye(PAIR)]  # Of z I - F, by descending powers of z (Faddeev, Le Verrier).
+    for k in range(1, PAIR):
+        adjoint.append(F @ adjoint[-1] + coefficients[k] * np.eye(PAIR))
+    return np.linalg.solve(np.array([H @ matrix for matrix in adjoint]), np.array([1.0, -2.0, 1.0, 0.0]))
 
 
 def heave_std(model: SeaModel) -> float:

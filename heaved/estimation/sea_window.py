@@ -9,6 +9,7 @@ model is used.
 from __future__ import annotations
 
 import itertools
+from functools import partial
 from math import isfinite, nan, sqrt
 from typing import Final
 
@@ -16,7 +17,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation import sea_bridge, sea_fit, sea_run
+from heaved.estimation import beat, sea_bridge, sea_fit, sea_resonances, sea_run
 from heaved.estimation.sea_filter import SeaFilter
 from heaved.estimation.sea_model import SeaModel, SeaSystem, Steady
 from heaved.estimation.sea_smooth import smoothed
@@ -55,6 +56,11 @@ FEW_IN_LONG_HOLES: Final = 0.1
 it is better not learned from. (A sensor at the end of its range loses just the highest waves.)"""
 SLOWEST_S: Final = 0.8
 """Samples further apart than this, in the mean, do not show the waves (up to 0.6 Hz) at all."""
+WALK_SEEN_S: Final = 120.0
+"""An unbroken stretch that long shows how the bias of the accelerometer walks."""
+WALK_OF_NOISE: Final = 0.03
+"""Walk of the bias, per root second, over the density of the white noise, that is expected of a sensor at least:
+accelerometers that are noisier wander more (data sheets: 0.02 to 0.05)."""
 BRIDGE_SEED: Final = 1
 """The same record gives the same answer."""
 ROUGH: Final = 2
@@ -103,6 +109,10 @@ class SeaWindow(msgspec.Struct, frozen=True, kw_only=True, tag="sea"):
     """End of the past at the last look; nan: there was none, or that past was forgotten."""
     candidates: tuple[Candidate, ...] = ()
     """Of the last look."""
+    period_s: float = nan
+    """Interval of the samples of which each of these is the mean,"""
+    averaged: int = 1
+    """and how many those are."""
     cuts_s: tuple[tuple[float, float], ...] = ()
     """Spans (s) after which it is measured otherwise than before, and in which it is neither: no spectrum is taken
     across, and of the bias nothing is known."""
@@ -367,7 +377,7 @@ def _likelihood(model: SeaModel, steady: Steady, innovation: Array) -> float:
     white = np.abs(np.fft.rfft(np.where(known, innovation, 0.0))) ** 2 / (steady.S * count)
     f: Array = np.fft.rfftfreq(len(innovation), steady.dt_s).astype(np.float64)
     judged = (f > 0.0) & (f <= JUDGED_HZ)
-    return -float(np.sum(np.log(model.acceleration_spectrum(f[judged])) + white[judged]))
+    return -float(np.sum(np.log(model.acceleration_spectrum(f[judged], steady.dt_s)) + white[judged]))
 
 
 def _fit_all(
@@ -390,15 +400,40 @@ def _fit_all(
                 longest.append(most)
     if not lengths:
         raise np.linalg.LinAlgError("no stretch of it is long enough")
-    spectra = [sea_fit.spectrum(parts, rate) for parts in stretches]
+    passed = partial(beat.passed, period_s=window.period_s, averaged=window.averaged)
+    spectra = [sea_fit.spectrum(parts, rate, passed) for parts in stretches]
     few = [most < FEW_COMPONENTS_BELOW_S * rate for most in longest]
-    fitted: dict[float, sea_fit.Fitted] = {}
-    for are_few in set(few):
-        components = min(2, window.components) if are_few else window.components
-        of = [i for i, is_few in enumerate(few) if is_few == are_few]
-        warm = [earlier.get(lengths[i]) for i in of]
-        made = sea_fit.fit([spectra[i] for i in of], window.stages, components, window.bias_walk_psd, warm)
-        fitted.update(zip([lengths[i] for i in of], made, strict=True))
+    bias_walk_psd = max(window.candidates, key=lambda one: one.window_s).model.bias_walk_psd if window.candidates else (
+        window.bias_walk_psd
+    )
+
+    def fit(models: dict[float, SeaModel]) -> dict[float, sea_fit.Fitted]:
+        fitted: dict[float, sea_fit.Fitted] = {}
+        for are_few in set(few):
+            components = min(2, window.components) if are_few else window.components
+            of = [i for i, is_few in enumerate(few) if is_few == are_few]
+            warm = [models.get(lengths[i]) for i in of]
+            made = sea_fit.fit([spectra[i] for i in of], window.stages, components, bias_walk_psd, warm)
+            fitted.update(zip([lengths[i] for i in of], made, strict=True))
+        return fitted
+
+    # What shakes the sensor now is in the newest past: all lengths are told of it.
+    if not earlier:
+        earlier = {length: one.model for length, one in fit({}).items()}
+    shaking, noise_psd = sea_resonances.resonances(
+        spectra[0].above, earlier.get(lengths[0]), min(sp.noise_psd for sp in spectra)
+    )
+    spectra = [msgspec.structs.replace(sp, resonances=shaking, noise_psd=noise_psd) for sp in spectra]
+    fitted = fit(earlier)
+    longest_stretch = max(stretches[-1], key=len)
+    if len(longest_stretch) >= WALK_SEEN_S * rate:
+        model = fitted[lengths[-1]].model
+        expected_psd = max(window.bias_walk_psd, WALK_OF_NOISE**2 * model.noise_psd)
+        walk = sea_fit.bias_walk(longest_stretch, rate, model, expected_psd)
+        fitted = {
+            length: msgspec.structs.replace(one, model=msgspec.structs.replace(one.model, bias_walk_psd=walk))
+            for length, one in fitted.items()
+        }
     # A length that is new starts as well as the longest one before it.
     unknown = scores[known[-1]] if known else 0.0
     candidates = tuple(
