@@ -76,6 +76,8 @@ class Setting(msgspec.Struct, frozen=True, kw_only=True):
     """"none": the vessel neither rolls nor pitches; "exact": it does, and its attitude is known without error."""
     rate_hz: float = 20.0
     laser: str = "off"
+    shake: str = ""
+    """One of :data:`heaved.simulate.shaking.SHAKES`, or nothing."""
     duration_s: float | None = None
     """None: the scenario's own."""
     scored_from_s: float = 300.0
@@ -175,6 +177,7 @@ def _simulated(scenario: str, seeds: Seeds, setting: Setting) -> Case:
         imu_rate_hz=setting.rate_hz,
         sensor=_sensor(setting),
         laser=setting.laser,
+        shake=setting.shake,
         seed=seeds.noise,
     )
     steady = scenario in SEAS and scenario not in RAMPS
@@ -226,12 +229,12 @@ def sea_limits(scenario: str, sensor: str, rate_hz: float) -> Limits:
 
 
 def simulated_spectrum(scenario: str, f_hz: Array) -> Array:
-    """One-sided spectrum of true heave, m2/Hz, as it is in the record: the simulator has no waves above 1.2 Hz.
+    """One-sided spectrum of true heave, m2/Hz, as it is in the record: the simulator has no waves above an end.
 
     That end counts: what a forecast of a second or two cannot know is in the tail (S4, 1 s: 4.7 % of the standard
     deviation with it as it is, 6.2 % were it endless).
     """
-    return np.where(f_hz <= HIGHEST_HZ, heave_spectrum(scenario, f_hz), 0.0)
+    return np.where(f_hz <= HIGHEST_HZ[scenario], heave_spectrum(scenario, f_hz), 0.0)
 
 
 def limits_of(spectrum: Callable[[Array], Array], sensor: str | ImuModel, rate_hz: float) -> Limits:
