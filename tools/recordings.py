@@ -27,6 +27,7 @@ from heaved.samples import GRAVITY_MPS2
 from heaved.simulate.play import write_recording, write_truth
 from heaved.simulate.seaway import NAMES, seaway
 from heaved.simulate.sensors import ImuModel, Recording, measure, record
+from heaved.simulate.shaking import NONE, Shake
 from heaved.simulate.vessel import Motion
 
 Array = NDArray[np.float64]
@@ -72,7 +73,13 @@ def sea(
 
 
 def hebrides(
-    path: Path, *, rate_hz: float = 20.0, sensor: str | ImuModel = "A", laser: str = "on", seed: int = 1
+    path: Path,
+    *,
+    rate_hz: float = 20.0,
+    sensor: str | ImuModel = "A",
+    laser: str = "on",
+    shake: str | Shake = NONE,
+    seed: int = 1,
 ) -> Recording:
     """A real sea: buoy displacement (status, heave, north, west in cm at 1.28 Hz), carried by a vessel that heads north
     and does not tilt.
@@ -89,11 +96,17 @@ def hebrides(
         for column in displacement
     )
     truth = _motion(rate_hz, heave, surge=north.acceleration, sway=west.acceleration)
-    return measure(truth, imu_rate_hz=rate_hz, sensor=sensor, laser=laser, seed=seed)
+    return measure(truth, imu_rate_hz=rate_hz, sensor=sensor, laser=laser, shake=shake, seed=seed)
 
 
 def palmer(
-    path: Path, *, rate_hz: float = 20.0, sensor: str | ImuModel = "A", laser: str = "on", seed: int = 1
+    path: Path,
+    *,
+    rate_hz: float = 20.0,
+    sensor: str | ImuModel = "A",
+    laser: str = "on",
+    shake: str | Shake = NONE,
+    seed: int = 1,
 ) -> Recording:
     """A real ship under way: roll, pitch, heading and heave at 1 Hz.
 
@@ -108,7 +121,7 @@ def palmer(
     angles = [_angle(np.interp(grid, t, np.unwrap(np.radians(column))), rate_hz) for column in (roll, pitch, heading)]
     heave = resampled(np.interp(grid, t, -down), 1.0, rate_hz, SHIP_BAND_HZ)
     truth = _motion(rate_hz, heave, roll=angles[0], pitch=angles[1], yaw=angles[2])
-    return measure(truth, imu_rate_hz=rate_hz, sensor=sensor, laser=laser, seed=seed)
+    return measure(truth, imu_rate_hz=rate_hz, sensor=sensor, laser=laser, shake=shake, seed=seed)
 
 
 def flume(path: Path, *, froude: float = 1.0) -> Recording:

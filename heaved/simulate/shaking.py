@@ -4,9 +4,9 @@ A :class:`Shake` says what there is; :data:`SHAKES` has those with a name. :func
 which is known at any instant in any order: so polls of one hull at 200, 100, 20 and 10 Hz see the same vibration, and
 what lies above half their rate folds as it does in a real register that is read too seldom.
 
-Vibration adds to what the sensor reads and is no part of the true heave (its displacement is a few millimetres at
-most). A turn and a list are true motion: the truth has them too. Sizes are of the vertical; both horizontal axes have
-half of it, with phases of their own.
+Vibration adds to what the sensor reads and is no part of the true heave (its displacement is some millimetres). A turn
+and a list are true motion: the truth has them too. Sizes are of the vertical; both horizontal axes have half of it,
+with phases of their own.
 """
 
 from __future__ import annotations
@@ -34,15 +34,16 @@ LINE_WIDTH_HZ: Final = 0.02
 """Standard deviation of the peak that stands for a pure line in a density.
 
 A line without any width costs the best linear estimate nothing: it is known for ever once it has been heard. What a
-narrow peak costs grows with its width times the logarithm of its height; this one is coherent for some 8 s and costs
-less than 1 % outside the waves' own band, and a grid of 5 mHz still resolves it."""
+narrow peak costs grows with its width times the logarithm of its height; this one is coherent for some 8 s, costs
+one or two per cent of the limit, and a grid of 5 mHz still resolves it."""
 HIGHEST_HZ: Final = 64.0
 """Vibration above is left out of a folded density: there is none but what is left of a slam's onset."""
 _SPEEDS: Final = 3
 """Harmonics of an engine's wandering speed."""
 _SPEED_PERIODS_S: Final = (15.0, 75.0)
-_BAND_HARMONICS: Final = 900
-_RESONANCE_HARMONICS: Final = 192
+_HARMONICS: Final = 900
+"""Of a noise. A cell is some 0.02 Hz wide, a hundredth of a resonance's peak and one in sixty of its frequency at the
+low end, where the waves are."""
 _QUIET: Final = 12.0
 """Time constants after which a ringing is no more than a few millionths of what it was."""
 
@@ -69,7 +70,11 @@ class Line(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Band(msgspec.Struct, frozen=True, kw_only=True):
-    """Noise of even density between two frequencies."""
+    """Noise of even density between two frequencies, with nothing above.
+
+    Below, the density falls with the fourth power of the frequency (``from_hz`` has half of it), as the acceleration of
+    a place that stays where it is.
+    """
 
     from_hz: float
     to_hz: float
@@ -77,12 +82,21 @@ class Band(msgspec.Struct, frozen=True, kw_only=True):
 
     def spectrum(self, f_hz: Array) -> Array:
         """One-sided density of the vertical, (m/s2)^2/Hz."""
-        inside = (f_hz >= self.from_hz) & (f_hz <= self.to_hz)
-        return np.where(inside, self.rms_mps2**2 / (self.to_hz - self.from_hz), 0.0)
+        return self.rms_mps2**2 * _noise(self).spectrum(f_hz)
+
+    @property
+    def ends_hz(self) -> tuple[float, float]:
+        """There is nothing beyond."""
+        return self.from_hz / 30.0, self.to_hz
+
+    def shape(self, f_hz: Array) -> Array:
+        """The density without its scale."""
+        r = f_hz / self.from_hz
+        return np.asarray(r**4 / (1.0 + r**4), dtype=np.float64)
 
 
 class Resonance(msgspec.Struct, frozen=True, kw_only=True):
-    """A mode of the hull under random forces: ``r^4 / ((1 - r^2)^2 + (2 damping r)^2)``, r = f / hz, up to r = 4."""
+    """A mode of the hull under random forces: density ``r^4 / ((1 - r^2)^2 + (2 damping r)^2)``, r = f / hz."""
 
     hz: float
     damping: float
@@ -91,8 +105,17 @@ class Resonance(msgspec.Struct, frozen=True, kw_only=True):
 
     def spectrum(self, f_hz: Array) -> Array:
         """One-sided density of the vertical, (m/s2)^2/Hz."""
-        scale = self.rms_mps2**2 / (self.hz * _resonance_area(self.damping))
-        return scale * _resonance_shape(np.asarray(f_hz) / self.hz, self.damping)
+        return self.rms_mps2**2 * _noise(self).spectrum(f_hz)
+
+    @property
+    def ends_hz(self) -> tuple[float, float]:
+        """There is nothing beyond: the forces have an end, too."""
+        return self.hz / 30.0, 4.0 * self.hz
+
+    def shape(self, f_hz: Array) -> Array:
+        """The density without its scale."""
+        r = f_hz / self.hz
+        return np.asarray(r**4 / ((1.0 - r**2) ** 2 + (2.0 * self.damping * r) ** 2), dtype=np.float64)
 
 
 class Slams(msgspec.Struct, frozen=True, kw_only=True):
@@ -243,14 +266,16 @@ class Shaking:
         """``rng`` draws the phases and the blows; ``bandwidth_hz``: corner of the accelerometers' low-pass."""
         self._shake = shake
         low_pass = _low_pass(bandwidth_hz)
-        steady = [part for part in shake.vibration if not isinstance(part, Slams) and not _wanders(part)]
-        self._harmonics = _as_motion([_harmonics(part, rng, low_pass) for part in steady])
-        lines = [part for part in shake.vibration if isinstance(part, Line)]
-        slams = [part for part in shake.vibration if isinstance(part, Slams)]
-        self._unsteady: list[_Wandering | _Blows] = [
-            *(_Wandering(part, rng, low_pass) for part in lines if _wanders(part)),
-            *(_Blows(part, rng, bandwidth_hz) for part in slams),
-        ]
+        steady: list[tuple[Array, Complex]] = []
+        self._unsteady: list[_Wandering | _Blows] = []
+        for part in shake.vibration:
+            if isinstance(part, Slams):
+                self._unsteady.append(_Blows(part, rng, bandwidth_hz))
+            elif isinstance(part, Line) and part.wander > 0.0:
+                self._unsteady.append(_Wandering(part, rng, low_pass))
+            else:
+                steady.append(_harmonics(part, rng, low_pass))
+        self._harmonics = _as_motion(steady)
 
     def readings(self, t_s: Array) -> Array:
         """What adds to the sensor's readings at ``t_s`` (n,): (9, n) specific force (m/s2), roll, pitch and yaw (rad),
@@ -293,32 +318,21 @@ def shaking(shake: str | Shake, seed: int, bandwidth_hz: float = math.inf) -> Sh
 # --- steady vibration: a sum of harmonics, as the sea is -------------------------------------------------------------
 
 
-def _wanders(part: Line | Band | Resonance | Slams) -> bool:
-    return isinstance(part, Line) and part.wander > 0.0
-
-
 def _low_pass(bandwidth_hz: float) -> Response:
     return Response(gain=1.0, period_s=1.0 / bandwidth_hz, damping=BUTTERWORTH_DAMPING)
 
 
-def _harmonics(
-    part: Line | Band | Resonance | Slams, rng: np.random.Generator, low_pass: Response
-) -> tuple[Array, Complex]:
+def _harmonics(part: Line | Band | Resonance, rng: np.random.Generator, low_pass: Response) -> tuple[Array, Complex]:
     """Angular frequencies (N,) and complex amplitudes (6, N) of displacement along z, x, y (m), of roll and pitch (rad)
     and of yaw, which does not shake: in the order of :class:`~heaved.simulate.seaway.Seaway`."""
     rate_radps = 0.0
     if isinstance(part, Line):
         f, size = np.array([part.hz]), np.array([part.amplitude_mps2])
         rate_radps = part.rate_radps
-    elif isinstance(part, Band):
-        edges = np.linspace(part.from_hz, part.to_hz, _BAND_HARMONICS + 1)
-        f = rng.uniform(edges[:-1], edges[1:])
-        size = np.full(f.size, part.rms_mps2 * math.sqrt(2.0 / f.size))
     else:
-        assert isinstance(part, Resonance)
-        edges, energy = _resonance_cells(part.damping)
-        f = part.hz * rng.uniform(edges[:-1], edges[1:])
-        size = part.rms_mps2 * np.sqrt(2.0 * energy)
+        noise = _noise(part)
+        f = rng.uniform(noise.edges_hz[:-1], noise.edges_hz[1:])
+        size = part.rms_mps2 * np.sqrt(2.0 * noise.energy)
     omega = 2.0 * np.pi * f
     phases = np.exp(2j * np.pi * rng.random((5, f.size)))
     displacement = -size / omega**2 * low_pass.transfer(f)
@@ -338,37 +352,33 @@ def _as_motion(parts: Sequence[tuple[Array, Complex]]) -> list[Seaway]:
     return [Seaway(omega[i : i + COMPONENTS], amplitudes[:, i : i + COMPONENTS]) for i in pieces]
 
 
-def _resonance_shape(r: Array, damping: float) -> Array:
-    """Unscaled density over r = f / hz."""
-    shape = r**4 / ((1.0 - r**2) ** 2 + (2.0 * damping * r) ** 2)
-    return np.where(r <= 4.0, shape, 0.0)
+class _Noise:
+    """A noise of RMS 1 in cells of frequency, one harmonic each: narrow where it is strong, and of even ratio."""
+
+    def __init__(self, part: Band | Resonance) -> None:
+        self._part = part
+        lowest, highest = part.ends_hz
+        f = np.geomspace(lowest, highest, 200_001)
+        areas = [_cumulated(values, f) for values in (part.shape(f), np.sqrt(part.shape(f)), 1.0 / f)]
+        self._area = areas[0][-1]
+        share = sum(area / area[-1] for area in areas[1:])
+        self.edges_hz = np.interp(np.linspace(0.0, 2.0, _HARMONICS + 1), share, f)
+        self.energy = np.diff(np.interp(self.edges_hz, f, areas[0])) / self._area
+        """(N,) of each cell."""
+
+    def spectrum(self, f_hz: Array) -> Array:
+        """One-sided density, 1/Hz."""
+        lowest, highest = self._part.ends_hz
+        inside = np.clip(f_hz, lowest, highest)
+        return np.where(inside == f_hz, self._part.shape(inside) / self._area, 0.0)
 
 
-@cache
-def _resonance_fine(damping: float) -> tuple[Array, Array]:
-    """A grid over r, fine at the peak, and the shape on it."""
-    near = damping * np.sinh(np.linspace(np.arcsinh(-1.0 / damping), np.arcsinh(3.0 / damping), 100_001))
-    r = np.clip(1.0 + near, 0.0, 4.0)
-    return r, _resonance_shape(r, damping)
+_noise = cache(_Noise)
 
 
-@cache
-def _resonance_area(damping: float) -> float:
-    r, shape = _resonance_fine(damping)
-    return float(np.trapezoid(shape, r))
-
-
-@cache
-def _resonance_cells(damping: float) -> tuple[Array, Array]:
-    """Edges over r of cells that are narrow at the peak, where equal areas under the shape's root end, and the share of
-    the energy in each."""
-    r, shape = _resonance_fine(damping)
-    steps = np.diff(r)
-    root, area = (
-        np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * steps)]) for values in (shape**0.5, shape)
-    )
-    edges = np.interp(np.linspace(0.0, root[-1], _RESONANCE_HARMONICS + 1), root, r)
-    return edges, np.diff(np.interp(edges, r, area)) / area[-1]
+def _cumulated(values: Array, f: Array) -> Array:
+    """Integral over ``f`` from its first up to each."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(f))])
 
 
 # --- an engine whose speed wanders -----------------------------------------------------------------------------------

@@ -29,8 +29,8 @@ def power(f_hz: np.ndarray, density: np.ndarray, low_hz: float, high_hz: float) 
 @pytest.mark.parametrize("rate_hz", [10.0, 20.0, 100.0, 200.0])
 @pytest.mark.parametrize("name", VIBRATING)
 def test_density_is_that_of_a_long_record_at_any_poll(name: str, rate_hz: float) -> None:
-    """Band by band, folded as it is; two records of half an hour, for an engine's speed and blows vary much."""
-    t = np.arange(round(1800.0 * rate_hz)) / rate_hz
+    """Band by band, folded as it is; two long records, for an engine's speed and blows vary much."""
+    t = np.arange(round((1800.0 if rate_hz < 50.0 else 700.0) * rate_hz)) / rate_hz
     periodograms = []
     for seed in (1, 2):
         f, found = welch(shaking(name, seed).readings(t)[2], rate_hz, nperseg=round(100.0 * rate_hz))
@@ -87,7 +87,7 @@ def test_sizes_are_as_named_and_the_displacement_is_small(name: str) -> None:
         inside = f > 0.0
         moved = sum(np.trapezoid(p.spectrum(f[inside]) / (2 * np.pi * f[inside]) ** 4, f[inside])
                     for p in SHAKES[name].vibration if not isinstance(p, Line))  # fmt: skip
-        assert math.sqrt(moved) < 0.008
+        assert math.sqrt(moved) < 0.01
 
 
 def test_a_resonance_has_its_power_and_its_width() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from evidence import baselines
 from evidence.estimators import CORRECTED, IIR, INERTIAL, KF, UKF
-from evidence.scenarios import GRID_POINTS, HORIZONS_S, sea_limits, simulated_spectrum
+from evidence.scenarios import HORIZONS_S, grid, sea_limits, simulated_spectrum
 from evidence.scores import SETTLED_SHARE
 from evidence.summary import Result
 from heaved.samples import GRAVITY_MPS2
@@ -49,7 +49,7 @@ def limits_table(sensors: tuple[str, ...], rate_hz: float) -> str:
         f"| sea | sensor | σ / m | causal | {heads} | delayed |",
         "|---" * (5 + len(HORIZONS_S)) + "|",
     ]
-    f = np.linspace(0.0, rate_hz / 2.0, GRID_POINTS + 1)
+    f = grid(rate_hz)
     for scenario in (name for name in SEAS if name not in RAMPS):
         sigma_m = sqrt(np.trapezoid(simulated_spectrum(scenario, f), f))
         for sensor in sensors:
