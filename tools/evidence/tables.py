@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from evidence import baselines
-from evidence.estimators import CORRECTED, IIR, INERTIAL, KF, UKF
+from evidence.estimators import CORRECTED, DOUBLE, IIR, INERTIAL, KF, UKF
 from evidence.scenarios import HORIZONS_S, grid, sea_limits, simulated_spectrum
 from evidence.scores import SETTLED_SHARE
 from evidence.summary import Result
@@ -151,7 +151,7 @@ def _notes(kf_ukf_m: float) -> list[str]:
         f"bias, and its scale times gravity, leave as a constant dominates it where waves are small ({constants}); "
         "without the mean it is the lead of the high-pass.",
         f"* {IIR}: double integration with a Butterworth high-pass, order {baselines.IIR_ORDER}, "
-        f"{baselines.IIR_CORNER_HZ:g} Hz.",
+        f"{baselines.IIR_CORNER_HZ:g} Hz. {DOUBLE}: with two of the second order, {baselines.DOUBLE_CORNER_HZ:g} Hz.",
         f"* {KF}: the paper's model, Q and R at the scenario's nominal (for a real record: its own peak) "
         "period. UKF rows: process noise 100 times the paper's, period from the FFT.",
         f"* The model is linear, so KF and UKF with equal model and tuning are one filter: they differ by "
