@@ -142,7 +142,7 @@ def test_every_disturbance_is_asked_about_and_nothing_twice() -> None:
     ],
 )
 def test_what_is_missed_is_said(what: str, changes: dict[str, object], expected: list[str]) -> None:
-    (question,) = (one for one in shake.QUESTIONS if one.what == what)
+    (question,) = (one for one in shake.QUESTIONS if one.name == what)
     assert shake.missed(msgspec.structs.replace(short(), **(GOOD | changes)), question) == expected
 
 

@@ -293,7 +293,7 @@ def run_shake(options: argparse.Namespace, output: Output) -> None:
 
 def _tell_shaken(record: Judged) -> None:
     how = record.setting
-    print(f"{how.shake or shake.CLEAN}, sensor {how.sensor}, {how.rate_hz:g} Hz: ", end="", file=sys.stderr)
+    print(f"{how.shake or 'not shaken'}, sensor {how.sensor}, {how.rate_hz:g} Hz: ", end="", file=sys.stderr)
     _tell(record)
 
 

@@ -8,7 +8,7 @@ list, an attitude sensor's errors) has no part in it: there the error is asked f
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from math import isfinite
 from typing import Final, Literal
 
@@ -20,14 +20,11 @@ from evidence.heave import Task, run
 from evidence.scenarios import HORIZONS_S, Setting, Tilt, triplet
 from evidence.summary import Result, summary
 from heaved.simulate.sensors import SENSORS
-from heaved.simulate.shaking import NONE, SHAKES
+from heaved.simulate.shaking import NONE, SHAKES, Slams
 
 OURS: Final = "sea"
 TEXTBOOK: Final = "double"
 RATES_HZ: Final = (20.0, 100.0)
-CLEAN: Final = "none"
-"""What no disturbance is called here."""
-NAMES: Final = (CLEAN, *SHAKES)
 COVERED: Final = (0.90, 0.99)
 """Share of errors within 1.96 published standard deviations."""
 BY_CHANCE: Final = 2e-4
@@ -35,14 +32,14 @@ BY_CHANCE: Final = 2e-4
 groups)."""
 AFTER_S: Final = 60.0
 """So long after a turn or a list the error is asked for."""
-REAL_AHRS: Final = "AHRS"
-"""Sensor whose attitude leans and is late."""
+REAL_AHRS: Final = ("AHRS",)
+"""Sensors whose attitude leans and is late."""
 
 
 class Question(msgspec.Struct, frozen=True, kw_only=True):
     """One disturbance, where it is run and what is asked."""
 
-    what: str
+    name: str
     shake: str = NONE
     sensor: str = "A"
     tilt: Tilt = "none"
@@ -56,37 +53,33 @@ class Question(msgspec.Struct, frozen=True, kw_only=True):
     scored_from_s: float = 300.0
 
 
-def _questions() -> Iterator[Question]:
-    steady = {"line-1.3", "line-3.1", "line-3.1-small", "line-25.1", "engines", "broadband", "broadband-strong"}
-    yield Question(what="no disturbance", most=1.18)
-    for name, shake in SHAKES.items():
-        if name in steady | {"whipping", "gyros", "engine-room"}:
-            yield Question(what=name, shake=name, most=1.3, least_valid=0.95)
-        elif name == "slams":
-            yield Question(what=name, shake=name, most=1.2)
-        elif shake.drift is not None:
-            yield Question(what=name, shake=name, most=0.02, over="sigma", rates_hz=(20.0,))
-        else:
-            event = shake.turn or shake.list
-            assert event is not None
-            yield Question(
-                what=f"{name}, from {AFTER_S:g} s after",
-                shake=name,
-                tilt="noisy",
-                most=0.02,
-                over="sigma",
-                rates_hz=(20.0,),
-                scored_from_s=event.end_s + AFTER_S,
-            )
-    yield Question(what="poor sensor", sensor="C", seas=("S4", "SL"), most=1.15, rates_hz=(20.0,))
-    yield Question(what="small craft", seas=("CRAFT",), most=1.3)
-    if REAL_AHRS in SENSORS:
-        yield Question(
-            what="real AHRS", sensor=REAL_AHRS, tilt="noisy", seas=("S6",), most=0.015, over="sigma", rates_hz=(20.0,)
+def _about(name: str) -> Question:
+    """What is asked about a disturbance of the simulator."""
+    shake = SHAKES[name]
+    if shake.drift is not None:
+        return Question(name=name, shake=name, most=0.02, over="sigma", rates_hz=(20.0,))
+    if (event := shake.turn or shake.list) is not None:
+        after_s = event.end_s + AFTER_S
+        return Question(
+            name=name, shake=name, tilt="noisy", most=0.02, over="sigma", rates_hz=(20.0,), scored_from_s=after_s
         )
+    if any(isinstance(part, Slams) for part in shake.vibration):
+        return Question(name=name, shake=name, most=1.2)
+    return Question(name=name, shake=name, most=1.3, least_valid=0.95)
 
 
-QUESTIONS: Final = tuple(_questions())
+QUESTIONS: Final = (
+    Question(name="none", most=1.18),
+    *map(_about, SHAKES),
+    Question(name="poor-sensor", sensor="C", seas=("S4", "SL"), rates_hz=(20.0,), most=1.15),
+    Question(name="small-craft", seas=("CRAFT",), most=1.3),
+    *(
+        Question(name=name, sensor=name, tilt="noisy", seas=("S6",), rates_hz=(20.0,), most=0.015, over="sigma")
+        for name in REAL_AHRS
+        if name in SENSORS
+    ),
+)
+NAMES: Final = tuple(question.name for question in QUESTIONS)
 
 
 Rows = dict[tuple[str, Setting], Question]
@@ -109,7 +102,7 @@ def plan(
         raise ValueError(f"unknown disturbance {unknown[0]!r}: choose from {', '.join(NAMES)}")
     rows: Rows = {}
     for question in QUESTIONS:
-        if (question.shake or CLEAN) in wanted:
+        if question.name in wanted:
             for sea in seas or question.seas:
                 for rate_hz in rates_hz or question.rates_hz:
                     rows.setdefault((sea, setting(question, rate_hz, duration_s)), question)
@@ -183,6 +176,7 @@ def report(results: Sequence[Result], rows: Rows) -> str:
             + " s. No laser, cold start.",
             "* Limit: causal and linear, with the vibration as coloured noise.",
             f"* Textbook: double integrator, a second-order Butterworth high-pass for each, {DOUBLE_CORNER_HZ:g} Hz.",
+            f"* Turn and list: scored from {AFTER_S:g} s after; all others from {QUESTIONS[0].scored_from_s:g} s on.",
             "* Lies: rows of the whole record that are valid and off by more than 4 published std.",
         ]
     )  # fmt: skip
@@ -192,7 +186,7 @@ def _line(ours: Result, textbook: Result, question: Question, misses: Sequence[s
     asked = f"≤ {question.most:g} ×" if question.over == "limit" else f"≤ {100.0 * question.most:g} %"
     delayed = ours.delayed
     cells = (
-        question.what,
+        question.name,
         ours.scenario,
         f"{ours.setting.rate_hz:g}",
         _percent(ours.limit_m / ours.sigma_m, 2),
