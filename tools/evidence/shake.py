@@ -68,16 +68,18 @@ def _about(name: str) -> Question:
     return Question(name=name, shake=name, most=1.3, least_valid=0.95)
 
 
+def _about_ahrs(name: str) -> tuple[Question, ...]:
+    """What is asked about an attitude sensor: by itself, and while a turn may be taken for a list."""
+    alone = Question(name=name, sensor=name, tilt="noisy", seas=("S6",), rates_hz=(20.0,), most=0.015, over="sigma")
+    return alone, msgspec.structs.replace(_about("turn"), name=f"{name}-turn", sensor=name)
+
+
 QUESTIONS: Final = (
     Question(name="none", most=1.18),
     *map(_about, SHAKES),
     Question(name="poor-sensor", sensor="C", seas=("S4", "SL"), rates_hz=(20.0,), most=1.15),
     Question(name="small-craft", seas=("CRAFT",), most=1.3),
-    *(
-        Question(name=name, sensor=name, tilt="noisy", seas=("S6",), rates_hz=(20.0,), most=0.015, over="sigma")
-        for name in REAL_AHRS
-        if name in SENSORS
-    ),
+    *(question for name in REAL_AHRS if name in SENSORS for question in _about_ahrs(name)),
 )
 NAMES: Final = tuple(question.name for question in QUESTIONS)
 
