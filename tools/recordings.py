@@ -1,7 +1,7 @@
 #!/usr/bin/env python
 """Make recordings (CSV) to replay and to score against: of simulated seas, and out of real measurements.
 
-    tools/recordings.py sea S4 --sensor A --duration 700 --out s4.csv
+    tools/recordings.py sea S4 --sensor A --shake engines --duration 700 --out s4.csv
     tools/recordings.py hebrides BUOY.raw --rate 20 --sensor A --laser 50% --out hebrides.csv
     tools/recordings.py palmer SEAPATH.csv --out palmer.csv
     tools/recordings.py flume RUN.csv --froude 64 --out flume.csv
@@ -62,14 +62,17 @@ def sea(
     rate_hz: float = 20.0,
     sensor: str | ImuModel = "A",
     laser: str = "on",
+    shake: str | Shake = NONE,
     seed: int = 1,
 ) -> Recording:
-    """A simulated sea; waves and sensor errors both drawn from ``seed``.
+    """A simulated sea; waves, sensor errors and vibration all drawn from ``seed``.
 
     Raises:
-        ValueError: unknown sea, sensor or laser pattern.
+        ValueError: unknown sea, sensor, laser pattern or shake.
     """
-    return record(seaway(name, seed), duration_s, imu_rate_hz=rate_hz, sensor=sensor, laser=laser, seed=seed)
+    return record(
+        seaway(name, seed), duration_s, imu_rate_hz=rate_hz, sensor=sensor, laser=laser, shake=shake, seed=seed
+    )
 
 
 def hebrides(
@@ -294,10 +297,11 @@ def _parser() -> argparse.ArgumentParser:
     for name in ("sea", "hebrides", "palmer"):
         command = commands.choices[name]
         command.add_argument("--rate", type=float, default=20.0, metavar="HZ", help="of the IMU (default 20)")
-        command.add_argument("--sensor", default="A", metavar="A|B|ideal")
+        command.add_argument("--sensor", default="A", metavar="A|B|C|ideal")
         command.add_argument(
             "--laser", default="on", metavar="PATTERN", help="on, off, 50%%, or outages START+LENGTH,... in seconds"
         )
+        command.add_argument("--shake", default=NONE, metavar="NAME", help="what shakes it: line-3.1, slams, ...")
         command.add_argument("--seed", type=int, default=1)
     for command in commands.choices.values():
         command.add_argument("--out", type=Path, required=True, metavar="FILE.csv")
@@ -309,7 +313,8 @@ def _recording(options: argparse.Namespace) -> Recording:
         return flume(options.file, froude=options.froude)
     if options.command == "microswift":
         return microswift(options.file)
-    errors = {"rate_hz": options.rate, "sensor": options.sensor, "laser": options.laser, "seed": options.seed}
+    names = ("sensor", "laser", "shake", "seed")
+    errors = {"rate_hz": options.rate, **{name: getattr(options, name) for name in names}}
     if options.command == "sea":
         return sea(options.name, duration_s=options.duration, **errors)
     return (hebrides if options.command == "hebrides" else palmer)(options.file, **errors)
