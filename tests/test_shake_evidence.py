@@ -136,6 +136,7 @@ def test_every_disturbance_is_asked_about_and_nothing_twice() -> None:
         ("line-3.1", {"states": {"valid": 0.9, "degraded": 0.1}}, ["valid 90 %"]),
         ("line-3.1", {"states": {}, "coverage": 0.5}, ["valid 0 %", "covered 50 %"]),
         ("slams", {"ratio_to_limit": 0.6, "states": {}}, []),
+        ("slams", {"published": 0.9}, ["silent 10 %"]),
         ("slams", {"coverage": 0.999}, ["covered 100 %"]),
         ("warm-up", {"ratio_to_limit": 9.0}, []),
         ("warm-up", {"share_of_sigma": 0.025, "lies": 1e-3}, ["error 2.5 %", "lies 1.0 ‰"]),
@@ -147,7 +148,7 @@ def test_what_is_missed_is_said(what: str, changes: dict[str, object], expected:
 
 
 GOOD = {
-    "ratio_to_limit": 1.1, "share_of_sigma": 0.01, "states": {"valid": 1.0}, "coverage": 0.95, "lies": 0.0,
+    "published": 1.0, "ratio_to_limit": 1.1, "share_of_sigma": 0.01, "states": {"valid": 1.0}, "coverage": 0.95, "lies": 0.0,
 }  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from typing import Final, Literal
 
 import msgspec
 
+from evidence.asked import PUBLISHED
 from evidence.baselines import DOUBLE_CORNER_HZ
 from evidence.estimators import title
 from evidence.heave import Task, run
@@ -142,6 +143,8 @@ def missed(result: Result, question: Question) -> list[str]:
     value = result.ratio_to_limit if question.over == "limit" else result.share_of_sigma
     valid = result.states.get("valid", 0.0)
     found = []
+    if result.published < PUBLISHED:
+        found.append(f"silent {100.0 * (1.0 - result.published):.0f} %")
     if not value <= question.most:
         found.append(f"error {value:.2f} × the limit" if question.over == "limit" else f"error {100.0 * value:.1f} %")
     if valid < question.least_valid:
@@ -186,13 +189,14 @@ def report(results: Sequence[Result], rows: Rows) -> str:
 
 def _line(ours: Result, textbook: Result, question: Question, misses: Sequence[str]) -> str:
     asked = f"≤ {question.most:g} ×" if question.over == "limit" else f"≤ {100.0 * question.most:g} %"
+    silent = f" ({_percent(ours.published)} % of the time)" if ours.published < 1.0 else ""
     delayed = ours.delayed
     cells = (
         question.name,
         ours.scenario,
         f"{ours.setting.rate_hz:g}",
         _percent(ours.limit_m / ours.sigma_m, 2),
-        _percent(ours.share_of_sigma, 2),
+        _percent(ours.share_of_sigma, 2) + silent,
         f"{ours.ratio_to_limit:.2f}",
         _percent(textbook.share_of_sigma),
         asked,
