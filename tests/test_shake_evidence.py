@@ -148,7 +148,8 @@ def test_what_is_missed_is_said(what: str, changes: dict[str, object], expected:
 
 
 GOOD = {
-    "published": 1.0, "ratio_to_limit": 1.1, "share_of_sigma": 0.01, "states": {"valid": 1.0}, "coverage": 0.95, "lies": 0.0,
+    "published": 1.0, "ratio_to_limit": 1.1, "share_of_sigma": 0.01, "states": {"valid": 1.0}, "coverage": 0.95,
+    "lies": 0.0,
 }  # fmt: skip
 
 
