@@ -284,6 +284,7 @@ def test_a_still_record_becomes_a_case() -> None:
         (["real", "S4"], "unknown scenario 'S4'"),
         (["heave", "T1", "--duration", "100"], "cannot be scored from 300 s on"),
         (["heave", "T1", "--laser", "half"], "laser pattern 'half' is not understood"),
+        (["limits", "--shake", "quake"], "unknown shake 'quake'"),
         (["table"], "results.jsonl"),
     ],
 )

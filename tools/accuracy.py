@@ -5,7 +5,7 @@
     tools/accuracy.py real [Hebrides palmer flume static]    real records, where they are present
     tools/accuracy.py headline [SCENARIO ...]    every scenario and setting that a figure is asked for
     tools/accuracy.py table       those figures, asked and measured, out of OUT/results.jsonl
-    tools/accuracy.py limits      the least error that is possible, alone
+    tools/accuracy.py limits [--shake NAME]    the least error that is possible, alone
     tools/accuracy.py gates [--set]    short runs against their regression gates
     tools/accuracy.py rock        roll and pitch ahead: the paper's method, the direct predictor, quiet windows
     tools/accuracy.py correction [--seeds 3]  the learned correction while a network is in use, laser on and off
@@ -153,7 +153,11 @@ def run_table(options: argparse.Namespace, output: Output) -> None:
 
 
 def run_limits(options: argparse.Namespace, output: Output) -> None:
-    print(tables.limits_table(("A", "B"), options.rate))
+    """
+    Raises:
+        ValueError: a disturbance is not known.
+    """
+    print(tables.limits_table(("A", "B", "C"), options.rate, options.shake))
 
 
 def run_gates(options: argparse.Namespace, output: Output) -> None:
@@ -402,8 +406,12 @@ def _table(parser: argparse.ArgumentParser) -> None:
         add(parser)
 
 
+def _shaken(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--shake", default=NONE, metavar="NAME", help="what shakes the sensors besides")
+
+
 def _limits(parser: argparse.ArgumentParser) -> None:
-    for add in (_rate, _common):
+    for add in (_rate, _shaken, _common):
         add(parser)
 
 
@@ -418,7 +426,7 @@ def _closed_loop(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--replay", action="store_true", help="without sockets, faster than real time")
     parser.add_argument("--sensor", default="A", choices=sorted(SENSORS), help="its errors (default A)")
     parser.add_argument("--laser", default="off", metavar="PATTERN", help="on, off (default), 50%%")
-    parser.add_argument("--shake", default=NONE, metavar="NAME", help="what shakes the sensors besides")
+    _shaken(parser)
     parser.add_argument("--seed", type=_count, default=1, help="of sea and sensors")
     parser.add_argument(
         "--warm-up", type=_positive, default=closed_loop.SCORED_FROM_S, metavar="S", help="not scored (default 300)"

@@ -16,6 +16,7 @@ from evidence.summary import Result
 from heaved.samples import GRAVITY_MPS2
 from heaved.simulate.seaway import RAMPS, SEAS, TRAINS
 from heaved.simulate.sensors import LASER_NOISE_M, SENSORS, laser_pattern
+from heaved.simulate.shaking import NONE
 
 PAPER_M: Final[dict[str, tuple[float, float, float]]] = {
     INERTIAL: (0.0692, 0.0843, 0.0469),
@@ -40,11 +41,15 @@ def report(results: Sequence[Result], kf_ukf_m: float) -> str:
     return "\n".join(lines + _notes(kf_ukf_m))
 
 
-def limits_table(sensors: tuple[str, ...], rate_hz: float) -> str:
-    """Markdown: the least errors on every steady irregular sea, for each sensor."""
+def limits_table(sensors: tuple[str, ...], rate_hz: float, shake: str = NONE) -> str:
+    """Markdown: the least errors on every steady irregular sea, for each sensor, shaken by what that name says.
+
+    Raises:
+        ValueError: there is no such shake.
+    """
     heads = " | ".join(f"{horizon:g} s ahead" for horizon in HORIZONS_S)
     lines = [
-        f"Least RMS error from the accelerometer alone, {rate_hz:g} Hz, in mm (% of σ):",
+        f"Least RMS error from the accelerometer alone, {shake or 'not shaken'}, {rate_hz:g} Hz, in mm (% of σ):",
         "",
         f"| sea | sensor | σ / m | causal | {heads} | delayed |",
         "|---" * (5 + len(HORIZONS_S)) + "|",
@@ -53,7 +58,7 @@ def limits_table(sensors: tuple[str, ...], rate_hz: float) -> str:
     for scenario in (name for name in SEAS if name not in RAMPS):
         sigma_m = sqrt(np.trapezoid(simulated_spectrum(scenario, f), f))
         for sensor in sensors:
-            limits = sea_limits(scenario, sensor, rate_hz)
+            limits = sea_limits(scenario, sensor, rate_hz, shake)
             errors = (limits.causal_m, *limits.forecast_m.values(), limits.noncausal_m)
             cells = " | ".join(f"{1e3 * error:.1f} ({100.0 * error / sigma_m:.2f})" for error in errors)
             lines.append(f"| {scenario} | {sensor} | {sigma_m:.4f} | {cells} |")
