@@ -286,7 +286,7 @@ def run_shake(options: argparse.Namespace, output: Output) -> None:
     Raises:
         ValueError: a disturbance is not known, or a record too short for it.
     """
-    rows = shake.plan(options.shakes or shake.NAMES, options.seas, options.rates, options.duration)
+    rows = shake.plan(options.shakes or shake.QUESTIONS, options.seas, options.rates, options.duration)
     todo = heave.tasks(rows, (shake.TEXTBOOK, shake.OURS), options.seeds)
     results: list[Result] = []
     for found in heave.run_all(todo, options.jobs, _tell_shaken):
@@ -458,7 +458,7 @@ def _faults(parser: argparse.ArgumentParser) -> None:
 
 
 def _shake(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("shakes", nargs="*", metavar="NAME", help=f"of {', '.join(shake.NAMES)} (default: all)")
+    parser.add_argument("shakes", nargs="*", metavar="NAME", help=f"of {', '.join(shake.QUESTIONS)} (default: all)")
     asked_about = "default: those that are asked about"
     parser.add_argument("--seas", nargs="+", default=(), choices=scenarios.NAMES, metavar="SEA", help=asked_about)
     parser.add_argument("--rates", nargs="+", type=_positive, default=(), metavar="HZ", help=asked_about)

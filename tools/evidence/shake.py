@@ -8,7 +8,7 @@ list, an attitude sensor's errors) has no part in it: there the error is asked f
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import isfinite
 from typing import Final, Literal
 
@@ -75,14 +75,15 @@ def _about_ahrs(name: str) -> tuple[Question, ...]:
     return alone, msgspec.structs.replace(_about("turn"), name=f"{name}-turn", sensor=name)
 
 
-QUESTIONS: Final = (
+_ALL: Final = (
     Question(name="none", most=1.18),
     *map(_about, SHAKES),
     Question(name="poor-sensor", sensor="C", seas=("S4", "SL"), rates_hz=(20.0,), most=1.15),
     Question(name="small-craft", seas=("CRAFT",), most=1.3),
     *(question for name in REAL_AHRS if name in SENSORS for question in _about_ahrs(name)),
 )
-NAMES: Final = tuple(question.name for question in QUESTIONS)
+QUESTIONS: Final[Mapping[str, Question]] = {question.name: question for question in _ALL}
+"""By name, in the order of the table."""
 
 
 Rows = dict[tuple[str, Setting], Question]
@@ -90,7 +91,7 @@ Rows = dict[tuple[str, Setting], Question]
 
 
 def plan(
-    names: Iterable[str] = NAMES,
+    names: Iterable[str] = QUESTIONS,
     seas: Sequence[str] = (),
     rates_hz: Sequence[float] = (),
     duration_s: float | None = None,
@@ -98,17 +99,16 @@ def plan(
     """What is asked about the disturbances ``names``, on the question's own seas and rates unless others are given.
 
     Raises:
-        ValueError: a disturbance is none of :data:`NAMES`.
+        ValueError: a disturbance is none of :data:`QUESTIONS`.
     """
-    wanted = list(names)
-    if unknown := [name for name in wanted if name not in NAMES]:
-        raise ValueError(f"unknown disturbance {unknown[0]!r}: choose from {', '.join(NAMES)}")
     rows: Rows = {}
-    for question in QUESTIONS:
-        if question.name in wanted:
-            for sea in seas or question.seas:
-                for rate_hz in rates_hz or question.rates_hz:
-                    rows.setdefault((sea, setting(question, rate_hz, duration_s)), question)
+    for name in names:
+        if name not in QUESTIONS:
+            raise ValueError(f"unknown disturbance {name!r}: choose from {', '.join(QUESTIONS)}")
+        question = QUESTIONS[name]
+        for sea in seas or question.seas:
+            for rate_hz in rates_hz or question.rates_hz:
+                rows.setdefault((sea, setting(question, rate_hz, duration_s)), question)
     return rows
 
 
@@ -181,7 +181,7 @@ def report(results: Sequence[Result], rows: Rows) -> str:
             + " s. No laser, cold start.",
             "* Limit: causal and linear, with the vibration as coloured noise.",
             f"* Textbook: double integrator, a second-order Butterworth high-pass for each, {DOUBLE_CORNER_HZ:g} Hz.",
-            f"* Turn and list: scored from {AFTER_S:g} s after; all others from {QUESTIONS[0].scored_from_s:g} s on.",
+            f"* Turn and list: scored from {AFTER_S:g} s after; all others from {_ALL[0].scored_from_s:g} s on.",
             "* Lies: rows of the whole record that are valid and off by more than 4 published std.",
         ]
     )  # fmt: skip
