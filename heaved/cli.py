@@ -58,7 +58,15 @@ Host = Annotated[str, typer.Option(help="Where the daemon's stream is.")]
 Port = Annotated[int, typer.Option(min=1, max=65535)]
 Logs = Annotated[LogFormat, typer.Option(help="Logs go to standard error, one line per event.")]
 SeaName = Annotated[
-    str, typer.Option(help="T1 T2 T3 (regular), S4 S5 S6 (sea states), S6S, SL (swell), SX, S0 (still).")
+    str, typer.Option(help="T1 T2 T3 (regular), S4 S5 S6 (sea states), S6S, SL (swell), SX, CRAFT, S0 (still).")
+]
+ShakeName = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME",
+        help="What shakes the sensors besides: line-3.1, engines, broadband, whipping, slams, turn and others; "
+        "an unknown one lists them.",
+    ),
 ]
 HOST, PORT = "127.0.0.1", 5570
 
@@ -333,6 +341,7 @@ def demo(
     link: Annotated[LinkKind, typer.Option(help="Modbus TCP, or RTU on a pseudo-terminal.")] = LinkKind.tcp,
     duration: Annotated[float | None, typer.Option(min=0.0, help="End after so many seconds.")] = None,
     config: Annotated[Path | None, typer.Option(help="What to run and whose devices to simulate.")] = None,
+    shake: ShakeName = "",
     log_format: Logs = LogFormat.human,
 ) -> None:
     """Run the daemon on simulated sensors, with a simulated winch on its stream: the whole chain on this machine."""
@@ -352,6 +361,7 @@ def demo(
             log_format=log_format.value,
             announce=announce,
             config=None if config is None else _load_to_run(config),
+            shake=shake,
         )
     except demonstration.DemoError as error:
         _fail(str(error), 1)
@@ -370,8 +380,9 @@ def sim(
         list[str] | None,
         typer.Option(metavar="DEVICE:KIND@START+DURATION[=AMOUNT]", help="Misbehave; may be repeated."),
     ] = None,
-    sensor: Annotated[str, typer.Option(help="A (tactical MEMS), B (industrial MEMS) or ideal.")] = "A",
+    sensor: Annotated[str, typer.Option(help="A (tactical MEMS), B (industrial), C (consumer) or ideal.")] = "A",
     laser: Annotated[str, typer.Option(help="on, off, a share such as 50%, or outages such as 300+120.")] = "on",
+    shake: ShakeName = "",
     seed: Annotated[int, typer.Option(min=0, help="Of the sea and of all errors.")] = 1,
 ) -> None:
     """Serve simulated Modbus sensors until Ctrl-C."""
@@ -392,7 +403,7 @@ def sim(
             devices = demonstration.on_serial_line(devices, Path(directory))
         try:
             source = (
-                demonstration.instruments(sea, devices, sensor=sensor, laser=laser, seed=seed)
+                demonstration.instruments(sea, devices, sensor=sensor, laser=laser, shake=shake, seed=seed)
                 if play is None
                 else Player(read_recording(play))
             )

@@ -32,6 +32,7 @@ from heaved.simulate.hydrofoil import Passage
 from heaved.simulate.instruments import Instruments
 from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.seaway import seaway
+from heaved.simulate.shaking import NONE
 from heaved.simulate.slave import Source
 
 SERIAL_BAUDRATE: Final = 230_400
@@ -66,16 +67,23 @@ def on_serial_line(devices: Sequence[DeviceSpec], directory: Path) -> tuple[Devi
 
 
 def instruments(
-    sea: str, devices: Sequence[DeviceSpec] = (), *, sensor: str = "A", laser: str = "on", seed: int = SEED
+    sea: str,
+    devices: Sequence[DeviceSpec] = (),
+    *,
+    sensor: str = "A",
+    laser: str = "on",
+    shake: str = NONE,
+    seed: int = SEED,
 ) -> Instruments:
-    """Sensors in a sea. With sensors of a craft among the ``devices``, the default craft makes a voyage of its own.
+    """Sensors in a sea, shaken by what that name says. With sensors of a craft among the ``devices``, the default craft
+    makes a voyage of its own.
 
     Raises:
-        ValueError: there is no such sea, sensor or laser pattern; the message names those that there are.
+        ValueError: there is no such sea, sensor, laser pattern or shake; the message names those that there are.
     """
     at_sea = any(device.role in ("craft", "heave_sensor", "pitch_sensor") for device in devices)
     voyage = voyages(Vessel(), [seed], Passage())[0] if at_sea else None
-    return Instruments(seaway(sea, seed), sensor=sensor, laser=laser, seed=seed, voyage=voyage)
+    return Instruments(seaway(sea, seed), sensor=sensor, laser=laser, shake=shake, seed=seed, voyage=voyage)
 
 
 def serve(
@@ -114,9 +122,10 @@ def run(
     log_format: str,
     announce: Callable[[Config], None],
     config: Config | None = None,
+    shake: str = NONE,
 ) -> int:
     """Serve the sensors of ``config``, by default ``demo.toml``, in a process of their own and run the daemon on them;
-    returns its exit code.
+    returns its exit code. ``shake`` names what shakes them.
 
     A third process is the consumer: a simulated winch on the stream, which says on standard output now and then how the
     hook below it moves.
@@ -133,7 +142,7 @@ def run(
         directory = Path(name)
         config = config or demo_config()
         wanted = on_serial_line(config.device, directory) if serial else config.device
-        with _sensors(wanted, sea) as served:
+        with _sensors(wanted, sea, shake) as served:
             config = msgspec.structs.replace(
                 config,
                 device=served.devices,
@@ -178,9 +187,9 @@ def _child(target: Callable[..., None], *arguments: object) -> Iterator[Connecti
 
 
 @contextmanager
-def _sensors(devices: Sequence[DeviceSpec], sea: str) -> Iterator[_Served]:
+def _sensors(devices: Sequence[DeviceSpec], sea: str, shake: str) -> Iterator[_Served]:
     """The devices, served by another process as a real sensor is by another machine."""
-    with _child(_sensor_process, tuple(devices), sea) as connection:
+    with _child(_sensor_process, tuple(devices), sea, shake) as connection:
         try:
             answer = connection.recv()
         except EOFError:
@@ -190,13 +199,13 @@ def _sensors(devices: Sequence[DeviceSpec], sea: str) -> Iterator[_Served]:
         yield answer
 
 
-def _sensor_process(connection: Connection, devices: tuple[DeviceSpec, ...], sea: str) -> None:
+def _sensor_process(connection: Connection, devices: tuple[DeviceSpec, ...], sea: str, shake: str) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both; the parent decides the order.
 
     async def run() -> None:
         closed = asyncio.Event()
         asyncio.get_running_loop().add_reader(connection.fileno(), closed.set)
-        plant = SimulatedPlant(devices, instruments(sea, devices), any_port=True)
+        plant = SimulatedPlant(devices, instruments(sea, devices, shake=shake), any_port=True)
         await plant.start()
         connection.send(_Served(plant.devices, time.monotonic() - plant.time_s()))
         await closed.wait()

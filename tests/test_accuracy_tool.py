@@ -21,7 +21,7 @@ BIAS_MPS2 = 0.03
 RESULT_FIELDS = {
     "kind", "scenario", "setting", "seeds", "estimator", "published", "rms_m", "worst_rms_m", "sigma_m",
     "share_of_sigma", "share_of_hs", "limit_m", "ratio_to_limit", "gain", "outage_rms_m", "coverage", "valid_coverage",
-    "states", "reasons", "forecast", "delayed", "settled_s", "settling", "segments", "commit", "versions",
+    "lies", "states", "reasons", "forecast", "delayed", "settled_s", "settling", "segments", "commit", "versions",
 }  # fmt: skip
 
 
@@ -50,6 +50,16 @@ def test_the_iir_filter_is_a_butterworth_high_pass_of_heave(period_s: float) -> 
     b, a = butter(4, 2.0 * pi * baselines.IIR_CORNER_HZ, "highpass", analog=True)
     _, expected = freqs(b, a, worN=[2.0 * pi / period_s])
     assert amplitude == pytest.approx(complex(expected[0]), rel=0.01)  # bilinear: (w T)^2 / 12 per integrator
+    assert mean == pytest.approx(0.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("period_s", [5.0, 8.0])
+def test_the_double_integrator_has_a_high_pass_for_each_integration(period_s: float) -> None:
+    corner_hz = 0.03  # that of the table would take a quarter of an hour to settle
+    amplitude, mean = answer(baselines.Iir(RATE_HZ, corner_hz, passes=2), period_s)
+    b, a = butter(2, 2.0 * pi * corner_hz, "highpass", analog=True)
+    _, expected = freqs(b, a, worN=[2.0 * pi / period_s])
+    assert amplitude == pytest.approx(complex(expected[0]) ** 2, rel=0.01)
     assert mean == pytest.approx(0.0, abs=1e-4)
 
 
@@ -274,6 +284,7 @@ def test_a_still_record_becomes_a_case() -> None:
         (["real", "S4"], "unknown scenario 'S4'"),
         (["heave", "T1", "--duration", "100"], "cannot be scored from 300 s on"),
         (["heave", "T1", "--laser", "half"], "laser pattern 'half' is not understood"),
+        (["limits", "--shake", "quake"], "unknown shake 'quake'"),
         (["table"], "results.jsonl"),
     ],
 )

@@ -216,6 +216,11 @@ def test_watch_needs_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     assert "nc 127.0.0.1 5570" in capsys.readouterr().err
 
 
+def test_demo_tells_what_can_shake_it(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["demo", "--shake", "quake", "--duration", "1"]) == 1
+    assert "unknown shake 'quake': choose one of" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("link", ["tcp", "rtu"])
 def test_demo_is_the_whole_chain(link: str, capsys: pytest.CaptureFixture[str]) -> None:
     with running("demo", "--sea", "T3", "--link", link) as demo:
@@ -292,6 +297,7 @@ def test_replay_of_what_is_no_recording(tmp_path: Path, capsys: pytest.CaptureFi
     [
         (["--sea", "S9"], "unknown sea 'S9': choose one of"),
         (["--sensor", "Z"], "unknown sensor 'Z': choose one of"),
+        (["--shake", "quake"], "unknown shake 'quake': choose one of line-1.3, line-3.1,"),
         (["--fault", "laser:boom@1+1"], "unknown kind 'boom'; choose one of"),
         (["--fault", "sonar:dropout@1+1"], "there is no device 'sonar'; there are imu, laser"),
         (["--play", "/nonexistent.csv"], "/nonexistent.csv: No such file or directory"),

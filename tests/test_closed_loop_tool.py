@@ -7,9 +7,10 @@ from functools import cache
 from pathlib import Path
 
 import accuracy
+import msgspec
 import numpy as np
 import pytest
-from evidence import closed_loop
+from evidence import asked, closed_loop
 from evidence.closed_loop_figure import hook_motion
 
 from heaved.estimation.heave import Params
@@ -97,3 +98,21 @@ def test_faults_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert raised.value.code == 2
     assert "'harmonic', 'sea'" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_cannot_shake_the_sensors_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert accuracy.main(["closed-loop", "S6", "--replay", "--shake", "quake", "--out", str(tmp_path)]) == 1
+    assert "unknown shake 'quake': choose one of line-1.3" in capsys.readouterr().err
+
+
+def test_shaken_sensors_are_not_the_plain_ones_in_the_table_of_figures() -> None:
+    plain, shaken = (
+        msgspec.to_builtins(closed_loop.Setting(observer=OBSERVER, laser="off", shake=name)) for name in ("", "slams")
+    )
+    (wanted,) = {
+        tuple(sorted((key.removeprefix("setting."), value) for key, value in figure.where.items() if "." in key))
+        for figure in asked.ASKED
+        if figure.where["kind"] == "closed_loop"
+    }
+    assert all(plain[key] == value for key, value in wanted)
+    assert not all(shaken[key] == value for key, value in wanted)

@@ -73,6 +73,18 @@ def test_silence_is_counted_and_never_covered(case: scenarios.Case) -> None:
     assert found.rms_m == pytest.approx(0.01)
 
 
+def test_an_estimator_that_says_nothing_has_no_figures(case: scenarios.Case) -> None:
+    t = case.recording.t_s
+    late = Delayed(*(values[:5] for values in (t, t, t, t)))  # nothing for the time that is scored
+    silent = trace(case, lambda t: np.full(t.size, np.nan), std_m=np.full(t.size, np.nan), delayed=late)
+    found = scores.score(silent, case)
+    assert found.published == found.coverage == 0.0
+    assert np.isnan(found.rms_m)
+    assert np.isnan(found.ratio_to_limit)
+    assert found.delayed is not None
+    assert np.isnan(found.delayed_age_s)
+
+
 def test_quality_is_shared_out_and_coverage_is_told_for_valid(case: scenarios.Case) -> None:
     t = case.recording.t_s
     states = tuple(HeaveState.VALID if 100.0 <= at < 350.0 else HeaveState.DEGRADED for at in t.tolist())
@@ -85,6 +97,15 @@ def test_quality_is_shared_out_and_coverage_is_told_for_valid(case: scenarios.Ca
     assert found.valid_from_s == pytest.approx(100.0)
     assert found.valid_coverage == pytest.approx(100.0 / 150.0)
     assert found.coverage == pytest.approx(0.5)
+
+
+def test_a_lie_is_a_valid_row_beyond_four_standard_deviations_at_any_time(case: scenarios.Case) -> None:
+    t = case.recording.t_s
+    states = tuple(HeaveState.VALID if at < 150.0 or at >= 350.0 else HeaveState.DEGRADED for at in t.tolist())
+    error = np.select([t < 20.0, t < 100.0, t < 360.0], [0.09, 0.07, 0.09], -0.07)
+    given = trace(case, lambda t: error, std_m=np.full(t.size, 0.02), states=states)
+    wrong = (t < 20.0) | ((t >= 100.0) & (t < 150.0)) | ((t >= 350.0) & (t < 360.0))
+    assert scores.score(given, case).lies == pytest.approx(np.mean(wrong))
 
 
 def test_a_forecast_is_held_against_what_came(case: scenarios.Case) -> None:

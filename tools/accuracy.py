@@ -5,12 +5,13 @@
     tools/accuracy.py real [Hebrides palmer flume static]    real records, where they are present
     tools/accuracy.py headline [SCENARIO ...]    every scenario and setting that a figure is asked for
     tools/accuracy.py table       those figures, asked and measured, out of OUT/results.jsonl
-    tools/accuracy.py limits      the least error that is possible, alone
+    tools/accuracy.py limits [--shake NAME]    the least error that is possible, alone
     tools/accuracy.py gates [--set]    short runs against their regression gates
     tools/accuracy.py rock        roll and pitch ahead: the paper's method, the direct predictor, quiet windows
     tools/accuracy.py correction [--seeds 3]  the learned correction while a network is in use, laser on and off
     tools/accuracy.py closed-loop [S6 T3] [--replay]    a hook under a winch that the stream drives, in real time
     tools/accuracy.py faults [DISASTER ...] [--seas S6] [--rates 20]    what is published while things go wrong
+    tools/accuracy.py shake [line-3.1 slams] [--seas S6] [--rates 20]    heave while something shakes the sensor
     tools/accuracy.py hull [--runs 50]        deformation between two IMUs, 600 s a run
     tools/accuracy.py attitude [--runs 50]    heave and pitch of a foil-assisted catamaran
     tools/accuracy.py all         headline and rock
@@ -54,12 +55,14 @@ from evidence import (
     rock,
     rock_direct,
     scenarios,
+    shake,
     tables,
 )
 from evidence.scenarios import Setting
 from evidence.summary import Judged, Result
 
 from heaved.simulate.sensors import SENSORS, laser_pattern
+from heaved.simulate.shaking import NONE, shake_of
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 RESULTS = "results.jsonl"
@@ -150,7 +153,11 @@ def run_table(options: argparse.Namespace, output: Output) -> None:
 
 
 def run_limits(options: argparse.Namespace, output: Output) -> None:
-    print(tables.limits_table(("A", "B"), options.rate))
+    """
+    Raises:
+        ValueError: a disturbance is not known.
+    """
+    print(tables.limits_table(("A", "B", "C"), options.rate, options.shake))
 
 
 def run_gates(options: argparse.Namespace, output: Output) -> None:
@@ -274,12 +281,34 @@ def run_faults(options: argparse.Namespace, output: Output) -> None:
     print(fault_table.report(faults.run_all(todo, options.jobs, watch), options.detail))
 
 
+def run_shake(options: argparse.Namespace, output: Output) -> None:
+    """
+    Raises:
+        ValueError: a disturbance is not known, or a record too short for it.
+    """
+    rows = shake.plan(options.shakes or shake.QUESTIONS, options.seas, options.rates, options.duration)
+    todo = heave.tasks(rows, (shake.TEXTBOOK, shake.OURS), options.seeds)
+    results: list[Result] = []
+    for found in heave.run_all(todo, options.jobs, _tell_shaken):
+        output.write("shake", found)
+        results += found
+    print(shake.report(results, rows))
+
+
+def _tell_shaken(record: Judged) -> None:
+    how = record.setting
+    print(f"{how.shake or 'not shaken'}, sensor {how.sensor}, {how.rate_hz:g} Hz: ", end="", file=sys.stderr)
+    _tell(record)
+
+
 def run_closed_loop(options: argparse.Namespace, output: Output) -> None:
     laser_pattern(options.laser)
+    shake_of(options.shake)
     setting = closed_loop.Setting(
         observer=options.observer,
         sensor=options.sensor,
         laser=options.laser,
+        shake=options.shake,
         seed=options.seed,
         warm_up_s=options.warm_up,
         duration_s=180.0 if options.duration is None else options.duration,
@@ -292,7 +321,8 @@ def run_closed_loop(options: argparse.Namespace, output: Output) -> None:
         if output.figures:
             from evidence.closed_loop_figure import hook_motion  # matplotlib only when it is wanted
 
-            hook_motion(output.folder / f"hook_{trial.sea}_{setting.sensor}.png", trial)
+            shaken = f"_{setting.shake}" if setting.shake else ""
+            hook_motion(output.folder / f"hook_{trial.sea}_{setting.sensor}{shaken}.png", trial)
 
     seas = options.seas or closed_loop.DEFAULT_SEAS
     print(closed_loop.report(closed_loop.run(seas, setting, options.replay, draw)))
@@ -376,8 +406,12 @@ def _table(parser: argparse.ArgumentParser) -> None:
         add(parser)
 
 
+def _shaken(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--shake", default=NONE, metavar="NAME", help="what shakes the sensors besides")
+
+
 def _limits(parser: argparse.ArgumentParser) -> None:
-    for add in (_rate, _common):
+    for add in (_rate, _shaken, _common):
         add(parser)
 
 
@@ -392,6 +426,7 @@ def _closed_loop(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--replay", action="store_true", help="without sockets, faster than real time")
     parser.add_argument("--sensor", default="A", choices=sorted(SENSORS), help="its errors (default A)")
     parser.add_argument("--laser", default="off", metavar="PATTERN", help="on, off (default), 50%%")
+    _shaken(parser)
     parser.add_argument("--seed", type=_count, default=1, help="of sea and sensors")
     parser.add_argument(
         "--warm-up", type=_positive, default=closed_loop.SCORED_FROM_S, metavar="S", help="not scored (default 300)"
@@ -422,6 +457,17 @@ def _faults(parser: argparse.ArgumentParser) -> None:
     _common(parser)
 
 
+def _shake(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("shakes", nargs="*", metavar="NAME", help=f"of {', '.join(shake.QUESTIONS)} (default: all)")
+    asked_about = "default: those that are asked about"
+    parser.add_argument("--seas", nargs="+", default=(), choices=scenarios.NAMES, metavar="SEA", help=asked_about)
+    parser.add_argument("--rates", nargs="+", type=_positive, default=(), metavar="HZ", help=asked_about)
+    parser.add_argument("--seeds", type=_count, default=1, metavar="N", help="records of each (default 1)")
+    parser.add_argument("--jobs", type=_count, default=1, metavar="N", help="processes (default 1)")
+    for add in (_duration, _common):
+        add(parser)
+
+
 def _runs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--runs", type=_count, default=50, metavar="N", help="Monte-Carlo runs (default 50)")
     parser.add_argument("--jobs", type=_count, default=1, metavar="N", help="processes (default 1)")
@@ -450,6 +496,7 @@ COMMANDS: dict[str, Command] = {
     "attitude": Command(run_attitude, _runs, "heave and pitch of a foil-assisted catamaran, simulated"),
     "correction": Command(run_correction, _correction, "the learned correction while a network is in use"),
     "faults": Command(run_faults, _faults, "what is published while things go wrong"),
+    "shake": Command(run_shake, _shake, "heave on a hull that shakes: limit, ours, textbook, what is asked"),
     "closed-loop": Command(run_closed_loop, _closed_loop, "hook motion under a winch driven by the stream"),
     "all": Command(run_all, _rock, "headline and rock"),
 }

@@ -1,7 +1,7 @@
 #!/usr/bin/env python
 """Make recordings (CSV) to replay and to score against: of simulated seas, and out of real measurements.
 
-    tools/recordings.py sea S4 --sensor A --duration 700 --out s4.csv
+    tools/recordings.py sea S4 --sensor A --shake engines --duration 700 --out s4.csv
     tools/recordings.py hebrides BUOY.raw --rate 20 --sensor A --laser 50% --out hebrides.csv
     tools/recordings.py palmer SEAPATH.csv --out palmer.csv
     tools/recordings.py flume RUN.csv --froude 64 --out flume.csv
@@ -27,6 +27,7 @@ from heaved.samples import GRAVITY_MPS2
 from heaved.simulate.play import write_recording, write_truth
 from heaved.simulate.seaway import NAMES, seaway
 from heaved.simulate.sensors import ImuModel, Recording, measure, record
+from heaved.simulate.shaking import NONE, Shake
 from heaved.simulate.vessel import Motion
 
 Array = NDArray[np.float64]
@@ -61,18 +62,27 @@ def sea(
     rate_hz: float = 20.0,
     sensor: str | ImuModel = "A",
     laser: str = "on",
+    shake: str | Shake = NONE,
     seed: int = 1,
 ) -> Recording:
-    """A simulated sea; waves and sensor errors both drawn from ``seed``.
+    """A simulated sea; waves, sensor errors and vibration all drawn from ``seed``.
 
     Raises:
-        ValueError: unknown sea, sensor or laser pattern.
+        ValueError: unknown sea, sensor, laser pattern or shake.
     """
-    return record(seaway(name, seed), duration_s, imu_rate_hz=rate_hz, sensor=sensor, laser=laser, seed=seed)
+    return record(
+        seaway(name, seed), duration_s, imu_rate_hz=rate_hz, sensor=sensor, laser=laser, shake=shake, seed=seed
+    )
 
 
 def hebrides(
-    path: Path, *, rate_hz: float = 20.0, sensor: str | ImuModel = "A", laser: str = "on", seed: int = 1
+    path: Path,
+    *,
+    rate_hz: float = 20.0,
+    sensor: str | ImuModel = "A",
+    laser: str = "on",
+    shake: str | Shake = NONE,
+    seed: int = 1,
 ) -> Recording:
     """A real sea: buoy displacement (status, heave, north, west in cm at 1.28 Hz), carried by a vessel that heads north
     and does not tilt.
@@ -89,11 +99,17 @@ def hebrides(
         for column in displacement
     )
     truth = _motion(rate_hz, heave, surge=north.acceleration, sway=west.acceleration)
-    return measure(truth, imu_rate_hz=rate_hz, sensor=sensor, laser=laser, seed=seed)
+    return measure(truth, imu_rate_hz=rate_hz, sensor=sensor, laser=laser, shake=shake, seed=seed)
 
 
 def palmer(
-    path: Path, *, rate_hz: float = 20.0, sensor: str | ImuModel = "A", laser: str = "on", seed: int = 1
+    path: Path,
+    *,
+    rate_hz: float = 20.0,
+    sensor: str | ImuModel = "A",
+    laser: str = "on",
+    shake: str | Shake = NONE,
+    seed: int = 1,
 ) -> Recording:
     """A real ship under way: roll, pitch, heading and heave at 1 Hz.
 
@@ -108,7 +124,7 @@ def palmer(
     angles = [_angle(np.interp(grid, t, np.unwrap(np.radians(column))), rate_hz) for column in (roll, pitch, heading)]
     heave = resampled(np.interp(grid, t, -down), 1.0, rate_hz, SHIP_BAND_HZ)
     truth = _motion(rate_hz, heave, roll=angles[0], pitch=angles[1], yaw=angles[2])
-    return measure(truth, imu_rate_hz=rate_hz, sensor=sensor, laser=laser, seed=seed)
+    return measure(truth, imu_rate_hz=rate_hz, sensor=sensor, laser=laser, shake=shake, seed=seed)
 
 
 def flume(path: Path, *, froude: float = 1.0) -> Recording:
@@ -281,10 +297,11 @@ def _parser() -> argparse.ArgumentParser:
     for name in ("sea", "hebrides", "palmer"):
         command = commands.choices[name]
         command.add_argument("--rate", type=float, default=20.0, metavar="HZ", help="of the IMU (default 20)")
-        command.add_argument("--sensor", default="A", metavar="A|B|ideal")
+        command.add_argument("--sensor", default="A", metavar="A|B|C|ideal")
         command.add_argument(
             "--laser", default="on", metavar="PATTERN", help="on, off, 50%%, or outages START+LENGTH,... in seconds"
         )
+        command.add_argument("--shake", default=NONE, metavar="NAME", help="what shakes it: line-3.1, slams, ...")
         command.add_argument("--seed", type=int, default=1)
     for command in commands.choices.values():
         command.add_argument("--out", type=Path, required=True, metavar="FILE.csv")
@@ -296,7 +313,8 @@ def _recording(options: argparse.Namespace) -> Recording:
         return flume(options.file, froude=options.froude)
     if options.command == "microswift":
         return microswift(options.file)
-    errors = {"rate_hz": options.rate, "sensor": options.sensor, "laser": options.laser, "seed": options.seed}
+    names = ("sensor", "laser", "shake", "seed")
+    errors = {"rate_hz": options.rate, **{name: getattr(options, name) for name in names}}
     if options.command == "sea":
         return sea(options.name, duration_s=options.duration, **errors)
     return (hebrides if options.command == "hebrides" else palmer)(options.file, **errors)

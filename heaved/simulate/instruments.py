@@ -17,7 +17,6 @@ from heaved.simulate.craft_sensors import CraftSensors
 from heaved.simulate.hydrofoil import Passage, Voyage
 from heaved.simulate.second_imu import CraneBase, SecondImu
 from heaved.simulate.sensors import (
-    BUTTERWORTH_DAMPING,
     LASER_DISTANCE_M,
     LASER_NOISE_M,
     REGISTER_STEPS,
@@ -28,6 +27,7 @@ from heaved.simulate.sensors import (
     mounted,
     reading_std,
 )
+from heaved.simulate.shaking import BUTTERWORTH_DAMPING, NONE, Shake, Shaking, shaking
 from heaved.simulate.vessel import Array, Motion, Triad, body_rates, specific_force
 
 
@@ -40,12 +40,16 @@ class MotionSource(Protocol):
 class Imu:
     """An IMU read at increasing instants, a poll at a time."""
 
-    def __init__(self, sea: MotionSource, model: ImuModel, *, rate_hz: float, seed: int, name: str = "imu") -> None:
+    def __init__(
+        self, sea: MotionSource, model: ImuModel, *, rate_hz: float, seed: int, name: str = "imu",
+        shaken: Shaking | None = None,
+    ) -> None:  # fmt: skip
         """``rate_hz`` is the nominal polling rate, which turns noise densities into the noise of a reading.
 
         The same ``seed`` and ``name`` give the same errors; they have nothing to do with the seed of the sea.
+        ``shaken``: what adds to the readings; its turn and list are for ``sea`` to have.
         """
-        self._sea, self._model = sea, model
+        self._sea, self._model, self._shaken = sea, model, shaken
         self._rng = np.random.default_rng([seed, 1, zlib.crc32(name.encode())])
         self._bias = model.bias_mps2 * self._rng.choice([-1.0, 1.0], 3)
         self._std = reading_std(model, rate_hz)
@@ -71,6 +75,8 @@ class Imu:
         rates = _vector(mounted(body_rates(motion), model.mounting_roll_rad))
         angles = np.array([motion.roll_rad, motion.pitch_rad, motion.yaw_rad])
         values = np.concatenate([force + self._bias, angles, rates]) + self._std * noise[:9]
+        if self._shaken is not None:
+            values += self._shaken.readings(np.array([t_s]))[:, 0]
         if model.sixteen_bit:
             values = np.round(values / REGISTER_STEPS) * REGISTER_STEPS
         ax, ay, az, roll, pitch, yaw, gx, gy, gz = values.tolist()
@@ -95,19 +101,32 @@ class Laser:
         return LaserSample(t_s=t_s, laser_m=LASER_DISTANCE_M + self._sea.at(t_s).heave_m + noise)
 
 
+class Moved:
+    """A sea with the turn and the list of a shake in it: what the vessel really does."""
+
+    def __init__(self, sea: MotionSource, shaken: Shaking) -> None:
+        self._sea, self._shaken = sea, shaken
+
+    def at(self, t_s: float) -> Motion[float]:
+        return self._shaken.moved(self._sea.at(t_s))
+
+
 class Instruments:
     """All sensors of one vessel in one sea, told apart by the name of their device: a source for simulated slaves."""
 
     def __init__(
-        self, sea: MotionSource, *, sensor: str | ImuModel = "A", laser: str = "on", seed: int = 1,
-        base: CraneBase | None = None, voyage: Voyage | None = None,
+        self, sea: MotionSource, *, sensor: str | ImuModel = "A", laser: str = "on", shake: str | Shake = NONE,
+        seed: int = 1, base: CraneBase | None = None, voyage: Voyage | None = None,
     ) -> None:  # fmt: skip
         """``base``: of a second IMU. ``voyage``: of a craft, whose sensors share no sea with the others.
 
         Raises:
-        ValueError: unknown ``sensor`` (:data:`SENSORS`) or ``laser`` pattern (:func:`laser_pattern`).
+            ValueError: unknown ``sensor`` (:data:`SENSORS`), ``laser`` pattern (:func:`laser_pattern`) or ``shake``
+                (:data:`~heaved.simulate.shaking.SHAKES`).
         """
-        self._sea, self._model, self._pattern, self._seed = sea, imu_model(sensor), laser_pattern(laser), seed
+        self._model, self._pattern, self._seed = imu_model(sensor), laser_pattern(laser), seed
+        self._shaken = shaking(shake, seed, self._model.bandwidth_hz)
+        self._sea = Moved(sea, self._shaken)
         self._imus: dict[str, Imu] = {}
         self._lasers: dict[str, Laser] = {}
         self._base, self._voyage = base or CraneBase(), voyage
@@ -126,7 +145,7 @@ class Instruments:
             return self._craft_sensors(device).read(t_s) if self._voyage else CraftSample(t_s=t_s)
         if device.name not in self._imus:
             self._imus[device.name] = Imu(
-                self._sea, self._model, rate_hz=device.rate_hz, seed=self._seed, name=device.name
+                self._sea, self._model, rate_hz=device.rate_hz, seed=self._seed, name=device.name, shaken=self._shaken
             )
         return self._imus[device.name].read(t_s)
 

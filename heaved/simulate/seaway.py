@@ -5,6 +5,7 @@ that displacement, velocity and acceleration are evaluated in closed form at any
 
 * ``T1 T2 T3``: wave trains after trials 1 to 3 of Zhang et al. 2022 (UKF multi-step + BP): 0.03 m at 5 s, 0.04 m at
   6 s, 0.05 m at 8 s (amplitudes). Ours each have 15 % at 1.13 f and 10 % at 0.9 f besides.
+* ``CRAFT``: chop and an old swell under a small craft that follows them up to 2.5 Hz.
 * ``S4 S5 S6``: irregular seas of sea state 4, 5, 6 (JONSWAP, gamma 2); ``S6S`` sea and swell together; ``SL`` long
   swell; ``SX`` a sea of state 4's period that grows from 1.5 to 4 m in 60 s and later falls again; ``S0`` still.
 
@@ -21,7 +22,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.simulate.vessel import HEAVE, PITCH, ROLL, SURGE, SWAY, YAW, Array, Motion, Real
+from heaved.simulate.vessel import CRANE_VESSEL, SMALL_CRAFT, Array, Motion, Real, Responses
 
 MEAN_HEADING_RAD = math.radians(40.0)
 COMPONENTS = 384
@@ -29,7 +30,6 @@ COMPONENTS = 384
 
 Not more: from about 420 on the product with the weights is large enough for BLAS to wake its threads, and a single
 instant costs several times as much beside other work."""
-HIGHEST_HZ = 1.2
 _BLOCK = 1024  # instants evaluated at once: bounds the memory of the phases to a few MB
 
 Complex = NDArray[np.complex128]
@@ -72,7 +72,12 @@ SEAS: dict[str, tuple[WaveSystem, ...]] = {
     "SX": (WaveSystem(1.5, 5.1),),
     # Long swell of 18 to 20 s: two systems of equal energy, together Hs 1.2 m.
     "SL": (WaveSystem(1.2 / math.sqrt(2.0), 18.0, 6.0), WaveSystem(1.2 / math.sqrt(2.0), 20.0, 6.0)),
+    "CRAFT": (WaveSystem(0.14, 2.2), WaveSystem(0.16, 7.0, 6.0)),
 }
+VESSELS: dict[str, Responses] = {"CRAFT": SMALL_CRAFT}
+"""On which seas it is not the crane vessel that floats."""
+HIGHEST_HZ: dict[str, float] = {name: 3.0 if name in VESSELS else 1.2 for name in SEAS}
+"""There are no waves above."""
 TRAINS: dict[str, Train] = {"T1": Train(0.03, 5.0), "T2": Train(0.04, 6.0), "T3": Train(0.05, 8.0)}
 RAMPS: dict[str, tuple[Ramp, ...]] = {
     # Significant height 1.5 -> 4.0 m during 600..660 s and back during 1260..1320 s.
@@ -122,17 +127,22 @@ def wave_spectrum(name: str, f_hz: Array) -> Array:
 
 def heave_spectrum(name: str, f_hz: Array) -> Array:
     """One-sided spectrum of true heave, m2/Hz. ``name`` and ``Raises`` as :func:`wave_spectrum`."""
-    return HEAVE.power(f_hz) * wave_spectrum(name, f_hz)
+    return vessel_on(name).heave.power(f_hz) * wave_spectrum(name, f_hz)
 
 
 def roll_spectrum(name: str, f_hz: Array) -> Array:
     """One-sided spectrum of true roll, rad2/Hz. ``name`` and ``Raises`` as :func:`wave_spectrum`."""
-    return ROLL.power(f_hz) * wave_spectrum(name, f_hz)
+    return vessel_on(name).roll.power(f_hz) * wave_spectrum(name, f_hz)
 
 
 def pitch_spectrum(name: str, f_hz: Array) -> Array:
     """One-sided spectrum of true pitch, rad2/Hz. ``name`` and ``Raises`` as :func:`wave_spectrum`."""
-    return PITCH.power(f_hz) * wave_spectrum(name, f_hz)
+    return vessel_on(name).pitch.power(f_hz) * wave_spectrum(name, f_hz)
+
+
+def vessel_on(name: str) -> Responses:
+    """Which vessel floats on the sea ``name``."""
+    return VESSELS.get(name, CRANE_VESSEL)
 
 
 class Seaway:
@@ -263,7 +273,7 @@ def seaway(name: str, seed: int = 1, *, attitude: bool = True, start_s: float = 
         raise ValueError(f"unknown sea {name!r}: choose one of {', '.join(NAMES)}")
     rng = np.random.default_rng([seed, NAMES.index(name)])
     if name in SEAS:
-        omega, amplitudes = _irregular(SEAS[name], rng)
+        omega, amplitudes = _irregular(name, rng)
     elif name in TRAINS:
         omega, amplitudes = _train(TRAINS[name], rng)
     else:
@@ -274,15 +284,16 @@ def seaway(name: str, seed: int = 1, *, attitude: bool = True, start_s: float = 
     return Seaway(omega, amplitudes, ramps=RAMPS.get(name, ()))
 
 
-def _irregular(systems: tuple[WaveSystem, ...], rng: np.random.Generator) -> tuple[Array, Complex]:
+def _irregular(name: str, rng: np.random.Generator) -> tuple[Array, Complex]:
     """One wave per cell of the band: frequency anywhere in the cell, energy that of the cell, phase random."""
+    systems = SEAS[name]
     lowest = 0.4 / max(system.tp_s for system in systems)  # a JONSWAP spectrum is empty (e^-49) below
-    edges = np.geomspace(lowest, HIGHEST_HZ, COMPONENTS + 1)
+    edges = np.geomspace(lowest, HIGHEST_HZ[name], COMPONENTS + 1)
     f = edges[:-1] * (edges[1:] / edges[:-1]) ** rng.random(COMPONENTS)
     inside = np.linspace(edges[:-1], edges[1:], 9)  # (9, COMPONENTS): fine enough for the sharpest peak
     energy = np.trapezoid(np.sum([system.spectrum(inside) for system in systems], axis=0), inside, axis=0)
     wave = np.sqrt(2.0 * energy) * np.exp(2j * np.pi * rng.random(COMPONENTS))
-    return 2.0 * np.pi * f, np.array([dof.transfer(f) * wave for dof in (HEAVE, SURGE, SWAY, ROLL, PITCH, YAW)])
+    return 2.0 * np.pi * f, vessel_on(name).transfers(f) * wave
 
 
 def _train(train: Train, rng: np.random.Generator) -> tuple[Array, Complex]:

@@ -16,13 +16,12 @@ from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from heaved.samples import GRAVITY_MPS2, ImuSample, LaserSample, Sample
 from heaved.simulate.seaway import Seaway
+from heaved.simulate.shaking import BUTTERWORTH_DAMPING, NONE, Shake, shaking
 from heaved.simulate.vessel import Array, Motion, Real, Triad, body_rates, specific_force
 
 LASER_DISTANCE_M = 12.0
 """What the laser reads at zero heave; it reads more as the vessel rises (sign +)."""
 LASER_NOISE_M = 0.002
-BUTTERWORTH_DAMPING = math.sqrt(0.5)
-"""Damping of the second-order low-pass."""
 
 REGISTER_STEPS = np.repeat([16.0 * GRAVITY_MPS2, math.pi, math.radians(2000.0)], 3) / 32768
 """(9,) What one bit is worth in forces, angles and rates when 16-bit registers span +-16 g, 180 deg, 2000 deg/s."""
@@ -70,9 +69,17 @@ SENSORS: dict[str, ImuModel] = {
         gyro_noise_radps_rthz=2e-4,
         sixteen_bit=True,
     ),
+    "C": ImuModel(
+        noise_mps2_rthz=4e-3,
+        bias_mps2=0.03,
+        bias_walk_mps2_rts=2e-4,
+        attitude_noise_rad=math.radians(0.1),
+        gyro_noise_radps_rthz=5e-5,
+    ),
     "ideal": ImuModel(),
 }
-"""A: tactical MEMS. B: industrial MEMS, slow and a little crooked. ideal: the truth, to test against."""
+"""A: tactical MEMS. B: industrial MEMS, slow and a little crooked. C: consumer MEMS, noisy, its bias wanders. ideal:
+the truth, to test against."""
 
 
 def imu_model(name: str | ImuModel) -> ImuModel:
@@ -166,13 +173,15 @@ def record(
     laser_rate_hz: float = 20.0,
     sensor: str | ImuModel = "A",
     laser: str = "on",
+    shake: str | Shake = NONE,
     seed: int = 1,
 ) -> Recording:
     """Record a sea from 0 to ``duration_s``. Parameters and ``Raises`` as :func:`measure`."""
     t = np.arange(round(duration_s * imu_rate_hz)) / imu_rate_hz
     return measure(
-        sea.motion(t), imu_rate_hz=imu_rate_hz, laser_rate_hz=laser_rate_hz, sensor=sensor, laser=laser, seed=seed
-    )
+        sea.motion(t), imu_rate_hz=imu_rate_hz, laser_rate_hz=laser_rate_hz, sensor=sensor, laser=laser, shake=shake,
+        seed=seed,
+    )  # fmt: skip
 
 
 def measure(
@@ -182,18 +191,23 @@ def measure(
     laser_rate_hz: float = 20.0,
     sensor: str | ImuModel = "A",
     laser: str = "on",
+    shake: str | Shake = NONE,
     seed: int = 1,
 ) -> Recording:
-    """Put a sensor's errors on a true motion given at ``imu_rate_hz``.
+    """Put a sensor's errors on a true motion given at ``imu_rate_hz``, and what shakes it.
 
     ``sensor`` is a model, or names one of :data:`SENSORS`; ``laser`` is a pattern of :func:`laser_pattern`, counted
     from the first instant. The laser is read at those IMU instants that are the first at or after its own ticks, so
-    that every reading is exactly as old as its row says. ``seed`` draws the errors alone.
+    that every reading is exactly as old as its row says. ``shake`` is one, or names one of
+    :data:`~heaved.simulate.shaking.SHAKES`, happens at the instants that it says, and what of it is true motion is in
+    the recording's truth. ``seed`` draws the errors and the vibration alone.
 
     Raises:
-        ValueError: unknown sensor or pattern.
+        ValueError: unknown sensor, pattern or shake.
     """
     model, pattern = imu_model(sensor), laser_pattern(laser)
+    shaken = shaking(shake, seed, model.bandwidth_hz)
+    truth = shaken.moved(truth)
     imu_rng, laser_rng = np.random.default_rng([seed, 1]), np.random.default_rng([seed, 2])
     n = truth.t_s.size
     bias = model.bias_mps2 * imu_rng.choice([-1.0, 1.0], (3, 1))
@@ -204,7 +218,7 @@ def measure(
     rates = _matrix(mounted(body_rates(truth), model.mounting_roll_rad))
     angles = np.array([truth.roll_rad, truth.pitch_rad, truth.yaw_rad])
     noise = reading_std(model, imu_rate_hz)[:, None] * imu_rng.standard_normal((9, n))
-    values = np.concatenate([force + bias + walk, angles, rates]) + noise
+    values = np.concatenate([force + bias + walk, angles, rates]) + shaken.readings(truth.t_s) + noise
     if model.sixteen_bit:
         values = np.round(values / REGISTER_STEPS[:, None]) * REGISTER_STEPS[:, None]
     distance = np.full(n, np.nan)

@@ -42,18 +42,47 @@ class Response(msgspec.Struct, frozen=True, kw_only=True):
         return np.asarray(np.abs(self.transfer(f_hz)) ** 2, dtype=np.float64)
 
 
-HEAVE = Response(gain=1.0, period_s=8.0, damping=0.35)
-"""m per m."""
-SURGE = Response(gain=0.5, period_s=8.0, damping=0.35, phase_rad=-math.pi / 2)
-"""m per m; a quarter period off heave, as the orbital motion of water is."""
-SWAY = Response(gain=0.35, period_s=8.0, damping=0.35, phase_rad=math.pi / 2)
-"""m per m, + to port."""
-ROLL = Response(gain=math.radians(3.0), period_s=12.0, damping=0.07, phase_rad=-math.pi / 2)
-"""rad per m (3 degrees per metre): lightly damped, so it rings at its own 12 s."""
-PITCH = Response(gain=math.radians(1.0), period_s=6.5, damping=0.35, phase_rad=math.pi / 2)
-"""rad per m (1 degree per metre)."""
-YAW = Response(gain=math.radians(0.3), period_s=10.0, damping=0.5)
-"""rad per m (0.3 degrees per metre), about the mean heading."""
+class Responses(msgspec.Struct, frozen=True, kw_only=True):
+    """A vessel: what it makes of the waves in each degree of freedom."""
+
+    heave: Response
+    """m per m."""
+    surge: Response
+    """m per m; a quarter period off heave, as the orbital motion of water is."""
+    sway: Response
+    """m per m, + to port."""
+    roll: Response
+    """rad per m."""
+    pitch: Response
+    """rad per m."""
+    yaw: Response
+    """rad per m, about the mean heading."""
+
+    def transfers(self, f_hz: Array) -> NDArray[np.complex128]:
+        """(6, n) complex amplitudes per metre of wave amplitude, in the order above, at ``f_hz`` (n,)."""
+        freedoms = (self.heave, self.surge, self.sway, self.roll, self.pitch, self.yaw)
+        return np.array([freedom.transfer(f_hz) for freedom in freedoms])
+
+
+CRANE_VESSEL = Responses(
+    heave=Response(gain=1.0, period_s=8.0, damping=0.35),
+    surge=Response(gain=0.5, period_s=8.0, damping=0.35, phase_rad=-math.pi / 2),
+    sway=Response(gain=0.35, period_s=8.0, damping=0.35, phase_rad=math.pi / 2),
+    # 3 degrees per metre, lightly damped: it rings at its own 12 s.
+    roll=Response(gain=math.radians(3.0), period_s=12.0, damping=0.07, phase_rad=-math.pi / 2),
+    pitch=Response(gain=math.radians(1.0), period_s=6.5, damping=0.35, phase_rad=math.pi / 2),
+    yaw=Response(gain=math.radians(0.3), period_s=10.0, damping=0.5),
+)
+SMALL_CRAFT = Responses(
+    # It follows every wave that is longer than itself, and bounces on the others.
+    heave=Response(gain=1.0, period_s=0.5, damping=0.3),
+    surge=Response(gain=0.7, period_s=0.5, damping=0.3, phase_rad=-math.pi / 2),
+    sway=Response(gain=0.5, period_s=0.5, damping=0.3, phase_rad=math.pi / 2),
+    # 8 and 5 degrees per metre; it rolls at 2 s.
+    roll=Response(gain=math.radians(8.0), period_s=2.0, damping=0.15, phase_rad=-math.pi / 2),
+    pitch=Response(gain=math.radians(5.0), period_s=1.0, damping=0.35, phase_rad=math.pi / 2),
+    yaw=Response(gain=math.radians(2.0), period_s=3.0, damping=0.5),
+)
 
 
 class Motion(msgspec.Struct, Generic[Real], frozen=True, kw_only=True):

@@ -91,7 +91,8 @@ def test_command_line_explains_what_is_wrong(tmp_path: Path, capsys: pytest.Capt
     out = str(tmp_path / "x.csv")
     (tmp_path / "b.raw").write_text("0, 1, 2\n0, 1, 2\n")
     for arguments, message in (
-        (["sea", "S4", "--sensor", "C", "--out", out], "unknown sensor 'C'"),
+        (["sea", "S4", "--sensor", "Z", "--out", out], "unknown sensor 'Z'"),
+        (["sea", "S4", "--shake", "quake", "--out", out], "unknown shake 'quake'"),
         (["hebrides", str(tmp_path / "b.raw"), "--out", out], "3 columns instead of 4"),
         (["palmer", str(tmp_path / "none.csv"), "--out", out], "none.csv"),
     ):

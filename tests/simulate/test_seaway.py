@@ -24,7 +24,7 @@ MOVING = [name for name in NAMES if name != "S0"]
 def test_velocities_and_accelerations_are_derivatives_also_while_the_sea_grows(name: str) -> None:
     sea = seaway(name, seed=3)
     for t0 in (12.0, 615.0, 1290.0):  # calm, growing and falling part of SX
-        h = 1e-3
+        h = 4e-4
         t = t0 + np.arange(-50, 51) * h
         m = sea.motion(t)
         pairs = [
@@ -84,6 +84,17 @@ def test_acceleration_spectrum_extends_past_the_peak_without_a_step() -> None:
     for low, high in ((0.1, 0.2), (0.2, 0.4), (0.4, 0.8), (0.8, 1.1)):
         part = (f >= low) & (f < high)
         assert found[part].sum() == pytest.approx(target[part].sum(), rel=0.15)
+
+
+def test_a_small_craft_moves_little_and_accelerates_as_much_above_one_hertz_as_at_the_peak() -> None:
+    t = np.arange(0.0, 4000.0, 0.1)
+    motion = seaway("CRAFT", seed=4).motion(t)
+    assert 0.04 < motion.heave_m.std() < 0.07
+    f, found = welch(motion.heave_acceleration_mps2, fs=10.0, nperseg=1000)
+    density = [np.mean(found[(f >= low) & (f < high)]) for low, high in ((0.4, 0.6), (1.0, 1.5), (1.5, 2.2))]
+    assert 0.5 < density[1] / density[0] < 2.0
+    assert 0.5 < density[2] / density[0] < 2.0
+    assert np.trapezoid(found[f > 3.05], f[f > 3.05]) < 1e-3 * np.trapezoid(found, f)
 
 
 @pytest.mark.parametrize("gamma", [1.0, 2.0, 6.0])

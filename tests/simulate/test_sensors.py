@@ -219,8 +219,8 @@ def test_measure_takes_any_motion_that_is_known_on_a_grid() -> None:
     recording = measure(truth, imu_rate_hz=20.0, laser_rate_hz=10.0, sensor="ideal", laser="5+5")
     assert np.nanmean(recording.laser_m) == pytest.approx(LASER_DISTANCE_M + 0.7, abs=0.001)
     assert np.isfinite(recording.laser_m).sum() == 150
-    with pytest.raises(ValueError, match=r"'C'.*A, B, ideal"):
-        measure(truth, imu_rate_hz=20.0, sensor="C")
+    with pytest.raises(ValueError, match=r"'Z'.*A, B, C, ideal"):
+        measure(truth, imu_rate_hz=20.0, sensor="Z")
 
 
 def test_instruments_keep_one_sensor_for_each_device() -> None:

@@ -16,6 +16,7 @@ import numpy as np
 
 from evidence import closed_loop
 from evidence.estimators import TITLES, WITH_LASER
+from heaved.simulate.shaking import NONE
 
 Line = Mapping[str, Any]
 """One line of results.jsonl."""
@@ -109,7 +110,7 @@ def _heave() -> Iterator[Asked]:
 
 
 def _closed_loop() -> Iterator[Asked]:
-    setting = {"sensor": "A", "laser": "off", "observer": "sea", "warm_up_s": closed_loop.SCORED_FROM_S}
+    setting = {"sensor": "A", "laser": "off", "shake": NONE, "observer": "sea", "warm_up_s": closed_loop.SCORED_FROM_S}
     for sea in closed_loop.DEFAULT_SEAS:
         where = {"kind": "closed_loop", "sea": sea, "way": closed_loop.LIVE, "method": closed_loop.OURS.format("sea")}
         where |= {f"setting.{name}": value for name, value in setting.items()}

@@ -37,6 +37,7 @@ from heaved.simulate.instruments import Instruments
 from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.seaway import Seaway, seaway
 from heaved.simulate.sensors import LASER_NOISE_M, record
+from heaved.simulate.shaking import NONE as NOT_SHAKEN
 from heaved.simulate.winch import WinchParams
 
 Array = NDArray[np.float64]
@@ -63,6 +64,8 @@ class Setting(msgspec.Struct, frozen=True, kw_only=True):
     """That of "ours"."""
     sensor: str = "A"
     laser: str = "50%"
+    shake: str = NOT_SHAKEN
+    """What shakes the sensors: one of :data:`heaved.simulate.shaking.SHAKES`, or nothing."""
     seed: int = 1
     warm_up_s: float = SCORED_FROM_S
     duration_s: float = 180.0
@@ -191,7 +194,7 @@ def replay(name: str, setting: Setting) -> Trial:
     """The loop without sockets: deterministic, as fast as the pipeline.
 
     Raises:
-        ValueError: unknown sea, sensor, laser pattern or observer.
+        ValueError: unknown sea, sensor, laser pattern, shake or observer.
     """
     if setting.shifted:
         raise ValueError("a stream shifted by [compensation] lead_s is compared live only")
@@ -202,6 +205,7 @@ def replay(name: str, setting: Setting) -> Trial:
         imu_rate_hz=1.0 / PERIOD_S,
         sensor=setting.sensor,
         laser=setting.laser,
+        shake=setting.shake,
         seed=SENSOR_SEEDS + setting.seed,
     )
     made = controllers(setting)
@@ -249,7 +253,7 @@ def live(name: str, setting: Setting) -> Trial:
     """The loop in real time; takes warm-up + duration.
 
     Raises:
-        ValueError: unknown sea, sensor or laser pattern.
+        ValueError: unknown sea, sensor, laser pattern or shake.
         RuntimeError: a daemon does not start; says why.
         ConnectionError: a daemon is lost.
     """
@@ -270,6 +274,7 @@ async def _live(name: str, setting: Setting, folder: Path) -> Trial:
                 seaway(name, setting.seed),
                 sensor=setting.sensor,
                 laser=setting.laser,
+                shake=setting.shake,
                 seed=SENSOR_SEEDS + setting.seed,
             )
             plant = SimulatedPlant(devices, instruments, any_port=True)
@@ -382,7 +387,8 @@ def _table(trial: Trial) -> list[str]:
     if trial.ages_s.size > 1:
         age = f"p50 {age}, p99 {1e3 * np.percentile(trial.ages_s, 99):.1f} ms"
     lines = [
-        f"## Hook motion, {trial.way}: {trial.sea}, sensor {setting.sensor}, laser {setting.laser}",
+        f"## Hook motion, {trial.way}: {trial.sea}, sensor {setting.sensor}, laser {setting.laser}"
+        + (f", {setting.shake}" if setting.shake else ""),
         "",
         f"Scored for {setting.duration_s:g} s after {setting.warm_up_s:g} s; set-points every {1e3 * PERIOD_S:g} ms; "
         f"winch: dead time {winch.dead_time_s:g} s, lag {winch.lag_s:g} s, at most {winch.max_speed_mps:g} m/s and "

@@ -2,7 +2,7 @@
 
 Each is causal: a value of the trace is what was known when its sample came. Which ones run is said by name:
 
-* ``inertial``, ``iir``, ``kf``, ``ukf``: the filters of ``baselines.py``, blind to the laser;
+* ``inertial``, ``iir``, ``double``, ``kf``, ``ukf``: the filters of ``baselines.py``, blind to the laser;
 * the name of an observer of the product (``harmonic``, ``sea``): the daemon's own pipeline with that observer, networks
   trained in-process where they are due. With a laser it gives two traces, before and after the learned correction.
 """
@@ -28,12 +28,14 @@ Array = NDArray[np.float64]
 
 INERTIAL: Final = "inertial output"
 IIR: Final = "IIR filter"
+DOUBLE: Final = "double integrator"
 KF: Final = "KF"
 UKF: Final = "UKF, one step"
 WITH_LASER: Final = " + BP"
 TITLES: Final = {
     "inertial": INERTIAL,
     "iir": IIR,
+    "double": DOUBLE,
     "kf": KF,
     "ukf": UKF,
     "harmonic": "UKF multi-step",
@@ -42,7 +44,7 @@ TITLES: Final = {
 """What they are called in tables."""
 CORRECTED: Final = TITLES["harmonic"] + WITH_LASER
 OBSERVERS: Final[tuple[str, ...]] = get_args(get_type_hints(heave.Params)["observer"])
-BASELINES: Final = ("inertial", "iir", "kf", "ukf")
+BASELINES: Final = ("inertial", "iir", "double", "kf", "ukf")
 NAMES: Final = (*BASELINES, *OBSERVERS)
 
 
@@ -102,6 +104,7 @@ def traces(name: str, samples: Sequence[Sample], conditions: Conditions) -> list
     filters: dict[str, Callable[[], baselines.Filter]] = {
         "inertial": baselines.Inertial,
         "iir": lambda: baselines.Iir(conditions.rate_hz),
+        "double": lambda: baselines.Iir(conditions.rate_hz, baselines.DOUBLE_CORNER_HZ, passes=2),
         "kf": lambda: baselines.LinearKalman(conditions.rate_hz, conditions.period_s),
         "ukf": lambda: baselines.OneStep(heave.Params(observer="harmonic")),
     }

@@ -27,6 +27,8 @@ OUTSIDE_ROOM: Final = 0.02
 CASES: Final[tuple[tuple[str, Setting], ...]] = (
     ("S4", SHORT),
     ("S6", msgspec.structs.replace(SHORT, tilt="noisy")),
+    ("S6", msgspec.structs.replace(SHORT, shake="line-3.1")),
+    ("S4", msgspec.structs.replace(SHORT, shake="whipping")),
     ("T1", msgspec.structs.replace(SHORT, tilt="noisy")),
     ("T3", msgspec.structs.replace(SHORT, tilt="noisy", sensor="B", laser="50%")),
 )
@@ -81,7 +83,8 @@ def broken(gates: Sequence[Gate], results: Iterable[Result]) -> list[str]:
     for gate in gates:
         found = there.get((gate.scenario, gate.setting, gate.estimator), {})
         for name, before in gate.measured.items():
-            what = f"{gate.scenario}, sensor {gate.setting.sensor}, {gate.estimator}: {name}"
+            shaken = f", {gate.setting.shake}" if gate.setting.shake else ""
+            what = f"{gate.scenario}{shaken}, sensor {gate.setting.sensor}, {gate.estimator}: {name}"
             if name not in found:
                 messages.append(f"{what} is not there any more")
             elif not found[name] <= most(name, before):

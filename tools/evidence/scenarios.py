@@ -27,6 +27,7 @@ from scipy.signal import welch
 from evidence.limits import causal_heave_limit, noncausal_heave_limit
 from heaved.simulate.seaway import HIGHEST_HZ, RAMPS, SEAS, STILL, TRAINS, heave_spectrum, seaway
 from heaved.simulate.sensors import REGISTER_STEPS, ImuModel, Recording, imu_model, record
+from heaved.simulate.shaking import NONE, Shake, shake_of
 
 Array = NDArray[np.float64]
 Tilt = Literal["none", "exact", "noisy"]
@@ -51,8 +52,9 @@ STARTS_WITHIN_S: Final = 3600.0
 FLUME_FROUDE: Final = 64.0
 FLUME_UNDER_WAY: Final = 0.7
 """A flume run is scored where its RMS over 20 s is at least this share of the greatest: while the waves run."""
-GRID_POINTS: Final = 2**15
-"""Frequencies of the limits: from 8192 on they change by less than 1 %."""
+GRID_STEP_HZ: Final = 10.0 / 2**15
+"""Of the frequencies of the limits: four times as much changes them by less than 1 %, and a line is some 65 steps wide
+(:data:`heaved.simulate.shaking.LINE_WIDTH_HZ`)."""
 
 
 class Seeds(msgspec.Struct, frozen=True, kw_only=True):
@@ -76,6 +78,8 @@ class Setting(msgspec.Struct, frozen=True, kw_only=True):
     """"none": the vessel neither rolls nor pitches; "exact": it does, and its attitude is known without error."""
     rate_hz: float = 20.0
     laser: str = "off"
+    shake: str = NONE
+    """One of :data:`heaved.simulate.shaking.SHAKES`, or nothing."""
     duration_s: float | None = None
     """None: the scenario's own."""
     scored_from_s: float = 300.0
@@ -141,7 +145,7 @@ def build(scenario: str, seeds: Seeds, setting: Setting, folder: Path | None = N
     """Make the record of a scenario.
 
     Raises:
-        ValueError: unknown scenario, sensor, tilt or laser pattern, no such record, or too short a one to score.
+        ValueError: unknown scenario, sensor, tilt, laser pattern or shake, no such record, or too short a one to score.
         OSError: a real record cannot be read.
     """
     if scenario not in NAMES:
@@ -156,6 +160,8 @@ def build(scenario: str, seeds: Seeds, setting: Setting, folder: Path | None = N
             "flume": _flume,
             "static": _static,
         }.get(scenario, _at_sea)
+        if setting.shake != NONE and make is not _at_sea:
+            raise ValueError(f"{scenario}: its accelerometer is a real one, which nothing can shake any more")
         case = make(found[seeds.waves - 1], scenario, seeds, setting)
     if case.end_s < case.start_s + 20.0:
         raise ValueError(f"a record of {case.end_s:g} s cannot be scored from {case.start_s:g} s on: give more")
@@ -175,6 +181,7 @@ def _simulated(scenario: str, seeds: Seeds, setting: Setting) -> Case:
         imu_rate_hz=setting.rate_hz,
         sensor=_sensor(setting),
         laser=setting.laser,
+        shake=setting.shake,
         seed=seeds.noise,
     )
     steady = scenario in SEAS and scenario not in RAMPS
@@ -184,7 +191,7 @@ def _simulated(scenario: str, seeds: Seeds, setting: Setting) -> Case:
         setting=setting,
         recording=recording,
         period_s=TRAINS[scenario].period_s if scenario in TRAINS else SEAS.get(scenario, SEAS["S6"])[0].tp_s,
-        limits=sea_limits(scenario, setting.sensor, setting.rate_hz) if steady else Limits(),
+        limits=sea_limits(scenario, setting.sensor, setting.rate_hz, setting.shake) if steady else Limits(),
         start_s=setting.scored_from_s,
         end_s=duration_s,
         local_sigma_m=sea.heave_std_m * sea.envelope(recording.t_s),
@@ -220,27 +227,30 @@ def segments_of(scenario: str, from_s: float, end_s: float) -> tuple[Segment, ..
 
 
 @lru_cache
-def sea_limits(scenario: str, sensor: str, rate_hz: float) -> Limits:
+def sea_limits(scenario: str, sensor: str, rate_hz: float, shake: str | Shake = NONE) -> Limits:
     """Least errors on a steady irregular sea of the simulator."""
-    return limits_of(lambda f: simulated_spectrum(scenario, f), sensor, rate_hz)
+    return limits_of(lambda f: simulated_spectrum(scenario, f), sensor, rate_hz, shake)
 
 
 def simulated_spectrum(scenario: str, f_hz: Array) -> Array:
-    """One-sided spectrum of true heave, m2/Hz, as it is in the record: the simulator has no waves above 1.2 Hz.
+    """One-sided spectrum of true heave, m2/Hz, as it is in the record: the simulator has no waves above an end.
 
     That end counts: what a forecast of a second or two cannot know is in the tail (S4, 1 s: 4.7 % of the standard
     deviation with it as it is, 6.2 % were it endless).
     """
-    return np.where(f_hz <= HIGHEST_HZ, heave_spectrum(scenario, f_hz), 0.0)
+    return np.where(f_hz <= HIGHEST_HZ[scenario], heave_spectrum(scenario, f_hz), 0.0)
 
 
-def limits_of(spectrum: Callable[[Array], Array], sensor: str | ImuModel, rate_hz: float) -> Limits:
+def limits_of(
+    spectrum: Callable[[Array], Array], sensor: str | ImuModel, rate_hz: float, shake: str | Shake = NONE
+) -> Limits:
     """Least errors from this sensor's accelerometer alone, for a one-sided heave spectrum (m2/Hz of Hz).
 
-    Errors of the attitude are left out: what they add is the price of the tilt.
+    Errors of the attitude are left out: what they add is the price of the tilt. Vibration counts as the coloured noise
+    that it is; a drift, a turn and a list are left out.
     """
-    f = np.linspace(0.0, rate_hz / 2.0, GRID_POINTS + 1)
-    heave, noise = spectrum(f), accelerometer_noise(f, sensor, rate_hz)
+    f = grid(rate_hz)
+    heave, noise = spectrum(f), accelerometer_noise(f, sensor, rate_hz, shake)
     return Limits(
         causal_m=causal_heave_limit(f, heave, noise),
         noncausal_m=noncausal_heave_limit(f, heave, noise),
@@ -248,17 +258,23 @@ def limits_of(spectrum: Callable[[Array], Array], sensor: str | ImuModel, rate_h
     )
 
 
-def accelerometer_noise(f_hz: Array, sensor: str | ImuModel, rate_hz: float) -> Array:
+def grid(rate_hz: float) -> Array:
+    """Frequencies from 0 to half the rate at which the limits are computed."""
+    return np.linspace(0.0, rate_hz / 2.0, 1 + 2 * round(rate_hz / 4.0 / GRID_STEP_HZ))
+
+
+def accelerometer_noise(f_hz: Array, sensor: str | ImuModel, rate_hz: float, shake: str | Shake = NONE) -> Array:
     """One-sided noise density (m/s2)2/Hz referred to the true acceleration, on a grid from 0.
 
-    White, random walk of the bias (2 q^2 / omega^2; at 0 as in the first bin), rounding to registers; scale and
-    low-pass are undone, which raises the noise as they lower the signal.
+    White, random walk of the bias (2 q^2 / omega^2; at 0 as in the first bin), rounding to registers, vibration as it
+    folds; scale and low-pass are undone, which raises the noise as they lower the signal.
     """
     model = imu_model(sensor)
     omega = 2.0 * np.pi * np.maximum(f_hz, f_hz[1])
     noise = model.noise_mps2_rthz**2 + 2.0 * model.bias_walk_mps2_rts**2 / omega**2
     if model.sixteen_bit:
         noise = noise + REGISTER_STEPS[0] ** 2 / 12.0 / (rate_hz / 2.0)
+    noise = noise + shake_of(shake).density(f_hz, rate_hz, model.bandwidth_hz)
     through = model.scale**2 / (1.0 + (f_hz / model.bandwidth_hz) ** 4)
     return np.asarray(noise / through, dtype=np.float64)
 
@@ -273,7 +289,9 @@ def _at_sea(path: Path, scenario: str, seeds: Seeds, setting: Setting) -> Case:
         "palmer": (recordings.palmer, recordings.SHIP_BAND_HZ),
     }[scenario]
     sensor = _sensor(setting)
-    recording = make(path, rate_hz=setting.rate_hz, sensor=sensor, laser=setting.laser, seed=seeds.noise)
+    recording = make(
+        path, rate_hz=setting.rate_hz, sensor=sensor, laser=setting.laser, shake=setting.shake, seed=seeds.noise
+    )
     t, heave = recording.t_s, recording.truth.heave_m
     end_s = min(inf if setting.duration_s is None else setting.duration_s, float(t[-1]) - recordings.FADE_S)
     inside = (t >= recordings.FADE_S) & (t < end_s)
@@ -285,7 +303,7 @@ def _at_sea(path: Path, scenario: str, seeds: Seeds, setting: Setting) -> Case:
         setting,
         recording,
         period_s=1.0 / float(f[np.argmax(density)]),
-        limits=limits_of(lambda grid: np.interp(grid, f, density), sensor, setting.rate_hz),
+        limits=limits_of(lambda at: np.interp(at, f, density), sensor, setting.rate_hz, setting.shake),
         window_s=(setting.scored_from_s, end_s),
     )
 

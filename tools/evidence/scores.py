@@ -26,6 +26,8 @@ Mask = NDArray[np.bool_]
 
 COVER: Final = 1.96
 """Standard deviations that hold 95 % of a Gaussian."""
+LIE: Final = 4.0
+"""An error of more standard deviations than this, published as valid, is a lie."""
 SETTLED_SHARE: Final = 0.06
 """Of the standard deviation of the heave: below it an estimator has settled."""
 BIN_S: Final = 5.0
@@ -67,6 +69,9 @@ class Score(msgspec.Struct, frozen=True, kw_only=True):
     """Share of errors within 1.96 published standard deviations; nan: none is published."""
     valid_coverage: float = nan
     """The same while the quality is ``valid``."""
+    lies: float = nan
+    """Share of all rows, from the first of the record on, that are valid and off by more than 4 published standard
+    deviations."""
     states: dict[str, float] = msgspec.field(default_factory=dict)
     """Share of the scored time by state of quality."""
     reasons: dict[str, float] = msgspec.field(default_factory=dict)
@@ -96,7 +101,7 @@ def score(trace: Trace, case: Case) -> Score:
         share_of_sigma=_share(error[kept], case.local_sigma_m[kept] if case.segments else sigma_m),
         ratio_to_limit=rms(error[kept]) / case.limits.causal_m,
         gain=float(np.sum(trace.heave_m[kept] * truth[kept])) / _positive(float(np.sum(truth[kept] ** 2))),
-        optical_gain=float(np.std(trace.heave_m[kept])) / case.optical_std_m,
+        optical_gain=(float(np.std(trace.heave_m[kept])) if np.any(kept) else nan) / case.optical_std_m,
         laser_rms_m=rms(error[kept & laser_on]),
         outage_rms_m=rms(error[kept & ~laser_on]),
         settling=_settling(t, error, case),
@@ -164,6 +169,7 @@ def _published(trace: Trace, case: Case, error: Array) -> dict[str, object]:
         fields["valid_from_s"] = float(case.recording.t_s[np.argmax(valid)]) if np.any(valid) else inf
         if trace.std_m is not None:
             fields["valid_coverage"] = covered(error[kept & valid], trace.std_m[kept & valid])
+            fields["lies"] = float(np.mean(valid & (np.abs(error) > LIE * trace.std_m)))
     if trace.reasons is not None:
         fields["reasons"] = _reasons([trace.reasons[i] for i in np.flatnonzero(kept)])
     fields["forecast"] = {f"{horizon:g}": _forecast(trace, horizon, case) for horizon in trace.forecast}
@@ -192,7 +198,8 @@ def _delayed(trace: Trace, case: Case) -> tuple[ForecastScore, float]:
     kept = (delayed.t_s >= case.start_s) & (delayed.t_s < case.end_s)
     # Times of validity may lie between samples: a straight line between them would cost 1e-4 of the amplitude.
     error = delayed.heave_m[kept] - _between(delayed.t_s[kept], t, truth, case.recording.truth.heave_velocity_mps)
-    return _later(error, delayed.std_m[kept], case.limits.noncausal_m, case), float(np.median(delayed.age_s[kept]))
+    age_s = float(np.median(delayed.age_s[kept])) if np.any(kept) else nan
+    return _later(error, delayed.std_m[kept], case.limits.noncausal_m, case), age_s
 
 
 def _between(at_s: Array, t_s: Array, value: Array, rate: Array) -> Array:

@@ -37,6 +37,7 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     coverage: float
     worst_coverage: float
     valid_coverage: float
+    lies: float
     states: dict[str, float]
     reasons: dict[str, float]
     valid_from_s: float
@@ -92,7 +93,7 @@ def summary(records: Sequence[Judged]) -> list[Result]:
                     "laser_rms_m",
                     "outage_rms_m",
                 ),
-                *("coverage", "valid_coverage", "valid_from_s", "delayed_age_s"),
+                *("coverage", "valid_coverage", "lies", "valid_from_s", "delayed_age_s"),
             )
         }
         settling = _pooled([one.settling for one in row])

@@ -9,13 +9,14 @@ from typing import Final
 import numpy as np
 
 from evidence import baselines
-from evidence.estimators import CORRECTED, IIR, INERTIAL, KF, UKF
-from evidence.scenarios import GRID_POINTS, HORIZONS_S, sea_limits, simulated_spectrum
+from evidence.estimators import CORRECTED, DOUBLE, IIR, INERTIAL, KF, UKF
+from evidence.scenarios import HORIZONS_S, grid, sea_limits, simulated_spectrum
 from evidence.scores import SETTLED_SHARE
 from evidence.summary import Result
 from heaved.samples import GRAVITY_MPS2
 from heaved.simulate.seaway import RAMPS, SEAS, TRAINS
 from heaved.simulate.sensors import LASER_NOISE_M, SENSORS, laser_pattern
+from heaved.simulate.shaking import NONE
 
 PAPER_M: Final[dict[str, tuple[float, float, float]]] = {
     INERTIAL: (0.0692, 0.0843, 0.0469),
@@ -40,20 +41,24 @@ def report(results: Sequence[Result], kf_ukf_m: float) -> str:
     return "\n".join(lines + _notes(kf_ukf_m))
 
 
-def limits_table(sensors: tuple[str, ...], rate_hz: float) -> str:
-    """Markdown: the least errors on every steady irregular sea, for each sensor."""
+def limits_table(sensors: tuple[str, ...], rate_hz: float, shake: str = NONE) -> str:
+    """Markdown: the least errors on every steady irregular sea, for each sensor, shaken by what that name says.
+
+    Raises:
+        ValueError: there is no such shake.
+    """
     heads = " | ".join(f"{horizon:g} s ahead" for horizon in HORIZONS_S)
     lines = [
-        f"Least RMS error from the accelerometer alone, {rate_hz:g} Hz, in mm (% of σ):",
+        f"Least RMS error from the accelerometer alone, {shake or 'not shaken'}, {rate_hz:g} Hz, in mm (% of σ):",
         "",
         f"| sea | sensor | σ / m | causal | {heads} | delayed |",
         "|---" * (5 + len(HORIZONS_S)) + "|",
     ]
-    f = np.linspace(0.0, rate_hz / 2.0, GRID_POINTS + 1)
+    f = grid(rate_hz)
     for scenario in (name for name in SEAS if name not in RAMPS):
         sigma_m = sqrt(np.trapezoid(simulated_spectrum(scenario, f), f))
         for sensor in sensors:
-            limits = sea_limits(scenario, sensor, rate_hz)
+            limits = sea_limits(scenario, sensor, rate_hz, shake)
             errors = (limits.causal_m, *limits.forecast_m.values(), limits.noncausal_m)
             cells = " | ".join(f"{1e3 * error:.1f} ({100.0 * error / sigma_m:.2f})" for error in errors)
             lines.append(f"| {scenario} | {sensor} | {sigma_m:.4f} | {cells} |")
@@ -151,7 +156,7 @@ def _notes(kf_ukf_m: float) -> list[str]:
         f"bias, and its scale times gravity, leave as a constant dominates it where waves are small ({constants}); "
         "without the mean it is the lead of the high-pass.",
         f"* {IIR}: double integration with a Butterworth high-pass, order {baselines.IIR_ORDER}, "
-        f"{baselines.IIR_CORNER_HZ:g} Hz.",
+        f"{baselines.IIR_CORNER_HZ:g} Hz. {DOUBLE}: with two of the second order, {baselines.DOUBLE_CORNER_HZ:g} Hz.",
         f"* {KF}: the paper's model, Q and R at the scenario's nominal (for a real record: its own peak) "
         "period. UKF rows: process noise 100 times the paper's, period from the FFT.",
         f"* The model is linear, so KF and UKF with equal model and tuning are one filter: they differ by "
