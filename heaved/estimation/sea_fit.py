@@ -92,9 +92,11 @@ POOLED: Final = 0.03
 LIMITS: Final = {"frequency_hz": (0.033, 0.6), "damping": (0.05, 1.0), "level": (1e-10, 1e5), "noise": (1e-12, 1e2)}
 """A chain that is damped less than that is a line, and costs digits; one that is damped more has a pole far above the
 waves, and its past cannot be computed back."""
-PRIOR: Final = {"frequency": 0.05, "damping": 0.2, "level": 1e-3, "noise": 20.0}
-"""Weights of weak priors on the logarithms, 1/variance: around the start, and around DAMPING_GUESS. Noise is
-what the record shows above the waves, unless there is clearly more within their band."""
+PRIOR: Final = {"frequency": 0.05, "damping": 0.2, "level": 1e-3, "noise": 1e-3}
+"""Weights of weak priors on the logarithms, 1/variance: around the start, and around DAMPING_GUESS."""
+NOISE_IS_KNOWN: Final = 20.0
+"""That of the noise where what shakes the sensor is known: then N is what the record shows above the waves, unless
+there is clearly more within their band. Before, it soaks up what the components cannot follow there."""
 
 
 class Spectrum(msgspec.Struct, frozen=True, eq=False):
@@ -110,6 +112,8 @@ class Spectrum(msgspec.Struct, frozen=True, eq=False):
     """The periodogram above the band."""
     resonances: tuple[Resonance, ...] = ()
     """What has been found there."""
+    is_noise_known: bool = False
+    """What shakes the sensor has been looked for, and nothing of the record is bridged."""
 
     @property
     def weight(self) -> Array:
@@ -239,6 +243,8 @@ def _fitted(sp: Spectrum, theta: Array, cost: float, stages: int, bias_walk_psd:
     )
     S = model.acceleration_spectrum(sp.f_hz, sp.above.dt_s)
     waves = _noise_cost(sp, bias_walk_psd) - float(np.sum(np.log(S) + sp.power / S))
+    if not sp.is_noise_known:
+        model = msgspec.structs.replace(model, noise_psd=sp.noise_psd)
     return Fitted(model, cost, waves)
 
 
@@ -294,6 +300,7 @@ class _Whittle:
     """The likelihood of spectra, for many models at once: ``theta`` (s, 3K + 1) as :func:`_starts` has it.
 
     Attributes:
+        prior_noise: (s,) weight of the prior of each model's noise.
         power, weight: (s, n) ordinates that each model is held against; of a shorter spectrum the rest weighs nothing.
     """
 
@@ -312,6 +319,7 @@ class _Whittle:
             )
         ]
         f, self.power, self.weight, shaking = padded
+        self.prior_noise = np.array([NOISE_IS_KNOWN if sp.is_noise_known else PRIOR["noise"] for sp, _ in spectra])[rows]
         self._stages = stages
         self._f2 = f[:, None, :] ** 2
         w2 = (2.0 * pi * f) ** 2
@@ -357,14 +365,15 @@ def _score(whittle: _Whittle, starts: Array) -> tuple[Array, Array]:
     K = (starts.shape[1] - 1) // 3
     sizes = (K, K, K, 1)
     low, high = (np.log(np.repeat([limits[end] for limits in LIMITS.values()], sizes)) for end in (0, 1))
-    prior = np.repeat(list(PRIOR.values()), sizes)
+    prior = np.tile(np.repeat(list(PRIOR.values()), sizes), (len(starts), 1))
+    prior[:, -1] = whittle.prior_noise
     theta = np.clip(starts, low, high)
     centre = theta.copy()
     centre[:, K : 2 * K] = log(DAMPING_GUESS)
     eye = np.eye(starts.shape[1])
 
     def costs(S: Array, ratio: Array, at: Array) -> Array:
-        return np.asarray(np.sum((np.log(S) + ratio) * whittle.weight, axis=1) + 0.5 * (at - centre) ** 2 @ prior)
+        return np.asarray(np.sum((np.log(S) + ratio) * whittle.weight, axis=1) + 0.5 * np.sum((at - centre) ** 2 * prior, axis=1))
 
     S, J = whittle.spectrum(theta)
     ratio = whittle.power / S
@@ -373,7 +382,7 @@ def _score(whittle: _Whittle, starts: Array) -> tuple[Array, Array]:
     for _ in range(STEPS):
         JW = J * whittle.weight[:, None, :]
         slope = np.matmul(JW, (ratio - 1.0)[:, :, None])[:, :, 0] - prior * (theta - centre)
-        fisher = np.matmul(JW, J.transpose(0, 2, 1)) + prior * eye
+        fisher = np.matmul(JW, J.transpose(0, 2, 1)) + prior[:, :, None] * eye
         fisher += damping[:, None, None] * (fisher * eye)
         step = np.clip(np.linalg.solve(fisher, slope[:, :, None])[:, :, 0], -LONGEST_STEP, LONGEST_STEP)
         trial = np.clip(theta + step, low, high)

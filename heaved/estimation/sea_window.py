@@ -193,7 +193,7 @@ def _look(window: SeaWindow, record: sea_run.Record) -> SeaFit:
     # What is drawn is no measurement: a filter would be surprised by the next sample, whatever its model.
     told = _bridged(window, record, is_drawn=False) if window.candidates and _has_many_holes(record) else record
     scores = _scores(window, told, record.is_known)
-    fitted, shares, seconds, waves = _fit_all(window, whole, scores)
+    fitted, shares, seconds, waves = _fit_all(window, whole, scores, record.is_known)
     # Candidates come shortest first: a longer past is exact where the sea is steady, a shorter one has to earn it.
     chosen = max(range(len(fitted)), key=lambda rank: fitted[rank].score + PATIENCE * rank)
     best, share = fitted[chosen], shares[chosen]
@@ -256,7 +256,7 @@ def _bridged(window: SeaWindow, record: sea_run.Record, *, is_drawn: bool) -> se
     for _ in range(1 if model is not None else ROUGH):
         if model is None:
             lines = msgspec.structs.replace(whole, is_known=sea_bridge.closed(whole.is_known, whole.dt_s, longest_s))
-            model = _fit_all(window, lines, {})[0][-1].model
+            model = _fit_all(window, lines, {}, record.is_known)[0][-1].model
         # Not across a cut: the level is another one there.
         parts = [
             sea_bridge.bridged(record.a_mps2[first:end], record.is_known[first:end], record.dt_s, model, rng, longest_s)
@@ -381,11 +381,11 @@ def _likelihood(model: SeaModel, steady: Steady, innovation: Array) -> float:
 
 
 def _fit_all(
-    window: SeaWindow, record: sea_run.Record, scores: dict[float, float]
+    window: SeaWindow, record: sea_run.Record, scores: dict[float, float], is_measured: NDArray[np.bool_]
 ) -> tuple[tuple[Candidate, ...], list[float], list[float], float]:
     """A model for each length that the record reaches, the longest that it does not reach gets all there is; the share
     of each model's variance that was measured; seconds that each was fitted to; how much likelier than noise the waves
-    are."""
+    are. ``is_measured`` (n,): what of the record is not bridged."""
     rate, seconds = 1.0 / record.dt_s, len(record.a_mps2) * record.dt_s
     earlier = {candidate.window_s: candidate.model for candidate in window.candidates}
     known = list(scores)
@@ -423,13 +423,17 @@ def _fit_all(
     shaking, noise_psd = sea_resonances.resonances(
         spectra[0].above, earlier.get(lengths[0]), min(sp.noise_psd for sp in spectra)
     )
-    spectra = [msgspec.structs.replace(sp, resonances=shaking, noise_psd=noise_psd) for sp in spectra]
+    is_whole = bool(np.all(is_measured | ~record.is_known))
+    spectra = [
+        msgspec.structs.replace(sp, resonances=shaking, noise_psd=noise_psd, is_noise_known=is_whole) for sp in spectra
+    ]
     fitted = fit(earlier)
-    longest_stretch = max(stretches[-1], key=len)
-    if len(longest_stretch) >= WALK_SEEN_S * rate:
+    # What bridges a hole is below the waves as little as it is above them.
+    measured = max(unbroken(msgspec.structs.replace(record, is_known=is_measured), len(is_measured)), key=len, default=())
+    if len(measured) >= WALK_SEEN_S * rate:
         model = fitted[lengths[-1]].model
         expected_psd = max(window.bias_walk_psd, WALK_OF_NOISE**2 * model.noise_psd)
-        walk = sea_fit.bias_walk(longest_stretch, rate, model, expected_psd)
+        walk = sea_fit.bias_walk(np.asarray(measured), rate, model, expected_psd)
         fitted = {
             length: msgspec.structs.replace(one, model=msgspec.structs.replace(one.model, bias_walk_psd=walk))
             for length, one in fitted.items()

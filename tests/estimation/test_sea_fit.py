@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from scipy.signal import detrend, welch
 from seas import model, simulated
 
 from heaved.estimation import sea_fit
-from heaved.estimation.sea_model import SeaModel, SeaSystem
+from heaved.estimation.sea_model import Resonance, SeaModel, SeaSystem
+from heaved.estimation.sea_resonances import Above
 from heaved.simulate.seaway import heave_spectrum, seaway
 
 RATE_HZ = 20.0
@@ -26,7 +29,10 @@ def acceleration(name: str, duration_s: float, seed: int = 1, noise: float = 1e-
 @pytest.mark.parametrize("stages", [4, 6, 7, 12])
 def test_slopes_are_differences_of_the_logarithm(stages: int) -> None:
     f = np.linspace(0.02, 0.8, 60)
-    whittle = sea_fit._Whittle([(sea_fit.Spectrum(f, np.ones(60), 1e-5), np.ones(60))], np.zeros(4, int), stages, WALK)
+    none = np.empty(0)
+    shaking = (Resonance(frequency_hz=1.1, damping=0.3, level=1e-3),)
+    sp = sea_fit.Spectrum(f, np.ones(60), 1e-5, Above(none, none, none, 1.0, 1 / RATE_HZ), shaking)
+    whittle = sea_fit._Whittle([(sp, np.ones(60))], np.zeros(4, int), stages, WALK)
     rng = np.random.default_rng(2)
     parts = [rng.uniform(*limits, (4, 2)) for limits in ((0.06, 0.3), (0.1, 0.9), (0.1, 3.0))]
     theta = np.log(np.column_stack((*parts, np.full(4, 1e-5))))
@@ -34,9 +40,9 @@ def test_slopes_are_differences_of_the_logarithm(stages: int) -> None:
     for i, row in enumerate(np.exp(theta)):
         m = SeaModel(
             stages=stages, frequency_hz=tuple(row[:2]), damping=tuple(row[2:4]), level_m2phz=tuple(row[4:6]),
-            noise_psd=row[6], bias_walk_psd=WALK,
+            noise_psd=row[6], bias_walk_psd=WALK, resonances=shaking,
         )  # fmt: skip
-        np.testing.assert_allclose(S[i], m.acceleration_spectrum(f), rtol=1e-9)
+        np.testing.assert_allclose(S[i], m.acceleration_spectrum(f, 1 / RATE_HZ), rtol=1e-9)
     h = 1e-5
     for j in range(theta.shape[1]):
         nudge = h * np.eye(theta.shape[1])[j]
@@ -60,7 +66,7 @@ def test_pooling_keeps_the_sums_and_leaves_the_low_ordinates_alone(seconds: floa
     assert np.all(edges > 0.999 * spacing)
     assert np.all(edges < np.maximum(0.03 * pooled.f_hz[1:] + spacing, 1.001 * spacing))
     assert pooled.f_hz[-1] > 0.8 - 0.03 * 0.8
-    S = model(7, 2).acceleration_spectrum
+    S = partial(model(7, 2).acceleration_spectrum, dt_s=1 / RATE_HZ)
     pooled_cost = float(np.sum(weight * (np.log(S(pooled.f_hz)) + pooled.power / S(pooled.f_hz))))
     cost = float(np.sum((np.log(S(sp.f_hz)) + sp.power / S(sp.f_hz)) * (0.15 / sp.f_hz) ** 0.7))
     assert pooled_cost == pytest.approx(cost, rel=0.01)
@@ -73,7 +79,7 @@ def test_the_spectrum_of_a_jonswap_sea_is_found(name: str) -> None:
     sp = sea_fit.spectrum(acceleration(name, 1800.0), RATE_HZ)
     fitted = sea_fit.fit([sp], 8, 3, WALK)[0].model
     f = np.linspace(0.02, 0.8, 800)
-    r = ((2 * np.pi * f) ** 4 * heave_spectrum(name, f) + 1e-6) / fitted.acceleration_spectrum(f)
+    r = ((2 * np.pi * f) ** 4 * heave_spectrum(name, f) + 1e-6) / fitted.acceleration_spectrum(f, 1 / RATE_HZ)
     assert np.mean(r - 1.0 - np.log(r)) < 0.15
     height = np.sqrt(sea_fit.measured_share(sp, fitted) * np.trapezoid(fitted.heave_spectrum(f), f))
     realised = np.std(seaway(name, 1, attitude=False).motion(np.arange(18_000) / 10.0).heave_m)
@@ -87,7 +93,7 @@ def test_the_cost_is_whittles_with_its_weights_and_no_worse_than_that_of_the_tru
     fitted = sea_fit.fit([sp], 6, 2, WALK)[0]
 
     def whittle(of: SeaModel) -> float:
-        S = of.acceleration_spectrum(sp.f_hz)
+        S = of.acceleration_spectrum(sp.f_hz, 1 / RATE_HZ)
         return float(np.sum((np.log(S) + sp.power / S) * (0.15 / sp.f_hz) ** 0.7))
 
     assert fitted.cost <= whittle(m) + 1.0  # the weak priors, and where a start counts as converged
@@ -163,7 +169,7 @@ def test_what_is_no_sea_gives_a_model_all_the_same(name: str, stages: int, compo
     for field, values in (("frequency_hz", m.frequency_hz), ("damping", m.damping), ("level", m.level_m2phz)):
         low, high = sea_fit.LIMITS[field]
         assert all(low * 0.999 <= v <= high * 1.001 for v in values)
-    assert np.isfinite(m.acceleration_spectrum(np.linspace(0.02, 0.8, 50))).all()
+    assert np.isfinite(m.acceleration_spectrum(np.linspace(0.02, 0.8, 50), 1 / RATE_HZ)).all()
     assert SeaSystem(m).steady(1 / RATE_HZ) is not None
 
 

@@ -34,7 +34,7 @@ def test_the_spectrum_is_that_of_the_formula_at_its_peak_and_far_from_it() -> No
     c = (2 * 0.3) ** 12 * 3.0
     assert low == pytest.approx(c * 0.01**12, rel=0.01, abs=0.0)
     assert high == pytest.approx(c * 100.0**-12, rel=0.01, abs=0.0)
-    noise = m.acceleration_spectrum(np.array([1e-4, 40.0]))
+    noise = m.acceleration_spectrum(np.array([1e-4, 40.0]), 0.01)
     assert noise[0] == pytest.approx(1e-6 + 2 * 9e-10 / (2 * np.pi * 1e-4) ** 2, rel=1e-6)
     assert noise[1] == pytest.approx(1e-6, rel=1e-3)
 
