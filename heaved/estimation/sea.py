@@ -25,6 +25,7 @@ from heaved.estimation.aiding import Aiding
 from heaved.estimation.beat import BEAT_MIN_S, BEAT_S, Beat
 from heaved.estimation.bounds import HEAVE_M
 from heaved.estimation.outlook import Motion
+from heaved.estimation.sea_blows import Blows
 from heaved.estimation.sea_filter import GaugeError, SeaFilter
 from heaved.estimation.sea_guard import Guard
 from heaved.estimation.sea_heave import SeaHeave
@@ -112,6 +113,9 @@ class SeaObserver:
         self._smoother: FixedLagSmoother | None = None
         self._ripening: deque[DelayedHeave] = deque()
         """Delayed heave of a past with holes, not yet as old as it shall be."""
+        self._blows = Blows()
+        self._straddling = 0
+        """Beats, with this one, that are in part of before a blow."""
         self._guard = Guard()
         self._unaided_guard = Guard()
         self._aiding.forget()
@@ -141,6 +145,8 @@ class SeaObserver:
         """One beat: stored for the fits, and through the filter."""
         if not self._record.follows(t_s):
             return
+        if self._is_blow(t_s, a_mps2):
+            return
         if self._heave is None:
             self._record.push(t_s, a_mps2)
             return
@@ -159,6 +165,8 @@ class SeaObserver:
             for at_s, value in self._guard.since_step[:-1]:
                 if self._record.follows(at_s):
                     self._record.push(at_s, value)
+        if self._guard.no_blow_s is not None:
+            self._record.unstrike(self._guard.no_blow_s)
         if self._guard.spoilt_s is not None:
             self._record.spoil(*self._guard.spoilt_s)
         if f.rejected == rejected and not self._guard.is_burst:
@@ -171,6 +179,18 @@ class SeaObserver:
         if self._smoother is not None:
             self._smooth(self._heave, self._smoother, t_s, missed, predicted_m, innovation)
         self._moved(self._heave)
+
+    def _is_blow(self, t_s: float, a_mps2: float) -> bool:
+        """Whether something strikes the hull in this beat, which is then of no use."""
+        self._straddling -= 1
+        if self._blows.take(t_s, a_mps2):
+            self._record.strike(t_s)
+            self._straddling = 2 if self._beat.averaged > 1 else 1
+            if self._heave is not None and isfinite(self._heave.filter.t_s):
+                self._guard.strike(self._heave.filter, t_s, a_mps2)
+                if self._aiding.unaided is not None:
+                    self._unaided_guard.strike(self._aiding.unaided, t_s, a_mps2)
+        return self._straddling > 0
 
     def _step(self, guard: Guard, f: SeaFilter, t_s: float, a_mps2: float) -> tuple[float, float]:
         """A beat through a filter, guarded where its model is good enough to say what is not of the sea."""
@@ -308,6 +328,7 @@ class SeaObserver:
             averaged=self._beat.averaged,
             cuts_s=self._record.cuts_s,
             spoilt_s=self._record.spoilt_s,
+            blows_s=self._record.blows_s,
         )
 
     def accept(self, fit: SeaFit) -> str:
@@ -365,11 +386,15 @@ class SeaObserver:
     def _catch_up(self, heave: SeaHeave, smoother: FixedLagSmoother, from_s: float) -> None:
         """Through the beats that came while the fit was under way."""
         cuts = [cut[1] for cut in self._record.cuts_s if cut[1] > from_s]
+        blows = [blow_s for blow_s in self._record.blows_s if blow_s > from_s]
         for t_s, a_mps2 in self._record.since(from_s).tolist():
             if t_s > heave.filter.t_s:
                 while cuts and cuts[0] <= t_s:
                     heave.filter.open_bias()
                     del cuts[0]
+                while blows and blows[0] <= t_s:
+                    heave.filter.open_resonances()
+                    del blows[0]
                 said = heave.filter.step(t_s, a_mps2)
                 unaided = self._aiding.unaided
                 smoother.push(t_s, *(said if unaided is None else unaided.step(t_s, a_mps2)))

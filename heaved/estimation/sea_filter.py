@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.sea_model import BIAS_SPREAD_MPS2, SeaSystem, Steady, measurement_variance
+from heaved.estimation.sea_model import SeaSystem, Steady, measurement_variance
 
 Array = NDArray[np.float64]
 
@@ -258,9 +258,11 @@ class SeaFilter:
 
     def open_bias(self) -> None:
         """Nothing is known of the accelerometer's bias any more; of the waves as much as ever."""
-        P = self.covariance.copy()
-        P[-1, -1] += BIAS_SPREAD_MPS2**2
-        self.P = P
+        self.P = self.system.opened(self.covariance, bias=True)
+
+    def open_resonances(self) -> None:
+        """Something has struck the hull: what rings may ring otherwise than it did."""
+        self.P = self.system.opened(self.covariance, resonances=True)
 
     def is_sound(self) -> bool:
         """Whether state and covariance are still finite numbers and variances positive."""

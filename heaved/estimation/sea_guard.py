@@ -8,6 +8,10 @@ moment at which it may have been (generalised likelihood ratio: Willsky & Jones 
 since are gone through again with a bias of which nothing is known. If that explains them, it was a step. Else it is
 noise: its variance is taken from the innovations and added to the sensor's own for as long as it lasts, so that the
 state is known only as well as it then can be.
+
+A blow (:mod:`sea_blows`) sets the hull ringing. The model has resonances for that, and of what they do nothing is known
+from then on; the reading in which it falls is left out. Some readings later it is seen whether a step of the level
+explains them better.
 """
 
 from __future__ import annotations
@@ -52,6 +56,12 @@ BOUNDED: Final = 1.0
 """Innovations count no more than so many deviations in that."""
 MIXED: Final = 2
 """Readings about a step that may be of both levels: the first that shows it, and the one before."""
+RINGING: Final = 5
+"""Innovations that are left out after a blow: what rings is found from them."""
+RINGS: Final = 14
+"""Readings after a blow when it is told from a step."""
+LIKELIER: Final = 0.5
+"""A step has to leave that share of the squares at most of what a blow leaves."""
 RETRIED: Final = 10
 RETRY_S: Final = 0.5
 """In a burst, so many readings are tried as those after a step, so often."""
@@ -64,6 +74,8 @@ class Guard:
         step_s: from the first reading that may be of two levels to the first after a step, when the last reading has
             shown one; None: it has not.
         since_step: (time, value) of the readings since then, some of which had been withheld.
+        blow_s: of the first reading after a blow, and
+        no_blow_s: of one that has turned out to be a step; None: there was none.
         is_burst: whether the last reading is of a burst, and not fit to be learned from.
         spoilt_s: the readings since when a burst that the last reading has shown began: they are neither; None: none.
     """
@@ -82,19 +94,30 @@ class Guard:
         self._alike = self._before = 0.0
         self.step_s: tuple[float, float] | None = None
         self.since_step: tuple[tuple[float, float], ...] = ()
-        self._at_s = nan
+        self.blow_s: float | None = None
+        self.no_blow_s: float | None = None
+        self._struck: list[float] | None = None
+        """Squares of the scaled innovations since a blow, until it is known to be one."""
+        self._at_s = self._square = nan
         self.is_burst = False
         self.spoilt_s: tuple[float, float] | None = None
 
     def step(self, f: SeaFilter, t_s: float, a_mps2: float) -> tuple[float, float]:
         """As :meth:`SeaFilter.step`."""
-        self.step_s = self.spoilt_s = None
+        self._forget_events()
         if f is not self._of:
             self._of = f
             self.restart()
         self._past.append((t_s, a_mps2, f.state()))
         said = f.step(t_s, a_mps2)
-        self._keep(f.innovation / sqrt(f.innovation_variance))
+        scaled = f.innovation / sqrt(f.innovation_variance)
+        if self._struck is not None:
+            self._struck.append(scaled**2)
+            self._keep(0.0)
+            if len(self._struck) == RINGS:
+                self._tell(f)
+            return said
+        self._keep(scaled)
         if f.burst_variance > 0.0:
             self._in_burst(f, t_s)
         elif count := self._suspects(f):
@@ -102,16 +125,47 @@ class Guard:
         self.is_burst = f.burst_variance > 0.0 and t_s - self._burst_s < BURST_S
         return said
 
+    def strike(self, f: SeaFilter, t_s: float, a_mps2: float) -> None:
+        """Something has struck the hull since the last reading, and this one is in part of before."""
+        self._forget_events()
+        f.burst_variance, self.is_burst = 0.0, False
+        if f is self._of:
+            self.restart()
+            self._past.append((t_s, a_mps2, f.state()))
+            self._struck = []
+        f.open_resonances()
+        self.blow_s = t_s
+
+    def _tell(self, f: SeaFilter) -> None:
+        """Whether what began as a blow was a step of the level."""
+        assert self._struck is not None
+        blow = float(np.mean(self._struck[RINGING:]))
+        self._struck = None
+        count = RINGS
+        now = f.state()
+        at_s = self._past[-count - 1][0] if count < len(self._past) else nan
+        if count < len(self._past) and self._goes_through(f, count, is_step=True):
+            if self._square < LIKELIER * blow:
+                self.since_step = tuple([(t_s, a_mps2) for t_s, a_mps2, _ in self._past if t_s >= self._at_s])
+                self.step_s, self.no_blow_s = (at_s, self._at_s), at_s
+                self.restart()
+            else:
+                f.restore(now)
+
     def rest(self, f: SeaFilter) -> None:
         """The filter goes on unguarded."""
         f.burst_variance, self.is_burst = 0.0, False
-        self.step_s = self.spoilt_s = None
-        self._of = None
+        self._forget_events()
+        self._of = self._struck = None
+
+    def _forget_events(self) -> None:
+        self.step_s = self.spoilt_s = self.blow_s = self.no_blow_s = None
 
     def restart(self) -> None:
         """Another filter, or a gap: what was seen is not of it."""
         self._past.clear()
         self._scaled[:] = 0.0
+        self._struck = None
 
     def _keep(self, scaled: float) -> None:
         at, size = self._next, LATE[-1]
@@ -180,6 +234,7 @@ class Guard:
                 told += 1.0
                 square += f.innovation**2 / f.innovation_variance
                 left += f.innovation**2
+        self._square = square / max(told, 1.0)
         is_left = 0.0 < LEFT * now.burst_variance * told < left
         if f.withheld or square > (told + EXPLAINED * sqrt(2.0 * told)) * max(*self._usual, 1.0) or is_left:
             f.restore(now)

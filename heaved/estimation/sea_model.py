@@ -55,6 +55,8 @@ RICCATI_TOLERANCE: Final = 1e-8
 """Relative change of P at which the doubling has converged; it is quadratic, so the next one would change nothing."""
 BIAS_SPREAD_MPS2: Final = 0.5
 """What is known of the accelerometer's bias at the start, with what a wrong tilt adds."""
+BLOW_MPS2: Final = 5.0
+"""What may have set a resonance ringing at once: a slam."""
 
 
 PAIR: Final = 4
@@ -180,7 +182,7 @@ class SeaSystem:
             self.diffusion[at + 2 * M - 1] = 2.0 * (zeta * w) ** 2 * level
         self.blocks = [slice(at, at + 2 * M) for at in range(0, 2 * M * len(model.frequency_hz), 2 * M)]
         """The parts of the state, but for the bias, that nothing of the rest acts upon."""
-        self._shaken = self.blocks[-1].stop
+        self._shaken = self.blocks[-1].stop if self.blocks else 0
         for one in model.resonances:
             w, at = 2.0 * np.pi * one.frequency_hz, self.blocks[-1].stop
             for x in (at, at + 2):
@@ -235,6 +237,16 @@ class SeaSystem:
         for block in self.blocks:
             F[block, block] = expm(self.A[block, block] * tau_s)
         return F
+
+    def opened(self, P: Array, *, bias: bool = False, resonances: bool = False) -> Array:
+        """``P`` (n, n), when nothing is known any more of the bias, or of what rings."""
+        P = P.copy()
+        if bias:
+            P[-1, -1] += BIAS_SPREAD_MPS2**2
+        if resonances:
+            ringing = np.arange(self._shaken, len(P) - 1)
+            P[ringing, ringing] += BLOW_MPS2**2
+        return P
 
     @cached_property
     def stationary(self) -> Array:

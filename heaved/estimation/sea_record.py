@@ -39,6 +39,7 @@ class SeaRecord:
         self._newest_s = self.started_s = self._asked_s = nan
         self._cuts: list[tuple[float, float]] = []
         self._spoilt: list[tuple[float, float]] = []
+        self._blows: list[float] = []
         self._number += 1
         self._awaited = -1
 
@@ -69,6 +70,19 @@ class SeaRecord:
     def spoil(self, from_s: float, to_s: float) -> None:
         """What is stored of this span has turned out not to be of the sea."""
         self._spoilt = [span for span in self._spoilt if span[1] > to_s - self._length_s] + [(from_s, to_s)]
+
+    def strike(self, t_s: float) -> None:
+        """Something has struck the hull since the last beat; that at ``t_s`` is in part of before."""
+        self._blows = [blow for blow in self._blows if blow > t_s - self._length_s] + [t_s]
+
+    def unstrike(self, t_s: float) -> None:
+        """That was no blow."""
+        self._blows = [blow for blow in self._blows if blow != t_s]
+
+    @property
+    def blows_s(self) -> tuple[float, ...]:
+        """First beats after something struck the hull."""
+        return tuple(self._blows)
 
     @property
     def spoilt_s(self) -> tuple[tuple[float, float], ...]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from heaved.estimation.sea_filter import SeaFilter
-from heaved.estimation.sea_model import BIAS_SPREAD_MPS2, SeaSystem, Steady
+from heaved.estimation.sea_model import SeaSystem, Steady
 
 Array = NDArray[np.float64]
 
@@ -65,15 +65,29 @@ class Record(msgspec.Struct, frozen=True, eq=False):
     """(n,); False in a hole."""
     cuts: tuple[int, ...] = ()
     """First samples after a step of the level: nothing is known of the bias there."""
+    blows: tuple[int, ...] = ()
+    """First samples after a blow: nothing is known of what rings."""
 
     def last(self, count: int) -> Record:
         """The newest ``count`` samples."""
         left_out = max(len(self.a_mps2) - count, 0)
-        cuts = tuple([cut - left_out for cut in self.cuts if cut > left_out])
-        return Record(self.end_s, self.dt_s, self.a_mps2[left_out:], self.is_known[left_out:], cuts)
+        cuts, blows = (tuple([place - left_out for place in places if place > left_out]) for places in (self.cuts, self.blows))
+        return Record(self.end_s, self.dt_s, self.a_mps2[left_out:], self.is_known[left_out:], cuts, blows)
 
-    def cut(self, cuts_s: Sequence[tuple[float, float]], spoilt_s: Sequence[tuple[float, float]] = ()) -> Record:
-        """With a cut at the end of each of the spans ``cuts_s`` (s), and nothing known within them and ``spoilt_s``."""
+    def opened(self, system: SeaSystem, P: Array, place: int) -> Array:
+        """``P`` (n, n) before the sample at ``place``, by what is not known any more there."""
+        if place in self.cuts or place in self.blows:
+            return system.opened(P, bias=place in self.cuts, resonances=place in self.blows)
+        return P
+
+    def cut(
+        self,
+        cuts_s: Sequence[tuple[float, float]],
+        spoilt_s: Sequence[tuple[float, float]] = (),
+        blows_s: Sequence[float] = (),
+    ) -> Record:
+        """With a cut at the end of each of the spans ``cuts_s`` (s), nothing known within them and ``spoilt_s``, and a
+        blow before each of ``blows_s``."""
         first_s = self.end_s - self.dt_s * (len(self.a_mps2) - 1)
         is_known, places = self.is_known.copy(), set()
         for i, span in enumerate((*cuts_s, *spoilt_s)):
@@ -81,7 +95,9 @@ class Record(msgspec.Struct, frozen=True, eq=False):
             is_known[begin:end] = False
             if i < len(cuts_s) and 0 < end < len(is_known):
                 places.add(end)
-        return msgspec.structs.replace(self, is_known=is_known, cuts=tuple(sorted(places)))
+        blows = {round((t_s - first_s) / self.dt_s) for t_s in blows_s}
+        struck = tuple([place for place in sorted(blows) if 0 < place < len(is_known)])
+        return msgspec.structs.replace(self, is_known=is_known, cuts=tuple(sorted(places)), blows=struck)
 
 
 def even(t_s: Array, a_mps2: Array) -> Record:
@@ -169,16 +185,14 @@ def run(
     if not full_start:
         x[-1] = float(np.mean(record.a_mps2))
     blocks = _Blocks(system, steady)
-    for first, end, is_known in stretches(record):
-        if first in record.cuts:
-            if full_holes:
-                if P is None:
-                    P = steady.P - np.outer(steady.K, steady.K) * steady.S
-                P = P.copy()
-                P[-1, -1] += BIAS_SPREAD_MPS2**2
-            else:
-                x = x.copy()
-                x[-1] = float(np.mean(record.a_mps2[first:end]))
+    for first, end, is_known in stretches(record, record.blows):
+        if full_holes and (first in record.cuts or first in record.blows):
+            if P is None:
+                P = steady.P - np.outer(steady.K, steady.K) * steady.S
+            P = record.opened(system, P, first)
+        elif first in record.cuts:
+            x = x.copy()
+            x[-1] = float(np.mean(record.a_mps2[first:end]))
         if not is_known:
             innovation[first:end] = 0.0
             if not full_holes:
@@ -216,13 +230,12 @@ def one_by_one(f: SeaFilter, record: Record, judged: int) -> tuple[Run, float]:
     count, steady, heave = len(record.a_mps2), f.steady, f.system.heave
     predicted, innovation = np.full(count, np.nan), np.zeros(count)
     limit_m2 = UNSURE**2 * float(heave @ f.steady_covariance @ heave)
-    cuts = list(record.cuts)
+    changes = sorted({*record.cuts, *record.blows})
     for i in np.flatnonzero(record.is_known).tolist():
         if isnan(f.t_s):
             f.t_s = (i - 1) * record.dt_s
-        while cuts and cuts[0] <= i:
-            f.open_bias()
-            del cuts[0]
+        while changes and changes[0] <= i:
+            f.P = record.opened(f.system, f.covariance, changes.pop(0))
         predicted_m, y = f.step(i * record.dt_s, float(record.a_mps2[i]))
         innovation[i] = y * sqrt(steady.S / f.innovation_variance)
         if f.innovation_variance < UNSURE**2 * steady.S and (
@@ -234,10 +247,12 @@ def one_by_one(f: SeaFilter, record: Record, judged: int) -> tuple[Run, float]:
     return Run(f.x, None if f.P is None else f.P.copy(), predicted, innovation), excess
 
 
-def stretches(record: Record) -> Iterator[tuple[int, int, bool]]:
-    """(first, end, is_known) of each stretch that is all known or all unknown, without a cut in it."""
+def stretches(record: Record, places: Sequence[int] = ()) -> Iterator[tuple[int, int, bool]]:
+    """(first, end, is_known) of each stretch that is all known or all unknown, without a cut, or one of ``places``, in
+    it."""
     is_known = record.is_known
-    edges = {*(1 + np.flatnonzero(np.diff(is_known.astype(np.int8)))).tolist(), *record.cuts, 0, len(is_known)}
+    changes = 1 + np.flatnonzero(np.diff(is_known.astype(np.int8)))
+    edges = {*changes.tolist(), *record.cuts, *places, 0, len(is_known)}
     for first, end in itertools.pairwise(sorted(edges)):
         yield first, end, bool(is_known[first])
 

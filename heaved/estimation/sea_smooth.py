@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.sea_filter import SeaFilter
-from heaved.estimation.sea_model import BIAS_SPREAD_MPS2, measurement_variance
+from heaved.estimation.sea_model import measurement_variance
 from heaved.estimation.sea_run import Record
 
 Array = NDArray[np.float64]
@@ -32,13 +32,12 @@ def smoothed(f: SeaFilter, record: Record, count: int) -> Array:
     R = measurement_variance(f.system.model.noise_psd, record.dt_s)
     x, P, before = f.x, f.covariance, -1
     passed = []
-    cuts = list(record.cuts)
+    changes = sorted({*record.cuts, *record.blows})
     for place in np.flatnonzero(record.is_known).tolist():
         F, Q = f.moves(place - before)
         x, P = F.dot(x), F.dot(P).dot(F.T) + Q
-        while cuts and cuts[0] <= place:
-            P[-1, -1] += BIAS_SPREAD_MPS2**2
-            del cuts[0]
+        while changes and changes[0] <= place:
+            P = record.opened(f.system, P, changes.pop(0))
         PH = P.dot(H)
         S, y = float(H.dot(PH)) + R, float(record.a_mps2[place]) - float(H.dot(x))
         row = heave.dot(P)

@@ -118,6 +118,8 @@ class SeaWindow(msgspec.Struct, frozen=True, kw_only=True, tag="sea"):
     across, and of the bias nothing is known."""
     spoilt_s: tuple[tuple[float, float], ...] = ()
     """Spans (s) that are not of the sea."""
+    blows_s: tuple[float, ...] = ()
+    """First moments (s) after something struck the hull."""
 
 
 class SeaFit(msgspec.Struct, frozen=True, kw_only=True):
@@ -171,7 +173,7 @@ def look(window: SeaWindow) -> SeaFit:
     if (t[-1] - t[0]) > SLOWEST_S * (len(t) - 1) and float(np.median(np.diff(t))) > SLOWEST_S:
         return SeaFit(number=window.number, message="the samples are too far apart to show waves")
     try:
-        return _look(window, sea_run.even(t, a).cut(window.cuts_s, window.spoilt_s))
+        return _look(window, sea_run.even(t, a).cut(window.cuts_s, window.spoilt_s, window.blows_s))
     except np.linalg.LinAlgError as error:
         return SeaFit(number=window.number, message=f"the record has no spectrum that can be fitted: {error}")
 
@@ -309,7 +311,7 @@ def _delayed(
     """What :attr:`SeaFit.delayed` holds."""
     count = round(window.delay_s / recent.dt_s)
     known = recent.is_known
-    is_whole = known[-count:].all() and not any(cut > len(known) - count for cut in recent.cuts)
+    is_whole = known[-count:].all() and not any(at > len(known) - count for at in (*recent.cuts, *recent.blows))
     if is_whole or not known[:-count].any():
         return np.empty((0, 3))
     last = int(np.flatnonzero(known[:-count])[-1])
@@ -319,6 +321,7 @@ def _delayed(
         recent.a_mps2[: last + 1],
         known[: last + 1],
         tuple([cut for cut in recent.cuts if cut <= last]),
+        tuple([blow for blow in recent.blows if blow <= last]),
     )
     done, _ = _run(system, steady, before, settle, 1)
     f = SeaFilter(system, steady, before.end_s, done.x, done.P)
@@ -346,7 +349,7 @@ def _scores(
     measured = is_known[-fresh:]
     if not measured.any():
         return {candidate.window_s: candidate.score for candidate in window.candidates}
-    is_whole = bool(recent.is_known.all()) and not recent.cuts
+    is_whole = bool(recent.is_known.all()) and not recent.cuts and not recent.blows
     found: dict[float, float] = {}
     for candidate in window.candidates:
         system = SeaSystem(candidate.model)
@@ -423,14 +426,15 @@ def _fit_all(
     shaking, noise_psd = sea_resonances.resonances(
         spectra[0].above, earlier.get(lengths[0]), min(sp.noise_psd for sp in spectra)
     )
-    is_whole = bool(np.all(is_measured | ~record.is_known))
+    # A blow has power within the waves' band, too, which is no noise to a filter that knows of it.
+    is_whole = bool(np.all(is_measured | ~record.is_known)) and not record.blows
     spectra = [
         msgspec.structs.replace(sp, resonances=shaking, noise_psd=noise_psd, is_noise_known=is_whole) for sp in spectra
     ]
     fitted = fit(earlier)
-    # What bridges a hole is below the waves as little as it is above them.
+    # Neither what bridges a hole nor a blow is noise of the sensor.
     measured = max(unbroken(msgspec.structs.replace(record, is_known=is_measured), len(is_measured)), key=len, default=())
-    if len(measured) >= WALK_SEEN_S * rate:
+    if len(measured) >= WALK_SEEN_S * rate and not record.blows:
         model = fitted[lengths[-1]].model
         expected_psd = max(window.bias_walk_psd, WALK_OF_NOISE**2 * model.noise_psd)
         walk = sea_fit.bias_walk(np.asarray(measured), rate, model, expected_psd)

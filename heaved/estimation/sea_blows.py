@@ -1,0 +1,59 @@
+"""Blows: slams, a load that is set down, a wave against the bow. Told by how suddenly it begins to ring.
+
+The second difference of the beats hardly sees the waves; what is left, noise and steady vibration, has a usual size. A
+blow stands far out of it within one beat, and out of the ringing of the one before, which only dies away.
+"""
+
+from __future__ import annotations
+
+from math import exp, sqrt
+from typing import Final
+
+USUAL_S: Final = 30.0
+"""Memory of what is usual."""
+STANDS_OUT: Final = 7.0
+"""Times the usual size: noise does that once in centuries, a steady vibration never."""
+COUNTED: Final = 3.0
+"""A difference counts with so many times the usual size at most."""
+LOUDER: Final = 1.5
+"""Times what is left of the last blow."""
+RINGS_S: Final = 1.0
+"""In which ringing falls to a third; the hulls' is shorter, and then nothing is missed but the smaller of two blows."""
+LEAST_MPS2: Final = 0.05
+"""A smaller one costs nothing."""
+
+
+class Blows:
+    """Give it every beat."""
+
+    def __init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
+        """After a gap, or with another interval."""
+        self._last: tuple[float, float] | None = None
+        self._before: tuple[float, float] | None = None
+        self._usual2 = self._seconds = self._ringing = 0.0
+
+    def take(self, t_s: float, a_mps2: float) -> bool:
+        """Whether a blow has struck just before this beat, or while it was measured."""
+        last, before = self._last, self._before
+        self._last, self._before = (t_s, a_mps2), last
+        if last is None or before is None:
+            return False
+        dt = t_s - last[0]
+        if not 0.0 < dt < 1.5 * (last[0] - before[0]) < 2.25 * dt:
+            self._ringing = 0.0
+            return False
+        size = abs(a_mps2 - 2.0 * last[1] + before[1])
+        self._ringing *= exp(-dt / RINGS_S)
+        is_blow = (
+            self._seconds > 0.5 * USUAL_S
+            and size > max(STANDS_OUT * sqrt(self._usual2), LEAST_MPS2)
+            and size > LOUDER * self._ringing
+        )
+        self._ringing = max(self._ringing, size)
+        self._seconds = min(self._seconds + dt, USUAL_S)
+        counted = size * size if self._seconds < 0.1 * USUAL_S else min(size * size, COUNTED**2 * self._usual2)
+        self._usual2 += dt / self._seconds * (counted - self._usual2)
+        return is_blow
