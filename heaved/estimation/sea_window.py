@@ -56,8 +56,10 @@ FEW_IN_LONG_HOLES: Final = 0.1
 it is better not learned from. (A sensor at the end of its range loses just the highest waves.)"""
 SLOWEST_S: Final = 0.8
 """Samples further apart than this, in the mean, do not show the waves (up to 0.6 Hz) at all."""
-WALK_SEEN_S: Final = 120.0
+WALK_SEEN_S: Final = 300.0
 """An unbroken stretch that long shows how the bias of the accelerometer walks."""
+NOISE_SEEN_S: Final = 200.0
+"""One that long shows the noise below the waves."""
 WALK_OF_NOISE: Final = 0.03
 """Walk of the bias, per root second, over the density of the white noise, that is expected of a sensor at least:
 accelerometers that are noisier wander more (data sheets: 0.02 to 0.05)."""
@@ -429,7 +431,13 @@ def _fit_all(
     # A blow has power within the waves' band, too, which is no noise to a filter that knows of it.
     is_whole = bool(np.all(is_measured | ~record.is_known)) and not record.blows
     spectra = [
-        msgspec.structs.replace(sp, resonances=shaking, noise_psd=noise_psd, is_noise_known=is_whole) for sp in spectra
+        msgspec.structs.replace(
+            sp,
+            resonances=shaking,
+            noise_psd=noise_psd,
+            is_noise_known=is_whole and most >= NOISE_SEEN_S * rate,
+        )
+        for sp, most in zip(spectra, longest, strict=True)
     ]
     fitted = fit(earlier)
     # Neither what bridges a hole nor a blow is noise of the sensor.
