@@ -62,7 +62,7 @@ WALK_BELOW_HZ: Final = 0.035
 """The walk of the bias is looked for below: no wave that counts is longer."""
 WALKS: Final = np.linspace(-3.0, 10.0, 66)
 """Logarithms of the variances of a walk, over that which is expected, that are tried."""
-WALK_SPREADS: Final = (0.4, 2.5)
+WALK_SPREADS: Final = (0.3, 2.5)
 WALK_IS_OTHER: Final = 0.02
 """Before anything is seen, that logarithm has the first of the spreads, a data sheet's, but in one of fifty sensors the
 second: a fluctuation of a few ordinates changes little, a bias that does walk a hundred times more is believed."""
