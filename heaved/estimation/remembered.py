@@ -15,6 +15,10 @@ DAMPING: Final = (1e-3, 2.0)
 """Of a resonator; the fits stay within 0.05..1."""
 LEVEL_M2PHZ: Final = (0.0, 1e6)
 """Of a heave spectrum; a sea of 15 m significant height has some 300 m2/Hz."""
+SHAKEN_HZ: Final = (0.05, 100.0)
+"""Of what shakes the accelerometer; the fits look above 0.7 Hz, and up to half the rate of the beats."""
+SHAKEN_DAMPING: Final = (1e-3, 0.999)
+SHAKEN_PSD: Final = (0.0, 1e6)
 NOISE_PSD: Final = (1e-15, 1e3)
 """Of an accelerometer, (m/s2)2/Hz: from far below the best to one that is of no use."""
 BIAS_WALK_PSD: Final = (0.0, 10.0)
@@ -66,6 +70,10 @@ def _check_sea(sea: SeaModel) -> None:
     _within("level of the sea", sea.level_m2phz, LEVEL_M2PHZ, "m2/Hz")
     _within("noise of the accelerometer", (sea.noise_psd,), NOISE_PSD, "(m/s2)2/Hz")
     _within("bias walk of the accelerometer", (sea.bias_walk_psd,), BIAS_WALK_PSD, "(m/s2)2/s")
+    shaken = sea.resonances
+    _within("frequency of what shakes the accelerometer", tuple([one.frequency_hz for one in shaken]), SHAKEN_HZ, "Hz")
+    _within("damping of what shakes the accelerometer", tuple([one.damping for one in shaken]), SHAKEN_DAMPING, "")
+    _within("level of what shakes the accelerometer", tuple([one.level for one in shaken]), SHAKEN_PSD, "(m/s2)2/Hz")
     if sum(sea.level_m2phz) > 0.0 and not heave_std(sea) <= HEAVE_M:
         raise ValueError(f"a sea that heaves more than {HEAVE_M:g} m RMS")
 

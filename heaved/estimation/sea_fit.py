@@ -249,8 +249,8 @@ def _fitted(sp: Spectrum, theta: Array, cost: float, stages: int, bias_walk_psd:
 
 
 def bias_walk(stretch: Array, rate_hz: float, model: SeaModel, expected_psd: float) -> float:
-    """The walk of the bias, (m/s2)2/s, that ``stretch`` (n,) shows below the waves of ``model``: the likeliest one, when
-    ``expected_psd`` is what its data sheet says."""
+    """The walk of the bias, (m/s2)2/s, that ``stretch`` (n,) shows below the waves of ``model``: the likeliest one,
+    where ``expected_psd`` is what its data sheet says."""
     f, power = _welch([stretch], rate_hz, len(stretch))
     inside = (f >= MAIN_LOBE * rate_hz / len(stretch)) & (f <= WALK_BELOW_HZ)
     if not inside.any():
@@ -319,7 +319,8 @@ class _Whittle:
             )
         ]
         f, self.power, self.weight, shaking = padded
-        self.prior_noise = np.array([NOISE_IS_KNOWN if sp.is_noise_known else PRIOR["noise"] for sp, _ in spectra])[rows]
+        known = np.array([sp.is_noise_known for sp, _ in spectra])[rows]
+        self.prior_noise = np.where(known, NOISE_IS_KNOWN, PRIOR["noise"])
         self._stages = stages
         self._f2 = f[:, None, :] ** 2
         w2 = (2.0 * pi * f) ** 2
@@ -373,7 +374,8 @@ def _score(whittle: _Whittle, starts: Array) -> tuple[Array, Array]:
     eye = np.eye(starts.shape[1])
 
     def costs(S: Array, ratio: Array, at: Array) -> Array:
-        return np.asarray(np.sum((np.log(S) + ratio) * whittle.weight, axis=1) + 0.5 * np.sum((at - centre) ** 2 * prior, axis=1))
+        told = np.sum((np.log(S) + ratio) * whittle.weight, axis=1)
+        return np.asarray(told + 0.5 * np.sum((at - centre) ** 2 * prior, axis=1))
 
     S, J = whittle.spectrum(theta)
     ratio = whittle.power / S

@@ -44,7 +44,7 @@ POOLED: Final = 0.01
 WIDTHS: Final = (1, 3, 8, 20, 50, 120)
 """In pooled ordinates, over which the periodogram is held against the spectrum so far."""
 NOISE: Final = (0.7, 1.3)
-"""Share of the noise that is expected within which it is fitted: the skirts of the resonances may not take its place."""
+"""Share of the noise that is expected within which it is fitted: the skirts of resonances may not take its place."""
 STEPS: Final = 12
 LONGEST_STEP: Final = 0.7
 HALF_POWER: Final = 1.29
@@ -84,8 +84,8 @@ def resonances(above: Above, waves: SeaModel | None, noise_psd: float) -> tuple[
             break
         cost, theta = more, better
     found = [
-        Resonance(frequency_hz=float(f0), damping=float(zeta), level=float(level) * scored.level(float(f0), float(zeta)))
-        for f0, zeta, level in np.exp(theta[1:].reshape(-1, 3))
+        Resonance(frequency_hz=f0, damping=zeta, level=level * scored.level(f0, zeta))
+        for f0, zeta, level in np.exp(theta[1:].reshape(-1, 3)).tolist()
     ]
     found.sort(key=lambda one: -one.variance)
     return _told_apart(tuple(found), above.dt_s), float(np.exp(theta[0]))

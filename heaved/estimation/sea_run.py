@@ -71,7 +71,9 @@ class Record(msgspec.Struct, frozen=True, eq=False):
     def last(self, count: int) -> Record:
         """The newest ``count`` samples."""
         left_out = max(len(self.a_mps2) - count, 0)
-        cuts, blows = (tuple([place - left_out for place in places if place > left_out]) for places in (self.cuts, self.blows))
+        cuts, blows = (
+            tuple([place - left_out for place in places if place > left_out]) for places in (self.cuts, self.blows)
+        )
         return Record(self.end_s, self.dt_s, self.a_mps2[left_out:], self.is_known[left_out:], cuts, blows)
 
     def opened(self, system: SeaSystem, P: Array, place: int) -> Array:

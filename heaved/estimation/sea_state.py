@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.sea_model import SeaModel
-from heaved.samples import GRAVITY_MPS2, SeaState, WaveSystem
+from heaved.estimation.sea_resonances import HALF_POWER
+from heaved.samples import GRAVITY_MPS2, SeaState, Vibration, WaveSystem
 
 Array = NDArray[np.float64]
 
@@ -27,6 +28,8 @@ LEAST_SHARE: Final = 0.01
 SWELL_STEEPNESS: Final = 0.010
 """2 pi Hs / (g Tp^2): a sea under wind is steeper, a swell that has left its wind flatter (a wind sea that is just
 raised has 0.03 to 0.06; swell of 1 m at 12 s has 0.004)."""
+LEAST_MPS2: Final = 0.02
+"""Of vibration that people are told of: what is left of a clean sea above 0.8 Hz may look like half as much."""
 PUBLISHED_POINTS: Final = 40
 
 
@@ -42,7 +45,20 @@ def sea_state(model: SeaModel, share: float = 1.0) -> SeaState:
         systems=tuple(_system(f[part], S[part]) for part in _parts(f, S, m0)),
         frequencies_hz=tuple(f[::step].tolist()),
         spectrum_m2phz=tuple(S[::step].tolist()),
+        vibration=vibration(model),
+        noise_mps2_rthz=sqrt(model.noise_psd),
+        bias_walk_mps2_rts=sqrt(model.bias_walk_psd),
     )
+
+
+def vibration(model: SeaModel) -> tuple[Vibration, ...]:
+    """What shakes the sensor and is no waves, strongest first, as far as it is worth a name."""
+    found = [
+        Vibration(frequency_hz=one.frequency_hz, width_hz=HALF_POWER * one.damping * one.frequency_hz, rms_mps2=rms)
+        for one in model.resonances
+        if not one.is_heave and (rms := sqrt(one.variance)) > LEAST_MPS2
+    ]
+    return tuple(sorted(found, key=lambda one: -one.rms_mps2))
 
 
 def longest_period_s(model: SeaModel) -> float:

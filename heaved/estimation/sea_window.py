@@ -408,9 +408,8 @@ def _fit_all(
     passed = partial(beat.passed, period_s=window.period_s, averaged=window.averaged)
     spectra = [sea_fit.spectrum(parts, rate, passed) for parts in stretches]
     few = [most < FEW_COMPONENTS_BELOW_S * rate for most in longest]
-    bias_walk_psd = max(window.candidates, key=lambda one: one.window_s).model.bias_walk_psd if window.candidates else (
-        window.bias_walk_psd
-    )
+    last = max(window.candidates, key=lambda one: one.window_s, default=None)
+    bias_walk_psd = window.bias_walk_psd if last is None else last.model.bias_walk_psd
 
     def fit(models: dict[float, SeaModel]) -> dict[float, sea_fit.Fitted]:
         fitted: dict[float, sea_fit.Fitted] = {}
@@ -441,11 +440,12 @@ def _fit_all(
     ]
     fitted = fit(earlier)
     # Neither what bridges a hole nor a blow is noise of the sensor.
-    measured = max(unbroken(msgspec.structs.replace(record, is_known=is_measured), len(is_measured)), key=len, default=())
-    if len(measured) >= WALK_SEEN_S * rate and not record.blows:
+    measured = msgspec.structs.replace(record, is_known=is_measured)
+    stretch = max(unbroken(measured, len(is_measured)), key=len, default=np.empty(0))
+    if len(stretch) >= WALK_SEEN_S * rate and not record.blows:
         model = fitted[lengths[-1]].model
         expected_psd = max(window.bias_walk_psd, WALK_OF_NOISE**2 * model.noise_psd)
-        walk = sea_fit.bias_walk(np.asarray(measured), rate, model, expected_psd)
+        walk = sea_fit.bias_walk(stretch, rate, model, expected_psd)
         fitted = {
             length: msgspec.structs.replace(one, model=msgspec.structs.replace(one.model, bias_walk_psd=walk))
             for length, one in fitted.items()
