@@ -9,6 +9,7 @@ import asyncio
 import contextlib
 import ctypes
 import os
+import struct
 import sys
 import time
 from math import floor
@@ -140,14 +141,12 @@ if sys.version_info >= (3, 13):
 
 else:
 
-    class _Timespec(ctypes.Structure):
-        _fields_ = (("seconds", ctypes.c_long), ("nanoseconds", ctypes.c_long))
-
-    class _Itimerspec(ctypes.Structure):
-        _fields_ = (("interval", _Timespec), ("value", _Timespec))
-
     _TFD_TIMER_ABSTIME = 1
+    _itimerspec = struct.Struct("@4l").pack
+    """Interval and first expiry, in seconds and nanoseconds each."""
     _libc = ctypes.CDLL(None, use_errno=True)
+    _settime = _libc.timerfd_settime
+    _settime.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.c_char_p, ctypes.c_void_p)
 
     def _create() -> int:
         # The flags of timerfd_create are those of open.
@@ -159,6 +158,5 @@ else:
     def _arm(fd: int, deadline_s: float) -> None:
         # A value of zero would disarm the timer.
         seconds, nanoseconds = divmod(max(round(deadline_s * 1e9), 1), 1_000_000_000)
-        value = _Itimerspec(_Timespec(0, 0), _Timespec(seconds, nanoseconds))
-        if _libc.timerfd_settime(fd, _TFD_TIMER_ABSTIME, ctypes.byref(value), None) != 0:
+        if _settime(fd, _TFD_TIMER_ABSTIME, _itimerspec(0, 0, seconds, nanoseconds), None) != 0:
             raise OSError(ctypes.get_errno(), "timerfd_settime failed")
