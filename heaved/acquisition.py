@@ -32,8 +32,9 @@ _log = structlog.get_logger(__name__)
 class Acquisition:
     """Steps the pipeline with every poll and publishes what comes of it. Nothing here waits, nothing raises.
 
-    The stream runs at the IMU's rate whatever happens: :meth:`heartbeat`, called once a period, fills in. Its times
-    of validity increase strictly; a frame that comes after its replacement was published is not published again.
+    The stream runs at the IMU's rate whatever happens: :meth:`heartbeat`, called once a period while no sample comes,
+    fills in. Its times of validity increase strictly; a frame that comes after its replacement was published is not
+    published again.
 
     Attributes:
         pipeline: may be replaced at any time.
@@ -52,10 +53,12 @@ class Acquisition:
         fit: Callable[[SeaWindow], None],
         refit: Callable[[RefitJob], None] = lambda job: None,
         publish_stages: Callable[[], None] = lambda: None,
+        alive: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """``publish``, ``train``, ``fit`` and ``refit`` must only hand over, ``publish_stages`` looks after each poll
-        for what the stages have to say; ``clock`` is that of the samples."""
+        for what the stages have to say, ``alive`` is told of each that shows the IMU alive; ``clock`` is that of the
+        samples."""
         self.pipeline = pipeline
         self.health: dict[str, DeviceHealth] = {}
         self.last_frame: MotionFrame | None = None
@@ -76,6 +79,7 @@ class Acquisition:
         self._fit = fit
         self._refit = refit
         self._publish_stages = publish_stages
+        self._alive = alive
         self._refit_job: RefitJob | None = None
         """Of the hull, under way."""
         self._clock = clock
@@ -128,6 +132,7 @@ class Acquisition:
             # A timeout arrives long after its deadline, when its replacements are out already: it is no sign of life.
             if published or result.fault is Fault.NONE:
                 self._live_s = now_s
+                self._alive()
         # The frame is out: what nobody waits for.
         self._publish_stages()
         self._account(result)

@@ -133,12 +133,15 @@ def check_config(file: Annotated[Path, typer.Argument(metavar="FILE")]) -> None:
     """Check a configuration file: names every fault, and rates that a serial line cannot carry (exit code 78)."""
     config = _load_to_run(file)
     from heaved.config.rules import cautions, rate_faults
+    from heaved.devices.bandwidth import bandwidth_hz, lag_ms
 
     if faults := rate_faults(config):
         _fail("\n".join(f"{file}: {fault}" for fault in faults), EX_CONFIG)
     _say(f"{file}: well")
     for device in config.device:
-        _say(f"  {_device_line(device)}, {device.profile.name} at {device.rate_hz:g} Hz")
+        hertz = bandwidth_hz(device)
+        bandwidth = f", bandwidth {hertz:g} Hz (a lag of about {lag_ms(hertz):.0f} ms)" if hertz else ""
+        _say(f"  {_device_line(device)}, {device.profile.name} at {device.rate_hz:g} Hz{bandwidth}")
     if not any(device.role == "imu" for device in config.device):
         _say('  no device of role "imu": enough for a replay, but the daemon would have no heave')
     for caution in cautions(config):

@@ -32,7 +32,7 @@ from heaved.config.rules import rate_faults
 from heaved.devices.line import buses
 from heaved.devices.modbus import Bus
 from heaved.devices.profile import DeviceSpec
-from heaved.devices.timer import PeriodicTimer
+from heaved.devices.timer import Heartbeat
 from heaved.estimation.stages import Stages
 from heaved.logs import configure_logging
 from heaved.metrics import RENEWED_S, Metrics
@@ -102,8 +102,10 @@ class Daemon:
             fit=self.workers.fit,
             refit=self.workers.refit,
             publish_stages=self._publish_stages,
+            alive=self._is_alive,
             clock=clock,
         )
+        self._heartbeat = Heartbeat(self._beat)
         self.memory = Memory(
             StateFile(state_directory(config.state.directory), PipelineState, check_state),
             lambda: self.acquisition.pipeline.state(),
@@ -148,7 +150,7 @@ class Daemon:
         self._is_restored = True
         await self._poll_devices()
         await self.workers.have(self.config)
-        self._supervise("heartbeat", self._beat)
+        self._heartbeat.start(self.acquisition.period_s)
         self._supervise("housekeeping", self._keep_house)
         self._supervise("state", partial(self.memory.keep_saving, self.config.state.save_period_s))
         devices = [device.name for device in self.config.device]
@@ -158,6 +160,7 @@ class Daemon:
     async def stop(self) -> bool:
         """Stop everything and save the state, within a second or so; returns whether all parts stopped in time."""
         self._notifier.notify("STOPPING=1", "STATUS=stopping")
+        self._heartbeat.stop()
         tasks = list(self._tasks.values())
         self._tasks.clear()
         is_clean = await cancelled(tasks, _CANCEL_S)
@@ -226,8 +229,7 @@ class Daemon:
             self.acquisition.pipeline.stages.configure_attitude(new.attitude)
         if new.device != old.device:
             await self._poll_devices()
-            await cancelled([self._tasks.pop("heartbeat")], _CANCEL_S)
-            self._supervise("heartbeat", self._beat)
+            self._heartbeat.start(self.acquisition.period_s)
         _log.info("configuration read again", devices=",".join(device.name for device in new.device) or "none")
 
     def _take_up(self, state: PipelineState, age_s: float) -> None:
@@ -254,12 +256,14 @@ class Daemon:
 
     # ---- periodic work -----------------------------------------------------------------------------------------------
 
-    async def _beat(self) -> None:
-        with PeriodicTimer(self.acquisition.period_s) as timer:
-            while True:
-                tick = await timer.tick()
-                self.acquisition.heartbeat(tick.lateness_s)
-                self._feed_watchdog()
+    def _is_alive(self) -> None:
+        """A sample came: while they do, there is nothing to fill in."""
+        self._heartbeat.put_off()
+        self._feed_watchdog()
+
+    def _beat(self, lateness_s: float) -> None:
+        self.acquisition.heartbeat(lateness_s)
+        self._feed_watchdog()
 
     def _feed_watchdog(self) -> None:
         """Fed by the loop that acquires and estimates: only if it has made frames since the last time."""

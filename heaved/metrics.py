@@ -22,6 +22,7 @@ from prometheus_client import (
 )
 
 from heaved.samples import (
+    MOST_NAMED,
     CorrectionState,
     Fault,
     HeaveState,
@@ -29,6 +30,7 @@ from heaved.samples import (
     MotionFrame,
     QuietForecast,
     RockScore,
+    SeaState,
 )
 
 _SHORT_S: Final = (0.00005, 0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.1)
@@ -153,7 +155,21 @@ class Metrics:
         )
         self.peak_period = table.unknown("heaved_peak_period_seconds", "Of the heave spectrum.")
         self.mean_period = table.unknown("heaved_mean_period_seconds", "m0/m1 of the heave spectrum.")
-        self._sea = (self.significant_height, self.peak_period, self.mean_period)
+        self.noise = table.unknown(
+            "heaved_accelerometer_noise_mps2_rthz", "White noise of the accelerometer, one-sided density."
+        )
+        self.bias_walk = table.unknown(
+            "heaved_accelerometer_bias_walk_mps2_rts", "Random walk of the accelerometer's bias."
+        )
+        self.vibration = table.gauge("heaved_vibration_mps2", "RMS of what shakes the hull, strongest first.", "rank")
+        self.vibration_frequency = table.gauge("heaved_vibration_hertz", "Its frequency, as it is seen.", "rank")
+        ranks = [str(rank) for rank in range(1, MOST_NAMED + 1)]
+        self._vibration = [
+            (self.vibration.labels(rank), self.vibration_frequency.labels(rank)) for rank in ranks
+        ]
+        for pair in self._vibration:
+            _set(pair, ())
+        self._sea = (self.significant_height, self.peak_period, self.mean_period, self.noise, self.bias_walk)
         self.delayed_heave = table.unknown(
             "heaved_delayed_heave_meters", "Delayed heave, valid at its own, earlier time."
         )
@@ -239,7 +255,8 @@ class Metrics:
     def record_no_frame(self) -> None:
         """There is none, or no new one: nothing that frames describe is known."""
         self._set_quality(HeaveState.INVALID)
-        _set((*self._now, *self._sea, self.delayed_heave, *self._attitude, self.training_age), ())
+        _set((*self._now, self.delayed_heave, *self._attitude, self.training_age), ())
+        self._set_sea(None)
         _set([gauge for pair in self._hull for gauge in pair], ())
         self.record_rock(())
         self.record_quiet(None)
@@ -254,14 +271,19 @@ class Metrics:
         """What changes slowly: sea state and delayed heave."""
         is_known = frame.quality.heave is not HeaveState.INVALID
         sea, delayed = frame.sea, frame.delayed
-        if is_known and sea is not None and not frame.t_s - sea.t_s > SEA_S:
-            _set(self._sea, (sea.significant_height_m, sea.peak_period_s, sea.mean_period_s))
-        else:
-            _set(self._sea, ())
+        self._set_sea(sea if is_known and sea is not None and not frame.t_s - sea.t_s > SEA_S else None)
         if delayed is not None and delayed.t_s != self._delayed_t_s:
             self._delayed_t_s, self._delayed_since_s = delayed.t_s, frame.t_s
         is_renewed = frame.t_s - self._delayed_since_s <= RENEWED_S
         self.delayed_heave.set(delayed.heave_m if is_known and delayed is not None and is_renewed else nan)
+
+    def _set_sea(self, sea: SeaState | None) -> None:
+        heights = (sea.significant_height_m, sea.peak_period_s, sea.mean_period_s) if sea is not None else ()
+        noise = (sea.noise_mps2_rthz, sea.bias_walk_mps2_rts) if sea is not None else ()
+        _set(self._sea, (*heights, *noise))
+        shaken = [(one.rms_mps2, one.frequency_hz) for one in sea.vibration] if sea is not None else []
+        for pair, values in zip_longest(self._vibration, shaken[: len(self._vibration)], fillvalue=()):
+            _set(pair, values)
 
     def record_stages(self, frame: MotionFrame) -> None:
         """What the stages beside the heave have to say."""

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import Enum
 from math import nan
+from typing import Final
 
 import msgspec
 
@@ -219,6 +220,28 @@ class Vibration(msgspec.Struct, frozen=True, kw_only=True):
     width_hz: float
     """Half the height of its peak is that wide: small for a line, several hertz for a broad band."""
     rms_mps2: float
+
+
+FELT_MPS2: Final = 0.02
+"""RMS from which people on board feel a vibration (ISO 2631-1, annex C: half of them from a peak of 0.015 m/s2 on)."""
+BROAD: Final = 0.5
+"""A peak that is as wide as that share of its frequency is a band, not a line."""
+MOST_NAMED: Final = 3
+
+
+def vibration_in_words(vibration: Sequence[Vibration]) -> str:
+    """``vibration: seen at 3.1 Hz, 0.21 m/s2; from 4.0 to 7.0 Hz, 0.11 m/s2``: the strongest that people would feel;
+    empty: there is none. *Seen*, since what is faster than half the rate of the samples shows at another frequency.
+    """
+    felt = [one for one in vibration if one.rms_mps2 >= FELT_MPS2]
+    return "vibration: seen " + "; ".join(map(_in_words, felt[:MOST_NAMED])) if felt else ""
+
+
+def _in_words(one: Vibration) -> str:
+    low_hz, high_hz = one.frequency_hz - 0.5 * one.width_hz, one.frequency_hz + 0.5 * one.width_hz
+    is_broad = one.width_hz >= BROAD * one.frequency_hz
+    where = f"from {max(low_hz, 0.0):.1f} to {high_hz:.1f}" if is_broad else f"at {one.frequency_hz:.1f}"
+    return f"{where} Hz, {one.rms_mps2:.2f} m/s2"
 
 
 class SeaState(msgspec.Struct, frozen=True, kw_only=True):

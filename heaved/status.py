@@ -20,7 +20,7 @@ from heaved.outputs.records import (
     QualityRecord,
     StatusRecord,
 )
-from heaved.samples import CorrectionState, Fault, HeaveState, LaserState, MotionFrame
+from heaved.samples import CorrectionState, Fault, HeaveState, LaserState, MotionFrame, SeaState
 
 _SHOWN_S = (0.15, 1.0)
 """Horizons whose predictions the status judges."""
@@ -55,11 +55,7 @@ def status_record(
         clients=clients,
         dropped=dropped,
         lead_s=wire.finite(summary.lead_s),
-        observer=ObserverStatus(
-            name=config.heave.observer,
-            frequencies_hz=tuple(round(frequency_hz, 5) for frequency_hz in summary.frequencies_hz),
-            resets=sum(count for (name, _), count in acquisition.pipeline.resets.items() if name == "heave"),
-        ),
+        observer=_observer(acquisition, config, frame.sea if frame is not None else None, now_s),
         correction=_correction(acquisition, frame, now_s),
         hull=_hull(frame) if config.hull.enabled else None,
         attitude=_attitude(frame, now_s) if config.attitude.enabled else None,
@@ -103,6 +99,20 @@ def _quality(frame: MotionFrame | None) -> QualityRecord:
     quality = frame.quality
     return QualityRecord(
         heave=quality.heave, laser=quality.laser, correction=quality.correction, reasons=quality.reasons
+    )
+
+
+def _observer(acquisition: Acquisition, config: Config, sea: SeaState | None, now_s: float) -> ObserverStatus:
+    """``sea``: as it was fitted last, with what the accelerometer has shown beside it."""
+    pipeline = acquisition.pipeline
+    return ObserverStatus(
+        name=config.heave.observer,
+        frequencies_hz=tuple(round(frequency_hz, 5) for frequency_hz in pipeline.summary().frequencies_hz),
+        fit_age_s=wire.finite(now_s - sea.t_s) if sea is not None else None,
+        resets=sum(count for (name, _), count in pipeline.resets.items() if name == "heave"),
+        vibration=wire.vibration_record(sea.vibration) if sea is not None else (),
+        noise_mps2_rthz=wire.density(sea.noise_mps2_rthz) if sea is not None else None,
+        bias_walk_mps2_rts=wire.density(sea.bias_walk_mps2_rts) if sea is not None else None,
     )
 
 

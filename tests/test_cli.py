@@ -120,6 +120,13 @@ def test_check_config_says_what_it_found(capsys: pytest.CaptureFixture[str]) -> 
     assert len(out) == 3
 
 
+def test_check_config_says_how_wide_a_sensor_is(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check-config", str(data_directory() / "heaved.toml")]) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert out[1].endswith("witmotion-wt901c485 at 100 Hz, bandwidth 20 Hz (a lag of about 10 ms)")
+    assert len(out) == 3
+
+
 @pytest.mark.parametrize(
     ("arguments", "gone", "code", "said"),
     [

@@ -290,6 +290,20 @@ def test_other_devices_may_be_slow() -> None:
 
 CAUTIONS: dict[str, tuple[str, str]] = {
     "a slow IMU": (IMU.replace("rate_hz = 100", "rate_hz = 2") + IMU_PROFILE, "no wave shorter than 1 s"),
+    "a sensor wider than its polls": (
+        IMU.replace("rate_hz = 100", "rate_hz = 20") + 'profile = "witmotion-wt901c485"',
+        "device[0].rate_hz: at 20 Hz, less than twice its bandwidth of 20 Hz, vibration of 19.4-20.6, 39.4-40.6 Hz "
+        "folds into the waves, and nothing can tell it from them; poll at 40 Hz or more, or set register 0x1F",
+    ),
+    "a sensor set wider than it is delivered": (
+        IMU + 'bandwidth_hz = 98\nprofile = "witmotion-hwt905-485"',
+        "vibration of 99.4-100.6 Hz folds into the waves",
+    ),
+    "a wide sensor on a slow line": (
+        IMU.replace("rate_hz = 100", "rate_hz = 20").replace("tcp://127.0.0.1:15020", "rtu:///dev/ttyS0")
+        + 'profile = "witmotion-wt901c485"',
+        "poll at 40 Hz or more (the line carries 21.8: raise its baud rate first)",
+    ),
     "a long timeout": (IMU + "timeout_ms = 3000" + IMU_PROFILE, "device[0].timeout_ms: 3000 ms of waiting"),
     "stuck at once": (IMU + "stuck_after_s = 0.001" + IMU_PROFILE, "0.001 s is less than the period (10 ms)"),
     "a neighbour that waits": (
@@ -306,6 +320,26 @@ def test_what_costs_is_said(name: str) -> None:
     text, expected = CAUTIONS[name]
     (caution,) = cautions(read(text))
     assert expected in caution
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "said", "count"),
+    [(100, "", 0), (40, "", 0), (39.9, "folds", 1), (2, "no wave shorter than 1 s: the heave errs more", 2)],
+)
+def test_a_known_bandwidth_says_what_folds(rate_hz: float, said: str, count: int) -> None:
+    found = cautions(read(IMU.replace("rate_hz = 100", f"rate_hz = {rate_hz}") + 'profile = "witmotion-wt901c485"'))
+    assert len(found) == count
+    assert said in "".join(found[:1])
+
+
+def test_the_bandwidth_of_the_device_comes_before_that_of_its_profile() -> None:
+    text = IMU.replace("rate_hz = 100", "rate_hz = 20") + 'bandwidth_hz = 10\nprofile = "witmotion-wt901c485"'
+    assert cautions(read(text)) == []
+
+
+@pytest.mark.parametrize("name", ["heaved.toml", "demo.toml", "hull.toml", "hydrofoil.toml"])
+def test_packaged_files_need_no_caution(name: str) -> None:
+    assert cautions(load(data_directory() / name)) == []
 
 
 def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:

@@ -127,7 +127,7 @@ async def test_a_pipeline_that_stops_is_seen(tmp_path):
         frame = MotionFrame(t_s=now(), quality=quality, heave_m=1.0, heave_std_m=0.1, lead_s=0.0, reference_m=1.0)
         daemon.acquisition.last_frame = frame
         daemon.metrics.record_frame(frame, age_s=0.0, step_s=0.0)
-        daemon._tasks.pop("heartbeat").cancel()
+        daemon._heartbeat.stop()
         assert (await get(daemon, "/readyz"))[0] == 200
         daemon.keep_house()
         assert metric(daemon, "heaved_heave_meters") == 1.0

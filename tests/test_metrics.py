@@ -25,6 +25,7 @@ from heaved.samples import (
     QuietWindow,
     RockScore,
     SeaState,
+    Vibration,
 )
 
 # As published: name, type, labels. Change one only with a line in the change log.
@@ -60,6 +61,10 @@ CONTRACT = {
     ("heaved_filter_resets", "counter", ("filter", "reason")),
     ("heaved_rock_error_radians", "gauge", ("axis", "horizon")),
     ("heaved_rock_coverage_ratio", "gauge", ("axis", "horizon")),
+    ("heaved_accelerometer_noise_mps2_rthz", "gauge", ()),
+    ("heaved_accelerometer_bias_walk_mps2_rts", "gauge", ()),
+    ("heaved_vibration_mps2", "gauge", ("rank",)),
+    ("heaved_vibration_hertz", "gauge", ("rank",)),
     ("heaved_quiet_confidence_ratio", "gauge", ()),
     ("heaved_quiet_start_seconds", "gauge", ()),
     ("heaved_tick_lateness_seconds", "histogram", ()),
@@ -190,6 +195,7 @@ def test_what_is_not_known_is_nan() -> None:
     assert math.isnan(value(metrics, "heaved_reference_error_meters"))
 
 
+SHAKES = tuple(Vibration(frequency_hz=3.1 * k, width_hz=0.1, rms_mps2=0.3 / k) for k in (1, 2, 3, 4))
 WHOLE = MotionFrame(
     t_s=1000.0,
     quality=Quality(heave=HeaveState.VALID, laser=LaserState.VALID, correction=CorrectionState.ACTIVE),
@@ -199,7 +205,7 @@ WHOLE = MotionFrame(
     reference_m=1.25,
     sea=SeaState(
         significant_height_m=2.5, peak_period_s=9.0, mean_period_s=7.5, systems=(), frequencies_hz=(),
-        spectrum_m2phz=(), t_s=990.0,
+        spectrum_m2phz=(), t_s=990.0, vibration=SHAKES, noise_mps2_rthz=1e-3, bias_walk_mps2_rts=3e-5,
     ),
     delayed=DelayedHeave(t_s=940.0, heave_m=-0.75, std_m=0.01),
     hull=HullAngles(t_s=999.8, state="converged", total_rad=(0.1, 0.2, 0.3), std_rad=(0.01, 0.02, 0.03)),
@@ -214,7 +220,10 @@ WHOLE = MotionFrame(
 """All that a frame may have."""
 SCORES = (RockScore(axis="roll", horizon_s=0.15, error_rad=0.001, coverage=0.95),)
 NOW = {"heaved_heave_meters", "heaved_heave_std_meters", "heaved_reference_error_meters", "heaved_lead_seconds"}
-SEA = {"heaved_significant_heave_meters", "heaved_peak_period_seconds", "heaved_mean_period_seconds"}
+SHAKING = {"heaved_vibration_mps2", "heaved_vibration_hertz"}
+NOISE = {"heaved_accelerometer_noise_mps2_rthz", "heaved_accelerometer_bias_walk_mps2_rts"}
+HEIGHTS = {"heaved_significant_heave_meters", "heaved_peak_period_seconds", "heaved_mean_period_seconds"}
+SEA = HEIGHTS | NOISE | SHAKING
 DELAYED = {"heaved_delayed_heave_meters"}
 HULL = {"heaved_hull_angle_radians", "heaved_hull_std_radians"}
 CRAFT = {f"heaved_attitude_{x}" for x in ("heave_meters", "heave_std_meters", "pitch_radians", "pitch_std_radians")}
@@ -263,6 +272,10 @@ GONE: dict[str, tuple[MotionFrame | None, set[str]]] = {
     "the laser's reading": (changed(reference_m=math.nan), {"heaved_reference_error_meters"}),
     "the sea": (changed(sea=None), SEA),
     "fits of the sea": (changed(sea=msgspec.structs.replace(WHOLE.sea, t_s=399.0)), SEA),
+    "what shakes": (changed(sea=msgspec.structs.replace(WHOLE.sea, vibration=SHAKES[:2])), SHAKING),
+    "what is known of the noise": (
+        changed(sea=msgspec.structs.replace(WHOLE.sea, noise_mps2_rthz=math.nan, bias_walk_mps2_rts=math.nan)), NOISE
+    ),
     "the delayed heave": (changed(delayed=None), DELAYED),
     "the smoother": (changed(t_s=1006.0, hull=None, attitude=None), DELAYED | HULL | CRAFT),
     "the second IMU": (changed(hull=msgspec.structs.replace(WHOLE.hull, t_s=994.9)), HULL),
@@ -284,6 +297,17 @@ def test_a_gauge_is_nan_when_what_it_describes_is_gone(gone: str) -> None:
     assert unknown(metrics) == void
     record(metrics, changed(t_s=1000.01, delayed=DelayedHeave(t_s=941.0, heave_m=0.2, std_m=0.01)))
     assert unknown(metrics) == set()
+
+
+def test_what_shakes_comes_strongest_first_and_no_more_than_three() -> None:
+    metrics = Metrics("1.2.3")
+    record(metrics, WHOLE)
+    for rank, hertz, mps2 in (("1", 3.1, 0.3), ("2", 6.2, 0.15), ("3", 9.3, 0.1)):
+        assert value(metrics, "heaved_vibration_hertz", rank=rank) == pytest.approx(hertz)
+        assert value(metrics, "heaved_vibration_mps2", rank=rank) == pytest.approx(mps2)
+    assert len(families(metrics)["heaved_vibration_mps2"].samples) == 3
+    assert value(metrics, "heaved_accelerometer_noise_mps2_rthz") == 1e-3
+    assert value(metrics, "heaved_accelerometer_bias_walk_mps2_rts") == 3e-5
 
 
 def test_scores_of_predictions_that_are_not_made_are_nan() -> None:

@@ -17,6 +17,8 @@ from heaved.estimation import sea as sea_observer
 from heaved.estimation.network import Network, Output
 from heaved.estimation.points import Point
 from heaved.estimation.sea_window import SeaFit, look
+from heaved.outputs import wire
+from heaved.outputs.records import SeaRecord
 from heaved.pipeline import Pipeline, PipelineState
 from heaved.samples import (
     CorrectionState,
@@ -28,7 +30,6 @@ from heaved.samples import (
     LaserState,
     MotionFrame,
     Sample,
-    SeaState,
     TrainedNetwork,
 )
 from heaved.simulate.seaway import seaway
@@ -645,7 +646,8 @@ def test_what_is_published_of_the_sea_is_json(seen: Pipeline, longer: Recording)
     frame = seen.coast(float(longer.t_s[-1]))
     assert frame.sea is not None
     assert frame.delayed is not None
-    assert msgspec.json.decode(msgspec.json.encode(frame.sea), type=SeaState) == frame.sea
+    told = wire.sea_record(frame.sea, 0.0)
+    assert msgspec.json.decode(wire.encode_record(told), type=SeaRecord) == told
     assert msgspec.json.decode(msgspec.json.encode(frame.delayed), type=DelayedHeave) == frame.delayed
     # Significant height: 4 standard deviations of the heave. In two minutes there are fifteen waves.
     assert frame.sea.significant_height_m == pytest.approx(4.0 * np.std(longer.truth.heave_m), rel=0.25)

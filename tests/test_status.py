@@ -11,7 +11,16 @@ from heaved.daemon import make_pipeline
 from heaved.metrics import Metrics
 from heaved.outputs import wire
 from heaved.outputs.records import HeaveStatus, QualityRecord, StatusRecord
-from heaved.samples import CorrectionState, Fault, HeaveState, LaserState
+from heaved.samples import (
+    CorrectionState,
+    Fault,
+    HeaveState,
+    LaserState,
+    MotionFrame,
+    Quality,
+    SeaState,
+    Vibration,
+)
 from heaved.status import status_line, status_record
 
 CONFIG = load(data_directory() / "demo.toml")
@@ -67,6 +76,23 @@ def test_devices(acquisition):
     assert (device.last_fault, device.last_fault_age_s) == ("timeout", 2.0)
     assert device.detail == "no answer: check power and cable"
     assert status_line(record) == "heave invalid, 0.0 Hz, 2 clients, imu down (timeout), laser down (not polled yet)"
+
+
+def test_what_the_observer_has_found_out(acquisition):
+    acquisition.last_frame = MotionFrame(
+        t_s=109.9,
+        quality=Quality(heave=HeaveState.VALID, laser=LaserState.OFF, correction=CorrectionState.OFF),
+        sea=SeaState(
+            significant_height_m=2.5, peak_period_s=9.0, mean_period_s=7.5, systems=(), frequencies_hz=(),
+            spectrum_m2phz=(), t_s=98.0, noise_mps2_rthz=1.2345e-3,
+            vibration=(Vibration(frequency_hz=3.10004, width_hz=0.0216, rms_mps2=0.212134),),
+        ),
+    )  # fmt: skip
+    observer = wire.decode(wire.encode_record(record_of(acquisition)))["observer"]
+    assert observer == {
+        "name": "sea", "fit_age_s": 12.0, "noise_mps2_rthz": 0.00123,
+        "vibration": [{"frequency_hz": 3.1, "width_hz": 0.022, "rms_mps2": 0.2121}],
+    }  # fmt: skip
 
 
 def test_line_when_all_is_well(acquisition):

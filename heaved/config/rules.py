@@ -13,7 +13,8 @@ import msgspec
 
 from heaved.config import Config
 from heaved.config.typed import sound_keys, table_of
-from heaved.devices.line import RtuLink, bus_load_faults, buses, line_faults, parse_link
+from heaved.devices.bandwidth import bandwidth_hz, folding, remedy
+from heaved.devices.line import RtuLink, bus_load_faults, buses, line_faults, most_rate_hz, parse_link
 from heaved.devices.profile import DeviceSpec, Role, profile_faults, role_needs, role_quantities
 from heaved.estimation import fusion
 from heaved.estimation.sea_fit import BAND_HZ
@@ -21,8 +22,8 @@ from heaved.estimation.sea_fit import BAND_HZ
 LEAST_IMU_RATE_HZ: Final = 2.0 * BAND_HZ[1]
 """Nyquist: of the highest frequency at which the sea is fitted."""
 GOOD_IMU_RATE_HZ: Final = 4.0
-"""Two and a half times that: a whole octave above the waves, in which noise and vibration are seen for what they are.
-"""
+"""Two and a half times that: a whole octave above the waves, in which noise and vibration are seen for what they are,
+as far as they have not folded: see :mod:`heaved.devices.bandwidth`."""
 LONG_TIMEOUT_S: Final = 1.0
 """Twice what a silent device is left alone for."""
 
@@ -118,12 +119,17 @@ def cautions(config: Config) -> list[str]:
     found = []
     for i, device in enumerate(config.device):
         path, period_ms = f"device[{i}]", 1e3 / device.rate_hz
+        bandwidth = bandwidth_hz(device)
         if device.role == "imu" and device.rate_hz < GOOD_IMU_RATE_HZ:
+            folds = "" if bandwidth else ", and vibration of hull and engines folds into the waves"
             found.append(
-                f"{path}.rate_hz: {device.rate_hz:g} Hz sees no wave shorter than {2.0 / device.rate_hz:.2g} s, and "
-                "vibration of hull and engines folds into the waves: the heave errs more; set "
-                f"{GOOD_IMU_RATE_HZ:g} or more, 100 for a compensator"
+                f"{path}.rate_hz: {device.rate_hz:g} Hz sees no wave shorter than {2.0 / device.rate_hz:.2g} s{folds}: "
+                f"the heave errs more; set {GOOD_IMU_RATE_HZ:g} or more, 100 for a compensator"
             )
+        if device.role in ("imu", "imu2") and (told := folding(device.rate_hz, bandwidth)):
+            most_hz = most_rate_hz(parse_link(device.link), device.profile)
+            advice = remedy(device.rate_hz, bandwidth, device.profile.bandwidth_register, most_hz)
+            found.append(f"{path}.rate_hz: {told}; {advice}")
         if device.timeout_ms > 1e3 * LONG_TIMEOUT_S:
             found.append(
                 f"{path}.timeout_ms: {device.timeout_ms:g} ms of waiting for each lost answer, and nothing else is "

@@ -6,7 +6,7 @@ import errno
 import socket
 import unicodedata
 from collections.abc import Sequence
-from math import ceil
+from math import ceil, inf
 from typing import Literal
 from urllib.parse import SplitResult, parse_qsl, urlsplit
 
@@ -188,6 +188,12 @@ def request_time_s(link: Link, profile: Profile) -> float:
         return 0.0
     characters = sum(READ_REQUEST_BYTES + READ_ANSWER_BYTES + 2 * block_registers(block) for block in profile.blocks)
     return characters * character_s(link) + 2 * len(profile.blocks) * silence_s(link)
+
+
+def most_rate_hz(link: Link, profile: Profile) -> float:
+    """Polls a second of that device alone that the line can carry; inf on TCP."""
+    poll_s = request_time_s(link, profile)
+    return _floor3(1.0 / poll_s) if poll_s > 0.0 else inf
 
 
 def line_faults(devices: Sequence[DeviceSpec]) -> list[str]:

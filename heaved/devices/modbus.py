@@ -1,14 +1,13 @@
 """Polling Modbus sensors: one task per bus, a result for every deadline, whatever the line does.
 
-The only place that uses pymodbus clients. What is worked around here, all of it true of pymodbus 3.16.1:
+The only place that uses pymodbus clients. They open lines and carry bytes; requests are made and answers found here:
+its RTU client takes any frame with the right id for the answer, so that a late answer is read as the next one, a frame
+that it cannot decode raises inside the event loop, and it waits to the end of the timeout although the connection is
+lost. Every byte received goes through :mod:`heaved.devices.answers`, and :class:`~heaved.devices.watch.Contact` decides
+when and how a slave may be asked again. What else is worked around, all of it true of pymodbus 3.16.1:
 
-* its RTU client takes any frame with the right id for the answer, so a late answer is read as the next one; every
-  byte received goes through :mod:`heaved.devices.answers` first, and :class:`~heaved.devices.watch.Contact` decides
-  when and how a slave may be asked again;
-* a frame that it cannot decode raises inside the event loop; such frames are kept from it;
-* it waits for an answer to the end of the timeout although the connection is lost or the answer is no use; it is told;
-* it reconnects by itself with delays that double up to minutes, and retries; both are off;
-* ``asyncio.wait_for``, which it waits with, can swallow a cancellation (Python 3.11); the poll task looks again.
+* it reconnects by itself with delays that double up to minutes; that is off;
+* ``asyncio.wait_for``, which it connects with, can swallow a cancellation (Python 3.11); whoever opens looks again.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import struct
 import termios
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -23,13 +23,12 @@ from math import nan
 from typing import Any, Final
 
 import msgspec
-from pymodbus import ModbusException
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
-from pymodbus.exceptions import ModbusIOException
 
 from heaved.devices.answers import (
     Request,
     Sender,
+    crc16,
     explain_exception,
     explain_rtu_silence,
     explain_tcp_silence,
@@ -57,6 +56,11 @@ _MOST_SPARE_BYTES: Final = 512
 """Of what nobody asked for: two frames of the greatest length."""
 _MOST_HEARD_BYTES: Final = 2**18
 """Of one packet: as many as the event loop takes from a socket at a time."""
+_MOST_TRANSACTIONS: Final = 0xFFFF
+_HEADER: Final = struct.Struct(">HHH")
+"""Of a TCP frame: transaction, protocol, bytes that follow."""
+_READ: Final = struct.Struct(">BBHH")
+"""Device or unit id, function, first register, number of registers."""
 _MOST_IN_VAIN: Final = 64
 """Unanswered requests that are remembered, to tell how late their answers come."""
 HANGING_AFTER_POLLS = 4
@@ -101,8 +105,10 @@ class Connection:
         self.late_s: dict[int, float] = {}
         """By id, how long after its request the latest answer came that was too late."""
         self._request: Request | None = None
+        self._done: asyncio.Future[None] | None = None
+        """When the waiting for an answer is over."""
         self._found = b""
-        """The answer to the latest request, once it has been let through."""
+        """The answer to the latest request, once it has come."""
         self._transaction = 0
         self._sent = b""
         self._heard = b""
@@ -110,7 +116,7 @@ class Connection:
         self._spare = b""
         """What came beside the last answer, and since the last read."""
         self._seen = 0
-        """Bytes at the start of the next packet that pymodbus will show again."""
+        """Bytes at the start of what comes next that pymodbus will show again."""
         self._in_vain: dict[Sender, float] = {}
         """The latest requests without an answer, as the sender of one would be known, with their times."""
         self._client: AsyncModbusTcpClient | AsyncModbusSerialClient | None = None
@@ -162,7 +168,6 @@ class Connection:
             "timeout": CONNECT_TIMEOUT_S,
             "retries": 0,
             "reconnect_delay": 0,
-            "trace_packet": self._trace_packet,
             "trace_connect": self._trace_connect,
         }
         client: AsyncModbusTcpClient | AsyncModbusSerialClient
@@ -172,8 +177,8 @@ class Connection:
             settings = msgspec.structs.asdict(self.link)
             del settings["path"]
             client = AsyncModbusSerialClient(place, **settings, **common)
-        client.set_max_no_responses(2**31)
         client.ctx.max_buffer_size = _MOST_HEARD_BYTES  # What exceeds it is thrown away unseen.
+        client.ctx.callback_data = self._take  # type: ignore[method-assign]
         return client
 
     def close(self) -> None:
@@ -189,26 +194,29 @@ class Connection:
             await self._wait_for_silence(self.link, timeout_s)
         request = Request(device_id, 3 if block.function == "holding" else 4, count)
         self._heard, self._found = b"", b""
-        client.ctx.comm_params.timeout_connect = timeout_s
         sent_s = self._clock()
         self._request = request
+        loop = asyncio.get_running_loop()
+        self._done = loop.create_future()
+        timeout = loop.call_later(timeout_s, self._stop_waiting)
+        self._sent = self._request_frame(request, block.start + first)
+        client.ctx.send(self._sent)
         try:
-            if block.function == "holding":
-                response = await client.read_holding_registers(block.start + first, count=count, device_id=device_id)
-            else:
-                response = await client.read_input_registers(block.start + first, count=count, device_id=device_id)
-        except ModbusException:
-            return self._unanswered(client.connected, sent_s, request, timeout_s)
+            await self._done
         finally:
+            timeout.cancel()
             self._request = None
+        if not self._found:
+            return self._unanswered(client.connected, sent_s, request, timeout_s)
         self.has_answered = True
         if self._in_vain or self.late_s:
             self.late_s.pop(device_id, None)
             self._in_vain = {asked: t_s for asked, t_s in self._in_vain.items() if asked.device_id != device_id}
-        if response.isError():
-            code = response.exception_code
+        answer = self._found if isinstance(self.link, RtuLink) else self._found[6:]
+        if answer[1] & 0x80:
+            code = answer[2]
             return Answer(sent_s, [], Fault.EXCEPTION, explain_exception(code), exception=code)
-        registers = list(response.registers)
+        registers = list(struct.unpack_from(f">{answer[2] // 2}H", answer, 3))
         if len(registers) != count:
             detail = f"{len(registers)} registers instead of {count}: the profile's block does not fit the device"
             return Answer(sent_s, [], Fault.LENGTH, detail)
@@ -267,19 +275,21 @@ class Connection:
     def _senders(self, heard: bytes) -> list[Sender]:
         return rtu_senders(heard) if isinstance(self.link, RtuLink) else tcp_senders(heard)
 
-    def _trace_packet(self, sending: bool, data: bytes) -> bytes:
-        """pymodbus shows every packet here, and takes what is returned: all that came since the request was sent, of
-        which only the answer is let through."""
-        if sending:
-            self._transaction = int.from_bytes(data[:2])
-            self._sent = data
-            return data
+    def _request_frame(self, request: Request, start: int) -> bytes:
+        body = _READ.pack(request.device_id, request.function, start, request.count)
+        if isinstance(self.link, RtuLink):
+            return body + crc16(body).to_bytes(2, "little")
+        self._transaction = self._transaction % _MOST_TRANSACTIONS + 1
+        return _HEADER.pack(self._transaction, 0, len(body)) + body
+
+    def _take(self, data: bytes, addr: object = None) -> int:
+        """``data``: all that came since the request was sent. Of that nothing is left to pymodbus."""
         self._heard_s = self._clock()
         request = self._request
         if request is None or self._found:
             self._spare = (self._spare + data[self._seen :])[-_MOST_SPARE_BYTES:]
             self._seen = len(data)
-            return b""
+            return 0
         self._heard = data
         if isinstance(self.link, RtuLink):
             answer = find_rtu_answer(data, request)
@@ -290,13 +300,14 @@ class Connection:
         if answer:
             self._found = answer
             before, _, after = data.partition(answer)
-            self._spare, self._seen = before + after, len(before + after)
-        return answer
+            self._spare, self._seen = before + after, len(data)
+            self._stop_waiting()
+        return 0
 
     def _stop_waiting(self) -> None:
-        """Nothing more is to come for the request that is outstanding."""
-        if self._client is not None and self._request is not None and not self._client.ctx.response_future.done():
-            self._client.ctx.response_future.set_exception(ModbusIOException("no answer can come"))
+        """The answer to the request that is outstanding is there, or none can come any more."""
+        if self._done is not None and not self._done.done():
+            self._done.set_result(None)
 
     def _trace_connect(self, connected: bool) -> None:
         if not connected:
@@ -509,7 +520,6 @@ class Bus:
     ) -> Answer:
         """One read, and what it says of the slave and of the line."""
         answer = await connection.read(station.spec.device_id, block, count, station.timeout_s, first=first)
-        _raise_if_cancelled()
         now_s = self._clock()
         if answer.fault is not Fault.DISCONNECTED:
             self._is_good = answer.answered and isinstance(self.link, TcpLink)

@@ -19,7 +19,8 @@ from typing import Final, Protocol, get_args
 import msgspec
 
 from heaved.devices.answers import explain_exception
-from heaved.devices.line import Link, TcpLink
+from heaved.devices.bandwidth import PASSES, folding, remedy
+from heaved.devices.line import Link, TcpLink, most_rate_hz
 from heaved.devices.modbus import Answer, Connection
 from heaved.devices.profile import Block, ByteOrder, Field, Profile, Quantity, block_registers, decode
 from heaved.devices.timer import DeadlineTimer
@@ -263,6 +264,8 @@ async def probe(
                     line, device_id, profiles, timeout_s, rest_s=0.0 if isinstance(link, TcpLink) else timeout_s
                 )
                 lines += _device_lines(device_id, findings)
+                if findings:
+                    lines += await _bandwidth_lines(line, device_id, findings[0].variant, link, timeout_s)
         except ConnectionError as error:
             if not lines and not hints:
                 raise
@@ -282,6 +285,29 @@ def _device_lines(device_id: int, findings: Sequence[Finding]) -> Iterator[str]:
         yield "        registers " + " ".join(f"{register:04X}" for register in finding.registers)
         if finding.doubt:
             yield f"        {finding.doubt}"
+
+
+async def _bandwidth_lines(
+    line: Reader, device_id: int, variant: Variant, link: Link, timeout_s: float
+) -> list[str]:
+    """To what the sensor's low-pass is set, how fast that wants to be polled, and what to do if the line cannot."""
+    profile, hertz, source = variant.profile, variant.profile.bandwidth_hz, "as delivered"
+    register = profile.bandwidth_register
+    if register is not None:
+        field = Field(quantity="signal", offset=0, type="uint16", byte_order=profile.blocks[0].fields[0].byte_order)
+        asked = _changed(Block(start=register.address, fields=(field,)), variant)
+        answer = await line.read(device_id, asked, 1, timeout_s)
+        value = decode(asked, answer.registers).values.get("signal", inf) if answer.fault is Fault.NONE else inf
+        if value < len(register.choices_hz):
+            hertz, source = register.choices_hz[int(value)], f"register 0x{register.address:02X} is {value:g}"
+    if not hertz:
+        return []
+    most_hz = most_rate_hz(link, profile)
+    told = [f"        bandwidth {hertz:g} Hz ({source}): poll at {PASSES * hertz:g} Hz or more"]
+    if most_hz < PASSES * hertz:
+        told.append(f"        the line carries {most_hz:g} polls a second: {folding(most_hz, hertz)}")
+        told.append(f"        {remedy(most_hz, hertz, register, most_hz)}")
+    return told
 
 
 def _odd_hints(odd: Sequence[tuple[int, str]]) -> Iterator[str]:

@@ -58,11 +58,22 @@ class Block(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     fields: Annotated[tuple[Field, ...], msgspec.Meta(min_length=1)]
 
 
+class BandwidthRegister(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The holding register that sets a sensor's bandwidth. It is never written: that is for its owner to do."""
+
+    address: Annotated[int, msgspec.Meta(ge=0, le=65535)]
+    choices_hz: Annotated[tuple[Annotated[float, msgspec.Meta(gt=0)], ...], msgspec.Meta(min_length=1)]
+    """What its values 0, 1, 2, ... mean."""
+
+
 class Profile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What the registers of one kind of device mean."""
 
     name: str
     description: str = ""
+    bandwidth_hz: Annotated[float, msgspec.Meta(ge=0, le=10_000)] = 0.0
+    """Corner of the low-pass of its accelerometers and gyros, as delivered; 0: not known."""
+    bandwidth_register: BandwidthRegister | None = None
     blocks: Annotated[tuple[Block, ...], msgspec.Meta(min_length=1)]
 
 
@@ -81,6 +92,8 @@ class DeviceSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Sample time minus the time at which the request was sent; negative for a device that answers old values."""
     stuck_after_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] = 2.0
     """Identical registers for longer than this are a fault (0: never)."""
+    bandwidth_hz: Annotated[float, msgspec.Meta(ge=0, le=10_000)] = 0.0
+    """To which the sensor's low-pass is set; 0: as its profile says."""
 
 
 # ---- codec -----------------------------------------------------------------------------------------------------------

@@ -9,13 +9,16 @@ import asyncio
 import contextlib
 import ctypes
 import os
+import struct
 import sys
 import time
+from collections.abc import Callable
 from math import floor
 from types import TracebackType
-from typing import Self
+from typing import Final, Self
 
-import msgspec
+LOOP_RESOLUTION_S: Final = 1e-3
+"""Of the loop's own timers."""
 
 
 class Pace:
@@ -97,35 +100,45 @@ class DeadlineTimer:
                 self._woken.set_result(None)
 
 
-class Tick(msgspec.Struct, frozen=True):
-    due_s: float
-    lateness_s: float
-    """Woken minus due."""
-    skipped: int
-    """Deadlines that passed unserved just before this one."""
+class Heartbeat:
+    """Calls ``beat`` once a period for as long as nobody puts it off. Being put off in time costs no wake-up.
 
+    By the loop's own timers: they may be a millisecond late, which is nothing to speak of here.
+    """
 
-class PeriodicTimer:
-    """One deadline every period, for ever; late ones are counted, not made up for. A context manager."""
+    def __init__(self, beat: Callable[[float], None]) -> None:
+        """``beat`` is given its lateness, s; it must be quick."""
+        self._beat = beat
+        self._period_s = 0.0
+        self._due_s = 0.0
+        self._handle: asyncio.TimerHandle | None = None
 
-    def __init__(self, period_s: float, start_s: float | None = None) -> None:
-        self._pace = Pace(period_s, time.monotonic() if start_s is None else start_s)
-        self._timer = DeadlineTimer()
+    def start(self, period_s: float) -> None:
+        """Beat from now on, or from now on with another period."""
+        self._period_s = period_s
+        self._set(asyncio.get_running_loop().time() + period_s)
 
-    def __enter__(self) -> Self:
-        self._timer.__enter__()
-        return self
+    def put_off(self) -> None:
+        """The next beat is due when two periods have passed: one that is late by as much is missing."""
+        if self._handle is not None:
+            self._set(asyncio.get_running_loop().time() + 2.0 * self._period_s)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._timer.__exit__(kind, error, trace)
+    def stop(self) -> None:
+        if self._handle is not None:
+            self._handle.cancel()
+            self._handle = None
 
-    async def tick(self) -> Tick:
-        """The next deadline, when it has come."""
-        skipped = self._pace.advance(time.monotonic())
-        due_s = self._pace.due_s
-        return Tick(due_s, await self._timer.wait_until(due_s), skipped)
+    def _set(self, due_s: float) -> None:
+        if self._handle is not None:
+            self._handle.cancel()
+        self._due_s = due_s
+        self._handle = asyncio.get_running_loop().call_at(due_s, self._expired)
+
+    def _expired(self) -> None:
+        late_s = asyncio.get_running_loop().time() - self._due_s
+        # Of the beats that have passed already only the latest is kept: a stall is not followed by a burst.
+        self._set(self._due_s + self._period_s * max(1, floor(late_s / self._period_s)))
+        self._beat(max(late_s - LOOP_RESOLUTION_S, 0.0))
 
 
 # ---- timerfd ---------------------------------------------------------------------------------------------------------
@@ -140,14 +153,12 @@ if sys.version_info >= (3, 13):
 
 else:
 
-    class _Timespec(ctypes.Structure):
-        _fields_ = (("seconds", ctypes.c_long), ("nanoseconds", ctypes.c_long))
-
-    class _Itimerspec(ctypes.Structure):
-        _fields_ = (("interval", _Timespec), ("value", _Timespec))
-
     _TFD_TIMER_ABSTIME = 1
+    _itimerspec = struct.Struct("@4l").pack
+    """Interval and first expiry, in seconds and nanoseconds each."""
     _libc = ctypes.CDLL(None, use_errno=True)
+    _settime = _libc.timerfd_settime
+    _settime.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.c_char_p, ctypes.c_void_p)
 
     def _create() -> int:
         # The flags of timerfd_create are those of open.
@@ -159,6 +170,5 @@ else:
     def _arm(fd: int, deadline_s: float) -> None:
         # A value of zero would disarm the timer.
         seconds, nanoseconds = divmod(max(round(deadline_s * 1e9), 1), 1_000_000_000)
-        value = _Itimerspec(_Timespec(0, 0), _Timespec(seconds, nanoseconds))
-        if _libc.timerfd_settime(fd, _TFD_TIMER_ABSTIME, ctypes.byref(value), None) != 0:
+        if _settime(fd, _TFD_TIMER_ABSTIME, _itimerspec(0, 0, seconds, nanoseconds), None) != 0:
             raise OSError(ctypes.get_errno(), "timerfd_settime failed")

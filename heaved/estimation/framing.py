@@ -243,6 +243,7 @@ class Framer:
                 missing=intake.arrivals.missing,
                 doubts=observer.doubts + doubts,
                 notes=observer.notes,
+                is_still=observer.sea is not None and observer.sea.is_still,
                 remarks=chain.laser.remarks() if self._has_laser else (),
                 tilt_removed=intake.is_tilt_removed(t_s),
                 std_scale=chain.laser.std_scale(t_s),

@@ -20,7 +20,7 @@ USELESS: Final = 0.5
 SMALL_M: Final = 0.01
 """Errors below this are well whatever the sea: a still ship has no heave to compare with."""
 STILL_M: Final = 0.05
-"""The same where the observer notes that the ship is still: what it does not see is then all of the heave."""
+"""The same where the ship is still: what it does not see is then all of the heave."""
 DISAGREEMENT: Final = 3.0
 """The laser shows this many times the modelled error."""
 USELESS_SMALL: Final = 2.5
@@ -55,6 +55,8 @@ class Facts(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     """What the observer itself holds against its output."""
     notes: tuple[str, ...]
     """What people should know, and no reason to trust it less."""
+    is_still: bool
+    """The observer sees no motion above the noise of the sensor."""
     remarks: tuple[str, ...]
     """What people should know of the laser: the heave does without it."""
     tilt_removed: bool
@@ -95,7 +97,7 @@ def judge(facts: Facts) -> tuple[HeaveState, tuple[str, ...]]:
     if f.missing > MANY_MISSING:
         degraded.append(f"imu: {100.0 * f.missing:.0f} % of the samples missing")
     degraded += f.doubts
-    small_m = STILL_M if f.notes else SMALL_M
+    small_m = STILL_M if f.is_still else SMALL_M
     limit_m = max(BROAD_SEA * f.heave_std_m, small_m)
     useless_m = max(USELESS * f.heave_std_m, USELESS_SMALL * small_m) * max(f.std_scale, 1.0)
     if f.error_std_m > useless_m and state is not HeaveState.SETTLING:

@@ -10,10 +10,10 @@ from typing import Final
 
 import msgspec
 
-from heaved.samples import CorrectionState, HeaveState, LaserState
+from heaved.samples import CorrectionState, HeaveState, LaserState, Vibration
 
 PROTO_MAJOR: Final = 1
-PROTO_MINOR: Final = 2
+PROTO_MINOR: Final = 3
 
 
 class VersionRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class", tag="VERSION"):
@@ -116,8 +116,8 @@ class WaveSystemRecord(msgspec.Struct, frozen=True, kw_only=True):
     peak_period_s: float
 
 
-class SeaRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class", tag="SEA"):
-    """The sea as the heave shows it, with each refit."""
+class SeaRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag_field="class", tag="SEA"):
+    """The sea as the heave shows it, and what the accelerometer shows beside it, with each refit."""
 
     time: str
     """UTC of the end of the record that it comes from."""
@@ -133,6 +133,12 @@ class SeaRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class", ta
     model: str
     window_s: float
     """Length of the record that it was fitted to."""
+    vibration: tuple[Vibration, ...]
+    """What shakes the hull, strongest first."""
+    noise_mps2_rthz: float | None = None
+    """One-sided density of the accelerometer's white noise, as the record shows it."""
+    bias_walk_mps2_rts: float | None = None
+    """Random walk of its bias, likewise."""
 
 
 class DelayedRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class", tag="DELAYED"):
@@ -218,6 +224,10 @@ class ObserverStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
     """Centre frequencies of the sea model in use."""
     fit_age_s: float | None = None
     resets: int = 0
+    vibration: tuple[Vibration, ...] = ()
+    """These three as the SEA record has them."""
+    noise_mps2_rthz: float | None = None
+    bias_walk_mps2_rts: float | None = None
 
 
 class CorrectionStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

@@ -12,8 +12,16 @@ from typing import Final
 import msgspec
 
 from heaved.outputs.client import Snapshot, Trouble, Unreachable
-from heaved.outputs.records import DeviceStatus, MotionRecord, QuietStatus, RockRecord, RockStatus, StatusRecord
-from heaved.samples import Fault, HeaveState
+from heaved.outputs.records import (
+    DeviceStatus,
+    MotionRecord,
+    ObserverStatus,
+    QuietStatus,
+    RockRecord,
+    RockStatus,
+    StatusRecord,
+)
+from heaved.samples import Fault, HeaveState, vibration_in_words
 from heaved.text import printable
 
 _FRESH_S: Final = 1.0
@@ -191,8 +199,19 @@ def _heave_rows(status: StatusRecord, motion: MotionRecord | None, age_s: float 
         resets = f", started afresh {status.observer.resets} times" if status.observer.resets else ""
         sea = f" at {lines} Hz" if lines else ", no sea fitted yet"
         yield _row("observer", f"{status.observer.name}{sea}{fitted}{resets}")
+        if told := accelerometer_text(status.observer):
+            yield _row("sensor", told)
     if status.lead_s is not None:
         yield _row("lead", f"{status.lead_s * 1e3:+.1f} ms")
+
+
+def accelerometer_text(observer: ObserverStatus) -> str:
+    """What the observer has found out about the accelerometer and what shakes it; empty: nothing yet."""
+    noise, walk = observer.noise_mps2_rthz, observer.bias_walk_mps2_rts
+    told = [f"noise {noise:.1e} m/s2/√Hz"] if noise is not None else []
+    told += [f"bias walk {walk:.1e} m/s2/√s"] if walk is not None else []
+    told += [words] if (words := vibration_in_words(observer.vibration)) else []
+    return "   ".join(told)
 
 
 def _correction_rows(status: StatusRecord) -> Iterator[str]:

@@ -11,7 +11,7 @@ from typing import Final, TextIO
 
 from heaved.outputs.client import SILENCE_S, StreamConnection, Trouble, Unreachable
 from heaved.outputs.records import DeviceStatus, MotionRecord, StatusRecord
-from heaved.outputs.report import duration, signed, spread
+from heaved.outputs.report import accelerometer_text, duration, signed, spread
 from heaved.samples import HeaveState
 from heaved.text import printable
 
@@ -92,6 +92,8 @@ class View:
             lines += self._motion_lines(self._motion, now_s, width)
         if self._status is not None:
             lines += [("", ""), *_device_lines(self._status)]
+            if self._status.observer is not None and (told := accelerometer_text(self._status.observer)):
+                lines.append((_DIM, f"  accelerometer   {told}"))
         lines += [("", ""), (_DIM, "Ctrl-C ends")]
         return [f"{colour}{printable(text)[:width]}{_RESET if colour else ''}" for colour, text in lines]
 

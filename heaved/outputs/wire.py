@@ -38,6 +38,7 @@ from heaved.samples import (
     RockPrediction,
     RockScore,
     SeaState,
+    Vibration,
 )
 
 _MICRO_PER_RADIAN: Final = 1e6 * 180.0 / math.pi
@@ -173,7 +174,25 @@ def sea_record(sea: SeaState, utc_s: float) -> SeaRecord:
         spectrum_m2phz=tuple(float(f"{s:.4g}") for s in sea.spectrum_m2phz),
         model=sea.model,
         window_s=round(sea.window_s, 3),
+        vibration=vibration_record(sea.vibration),
+        noise_mps2_rthz=density(sea.noise_mps2_rthz),
+        bias_walk_mps2_rts=density(sea.bias_walk_mps2_rts),
     )
+
+
+def vibration_record(vibration: tuple[Vibration, ...]) -> tuple[Vibration, ...]:
+    """The same, to a millihertz and a tenth of a mm/s2."""
+    return tuple(
+        Vibration(
+            frequency_hz=round(one.frequency_hz, 3), width_hz=round(one.width_hz, 3), rms_mps2=round(one.rms_mps2, 4)
+        )
+        for one in vibration
+    )
+
+
+def density(value: float) -> float | None:
+    """A density of noise to three digits, since it may be of any size; None when it is not known."""
+    return float(f"{value:.3g}") if math.isfinite(value) else None
 
 
 def delayed_record(delayed: DelayedHeave, utc_s: float) -> DelayedRecord:

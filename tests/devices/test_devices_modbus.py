@@ -14,6 +14,7 @@ import socket
 from collections.abc import Callable
 from math import isnan
 from pathlib import Path
+from typing import Any
 
 import pytest
 import serial
@@ -30,14 +31,14 @@ from modbus_slaves import (
     running,
     tcp_answer,
 )
-from pymodbus.client import AsyncModbusTcpClient
-from pymodbus.pdu.register_message import ReadHoldingRegistersResponse
 
+from heaved.devices import modbus
 from heaved.devices.modbus import CONNECT_TIMEOUT_S, RETRY_S, Bus, PollResult
 from heaved.devices.names import Name
 from heaved.devices.profile import Block, Field, Profile
 from heaved.devices.watch import PROBE_S
 from heaved.samples import Fault, ImuSample, LaserSample
+from heaved.tasks import cancelled
 
 
 def well(result: object) -> bool:
@@ -876,23 +877,33 @@ async def test_cancelling_closes_the_line() -> None:
     assert len(os.listdir("/proc/self/fd")) == len(before)
 
 
-async def test_a_cancellation_swallowed_within_pymodbus_still_ends_the_task(monkeypatch: pytest.MonkeyPatch) -> None:
-    """``asyncio.wait_for`` of Python 3.11 does so if the answer comes in the same round of the loop."""
-    waiting = asyncio.Event()
+@pytest.mark.parametrize("order", ["before the answer", "after the answer"])
+async def test_a_cancellation_in_the_same_round_as_the_answer_ends_the_task(
+    order: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """``asyncio.wait_for`` of Python 3.11 swallows such a one."""
+    polls: list[asyncio.Task[None]] = []
+    answered = asyncio.Event()
+    find = modbus.find_tcp_answer
 
-    async def read(*args: object, **kwargs: object) -> ReadHoldingRegistersResponse:
-        waiting.set()
-        with contextlib.suppress(asyncio.CancelledError):
-            await asyncio.Event().wait()
-        return ReadHoldingRegistersResponse(registers=[1, 2, 3])
+    def cancel_and_find(*arguments: Any) -> bytes:
+        polls.extend(task for task in asyncio.all_tasks() if task.get_name().startswith("poll"))
+        answered.set()
+        if order == "before the answer":
+            polls[0].cancel()
+        else:
+            asyncio.get_running_loop().call_soon(polls[0].cancel)
+        return find(*arguments)
 
-    monkeypatch.setattr(AsyncModbusTcpClient, "read_holding_registers", read)
-    slave = TcpSlave(lambda request: b"")
+    monkeypatch.setattr(modbus, "find_tcp_answer", cancel_and_find)
+    slave = TcpSlave(lambda request: tcp_answer(request, [1, 2, 3]))
     await slave.start()
-    task = asyncio.create_task(Bus([device(f"tcp://127.0.0.1:{slave.port}")], Results()).run())
+    results = Results()
+    bus = asyncio.create_task(Bus([device(f"tcp://127.0.0.1:{slave.port}")], results).run())
     async with asyncio.timeout(10):
-        await waiting.wait()
-        task.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await task
+        await answered.wait()
+        await asyncio.wait(polls)
+    assert polls[0].cancelled()
+    assert results.all == []
+    await cancelled([bus], 10.0)
     await slave.stop()

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Callable
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from heaved.devices.timer import DeadlineTimer, Pace, PeriodicTimer
+from heaved.devices.timer import DeadlineTimer, Heartbeat, Pace
 
 
 def test_deadlines_are_counted_from_the_start() -> None:
@@ -85,12 +86,67 @@ async def test_a_cancelled_wait_leaves_the_timer_usable() -> None:
         assert time.monotonic() >= deadline_s
 
 
-async def test_periodic_ticks_keep_their_grid() -> None:
-    start_s = time.monotonic()
-    with PeriodicTimer(0.004, start_s) as timer:
-        ticks = [await timer.tick() for _ in range(5)]
-        number = 0
-        for tick in ticks:
-            number += 1 + tick.skipped
-            assert tick.due_s == pytest.approx(start_s + number * 0.004, abs=1e-9)
-            assert tick.lateness_s >= 0.0
+class Beats:
+    """What a heart does on a loop whose clock and timers the test turns."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_s = 100.0
+        self.lateness_s: list[float] = []
+        self.due: list[tuple[float, asyncio.Handle]] = []
+        loop = asyncio.get_running_loop()
+        monkeypatch.setattr(loop, "time", lambda: self.now_s)
+        monkeypatch.setattr(loop, "call_at", self._call_at)
+        self.heart = Heartbeat(self.lateness_s.append)
+
+    def _call_at(self, due_s: float, callback: Callable[[], None]) -> asyncio.Handle:
+        handle = asyncio.Handle(callback, (), asyncio.get_running_loop())
+        self.due.append((due_s, handle))
+        return handle
+
+    def run(self, until_s: float) -> int:
+        """To that time; returns how often it beat."""
+        before = len(self.lateness_s)
+        while self.due and self.due[0][0] <= until_s:
+            due_s, handle = self.due.pop(0)
+            self.now_s = max(self.now_s, due_s)
+            if not handle.cancelled():
+                handle._run()
+        self.now_s = until_s
+        return len(self.lateness_s) - before
+
+
+async def test_a_heart_beats_once_a_period(monkeypatch: pytest.MonkeyPatch) -> None:
+    beats = Beats(monkeypatch)
+    beats.heart.put_off()  # Not begun yet: nothing to put off.
+    assert beats.due == []
+    beats.heart.start(0.01)
+    assert beats.run(101.001) == 100
+    assert max(beats.lateness_s) < 1e-9
+    beats.heart.start(0.1)
+    assert beats.run(102.002) == 10
+    beats.heart.stop()
+    assert beats.run(103.0) == 0
+
+
+async def test_a_heart_that_is_put_off_does_not_beat_until_two_periods_have_passed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    beats = Beats(monkeypatch)
+    beats.heart.start(0.01)
+    for number in range(1, 101):
+        assert beats.run(100.0 + 0.0099 * number) == 0
+        beats.heart.put_off()
+    assert beats.run(beats.now_s + 0.0199) == 0
+    assert beats.run(beats.now_s + 0.0002) == 1
+    assert beats.run(beats.now_s + 0.05) == 5
+    assert sum(not handle.cancelled() for _, handle in beats.due) == 1
+
+
+async def test_a_stall_is_not_followed_by_a_burst(monkeypatch: pytest.MonkeyPatch) -> None:
+    beats = Beats(monkeypatch)
+    beats.heart.start(0.01)
+    beats.now_s += 0.046
+    beats.run(beats.now_s)
+    # Of what was due at 10, 20, 30 and 40 ms, the first and the last; a millisecond is the loop's own.
+    assert beats.lateness_s == pytest.approx([0.035, 0.005])
+    assert beats.run(100.0501) == 1

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from modbus_slaves import RtuSlave, TcpSlave, mbap_answer, rtu_answer, tcp_answer
+from modbus_slaves import RtuSlave, TcpSlave, mbap_answer, rtu, rtu_answer, tcp_answer
 
 from heaved.config.read import packaged_profiles
 from heaved.devices.line import parse_link
@@ -109,6 +109,45 @@ async def test_a_sensor_comes_before_the_simulator_that_imitates_it() -> None:
     names = [line.split()[1] for line in lines if "%" in line]
     assert names[0] == "witmotion-wt901c485"
     assert "heaved-sim-imu16" in names[1:]
+
+
+BANDWIDTHS: dict[str, tuple[int | None, bool, list[str]]] = {
+    "as it is set": (3, False, ["bandwidth 42 Hz (register 0x1F is 3): poll at 84 Hz or more"]),
+    "on a line that is fast enough": (3, True, ["bandwidth 42 Hz (register 0x1F is 3): poll at 84 Hz or more"]),
+    # 37 characters of 10 bits at 115200 baud and twice 1.75 ms: 6.7 ms.
+    "on a line that is too slow": (2, True, [
+        "bandwidth 98 Hz (register 0x1F is 2): poll at 196 Hz or more",
+        "the line carries 148 polls a second: at 148 Hz, less than twice its bandwidth of 98 Hz, vibration of "
+        "147.4-148.6 Hz folds into the waves, and nothing can tell it from them",
+        "poll at 196 Hz or more (the line carries 148: raise its baud rate first), or set register 0x1F of the sensor "
+        "to 3 (42 Hz) and bandwidth_hz to 42; it then lags by about 5 ms instead of 2: take the difference from "
+        "latency_ms",
+    ]),
+    "a register that says something else": (900, False, ["bandwidth 20 Hz (as delivered): poll at 40 Hz or more"]),
+    "no such register": (None, False, ["bandwidth 20 Hz (as delivered): poll at 40 Hz or more"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BANDWIDTHS)
+async def test_the_bandwidth_of_a_sensor_is_read_and_held_against_its_line(name: str) -> None:
+    setting, serial, expected = BANDWIDTHS[name]
+
+    def answer(request: bytes) -> bytes:
+        body = request if serial else request[6:]
+        first, count = int.from_bytes(body[2:4]), int.from_bytes(body[4:6])
+        registers = [0] * 0x34 + wt901(len(slave.requests))
+        registers[0x1F] = setting or 0
+        if body[1] != 3 or first + count > len(registers) or (first == 0x1F and setting is None):
+            refusal = bytes((body[1] | 0x80, 2))
+            return rtu(body[:1] + refusal) if serial else mbap_answer(int.from_bytes(request[:2]), body[0], refusal)
+        wanted = registers[first : first + count]
+        return rtu_answer(request, wanted) if serial else tcp_answer(request, wanted)
+
+    slave = RtuSlave(answer) if serial else TcpSlave(answer)
+    lines = [line.strip() for line in (await reported(slave, "80")).lines]
+    assert lines[0] == "id 80: fits"
+    start = next(i for i, line in enumerate(lines) if line.startswith("bandwidth"))
+    assert lines[start:] == expected
 
 
 REGISTERS_OF_ANYTHING = {

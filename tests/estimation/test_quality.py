@@ -19,6 +19,7 @@ WELL = Facts(
     missing=0.0,
     doubts=(),
     notes=(),
+    is_still=False,
     tilt_removed=True,
     std_scale=1.0,
     remarks=(),
@@ -29,6 +30,7 @@ WELL = Facts(
 VALID, SETTLING, DEGRADED, INVALID = HeaveState.VALID, HeaveState.SETTLING, HeaveState.DEGRADED, HeaveState.INVALID
 BROAD = "error above a fifth of the heave"
 TILT = "no attitude or no horizontal acceleration: tilt not removed"
+SHAKES = "vibration: seen at 3.1 Hz, 0.21 m/s2"
 
 TABLE = [
     ({}, VALID, ()),
@@ -63,6 +65,13 @@ TABLE = [
     ({"missing": 0.3}, DEGRADED, ("imu: 30 % of the samples missing",)),
     ({"doubts": ("it drifts",), "notes": ("still",)}, DEGRADED, ("it drifts", "still")),
     ({"notes": ("still",)}, VALID, ("still",)),
+    # A still ship has no heave to compare with; one that shakes has.
+    ({"error_std_m": 0.04, "heave_std_m": 0.01, "is_still": True, "notes": ("still",)}, VALID, ("still",)),
+    ({"error_std_m": 0.04, "heave_std_m": 0.01, "notes": (SHAKES,)}, INVALID, (
+        "error above half of the heave", SHAKES,
+    )),
+    ({"error_std_m": 0.02, "heave_std_m": 0.05, "notes": (SHAKES,)}, DEGRADED, (BROAD, SHAKES)),
+    ({"notes": (SHAKES,)}, VALID, (SHAKES,)),
     ({"doubts": ("it drifts",), "settled_s": 16.0}, SETTLING, ("it drifts", "settling: 16 s of 30 s")),
     ({"laser_fresh": False}, VALID, ("laser: no fresh reference",)),
     ({"laser_fresh": False, "laser_fault": Fault.STUCK}, VALID, ("laser: stuck",)),

@@ -36,7 +36,7 @@ async def until_clients(served: Served, count: int) -> None:
 async def test_version_comes_first_then_every_frame_at_once(serve: Serve) -> None:
     served = await serve()
     peer = Peer(*await asyncio.open_connection(served.host, served.port))
-    assert await peer.record() == {"class": "VERSION", "release": "1.2.3", "proto_major": 1, "proto_minor": 2}
+    assert await peer.record() == {"class": "VERSION", "release": "1.2.3", "proto_major": 1, "proto_minor": 3}
     served.publish(3)
     records = await peer.records(3)
     assert [(record["class"], record["seq"], record["dropped"]) for record in records] == [
@@ -212,7 +212,7 @@ async def test_status_and_version_are_answered(serve: Serve, connect: Connect) -
 async def test_watch_chooses_classes(serve: Serve, connect: Connect) -> None:
     sea_record = SeaRecord(
         time="2026-01-01T00:00:00.000000Z", significant_height_m=2.5, peak_period_s=9.0, mean_period_s=7.5,
-        is_still=False, systems=(), frequencies_hz=(), spectrum_m2phz=(), model="", window_s=600.0,
+        is_still=False, systems=(), frequencies_hz=(), spectrum_m2phz=(), model="", window_s=600.0, vibration=(),
     )  # fmt: skip
     served = await serve()
     both, sea, nothing = [await connect(served) for _ in range(3)]

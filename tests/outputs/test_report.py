@@ -23,7 +23,7 @@ from heaved.outputs.records import (
     VersionRecord,
 )
 from heaved.outputs.report import CheckState, check_line, duration, json_text, table
-from heaved.samples import CorrectionState, HeaveState, LaserState
+from heaved.samples import CorrectionState, HeaveState, LaserState, Vibration
 
 # Label=value[unit];[warn];[crit];[min];[max], as the monitoring plugins' guidelines have it.
 PERFORMANCE = re.compile(r"[a-z_]+=-?[0-9.e-]+[a-z]*;;;;")
@@ -160,6 +160,14 @@ def test_table_shows_what_there_is() -> None:
     assert re.search(r"rock +in +roll +pitch +yaw", text)
     assert re.search(r"50 ms +\+5\.730° ±0\.057° +-2\.865° ±0\.057° +-$", text, re.MULTILINE)
     assert re.search(r"5 s +\+1\.000 m +±0\.100 m$", text, re.MULTILINE)
+
+
+def test_table_names_what_shakes_and_the_noise() -> None:
+    shaking = (Vibration(frequency_hz=3.1, width_hz=0.02, rms_mps2=0.21),)
+    observer = ObserverStatus(name="sea", vibration=shaking, noise_mps2_rthz=1.02e-3, bias_walk_mps2_rts=3e-5)
+    expected = "noise 1.0e-03 m/s2/√Hz   bias walk 3.0e-05 m/s2/√s   vibration: seen at 3.1 Hz, 0.21 m/s2"
+    assert re.search(rf"^sensor +{re.escape(expected)}$", table(snapshot(make_status(observer=observer))), re.MULTILINE)
+    assert "sensor" not in table(snapshot(make_status(observer=ObserverStatus(name="sea"))))
 
 
 def test_table_of_a_daemon_that_knows_nothing_yet() -> None:

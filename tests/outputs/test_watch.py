@@ -12,9 +12,9 @@ import pytest
 from stream_peers import Serve, make_frame, make_status
 
 from heaved.outputs import wire
-from heaved.outputs.records import MotionRecord
+from heaved.outputs.records import MotionRecord, ObserverStatus
 from heaved.outputs.watch import View, bar, big, watch
-from heaved.samples import HeaveState
+from heaved.samples import HeaveState, Vibration
 
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 
@@ -66,6 +66,15 @@ def test_view_of_good_data() -> None:
         assert expected in text
     for row in big("+1.25 m"):
         assert row.rstrip() in text
+
+
+def test_view_of_a_hull_that_shakes() -> None:
+    view = View("here:5570")
+    view.connected("1.2.3", 0.0)
+    shaking = (Vibration(frequency_hz=3.1, width_hz=0.02, rms_mps2=0.21),)
+    view.take(make_status(observer=ObserverStatus(name="sea", vibration=shaking, noise_mps2_rthz=1e-3)), 0.0)
+    told = "accelerometer   noise 1.0e-03 m/s2/√Hz   vibration: seen at 3.1 Hz, 0.21 m/s2"
+    assert told in drawn(view, 0.1)
 
 
 def test_view_of_old_data_and_of_trouble() -> None:

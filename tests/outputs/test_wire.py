@@ -7,6 +7,7 @@ import math
 from datetime import UTC, datetime
 from typing import Any, NoReturn
 
+import msgspec
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -36,6 +37,7 @@ from heaved.samples import (
     Quality,
     RockPrediction,
     SeaState,
+    Vibration,
     WaveSystem,
 )
 
@@ -207,7 +209,16 @@ def test_golden_sea_line() -> None:
         b'"systems":[{"kind":"swell","significant_height_m":2.0,"peak_period_s":12.0},'
         b'{"kind":"wind sea","significant_height_m":1.5,"peak_period_s":6.0}],'
         b'"frequencies_hz":[0.05,0.12346],"spectrum_m2phz":[0.01235,12.5],'
-        b'"model":"3 chains of 8 resonators","window_s":300.0}\n'
+        b'"model":"3 chains of 8 resonators","window_s":300.0,"vibration":[]}\n'
+    )
+
+
+def test_golden_sea_line_of_a_hull_that_shakes() -> None:
+    vibration = (Vibration(frequency_hz=3.10004, width_hz=0.0216, rms_mps2=0.212134),)
+    shaken = msgspec.structs.replace(SEA, vibration=vibration, noise_mps2_rthz=0.00102345, bias_walk_mps2_rts=3e-5)
+    assert wire.encode_record(wire.sea_record(shaken, 1767225600.5)).endswith(
+        b',"window_s":300.0,"vibration":[{"frequency_hz":3.1,"width_hz":0.022,"rms_mps2":0.2121}],'
+        b'"noise_mps2_rthz":0.00102,"bias_walk_mps2_rts":0.00003}\n'
     )
 
 
@@ -243,7 +254,7 @@ def test_records_that_are_not_known_are_left_out() -> None:
         "quality": {"heave": "invalid", "laser": "off", "correction": "off", "reasons": []},
     }  # fmt: skip
     assert wire.encode_record(VersionRecord(release="1.2.3")) == (
-        b'{"class":"VERSION","release":"1.2.3","proto_major":1,"proto_minor":2}\n'
+        b'{"class":"VERSION","release":"1.2.3","proto_major":1,"proto_minor":3}\n'
     )
     assert wire.encode_record(ErrorRecord(message="no")) == b'{"class":"ERROR","message":"no"}\n'
 
