@@ -162,11 +162,14 @@ class SeaObserver:
         if self._guard.step_s is not None:
             self._record.cut(*self._guard.step_s)
             self.steps += 1
-            for at_s, value in self._guard.since_step[:-1]:
-                if self._record.follows(at_s):
-                    self._record.push(at_s, value)
-        if self._guard.no_blow_s is not None:
-            self._record.unstrike(self._guard.no_blow_s)
+        if self._guard.blow_s is not None:
+            self._record.strike(self._guard.blow_s)
+        lasting = self._guard.lasting()
+        if lasting:
+            self._record.ask_again()
+        for at_s, value in (*self._guard.explained[:-1], *lasting):
+            if self._record.follows(at_s):
+                self._record.push(at_s, value)
         if self._guard.spoilt_s is not None:
             self._record.spoil(*self._guard.spoilt_s)
         if f.rejected == rejected and not self._guard.is_burst:
@@ -183,13 +186,15 @@ class SeaObserver:
     def _is_blow(self, t_s: float, a_mps2: float) -> bool:
         """Whether something strikes the hull in this beat, which is then of no use."""
         self._straddling -= 1
-        if self._blows.take(t_s, a_mps2):
-            self._record.strike(t_s)
+        size_mps2 = self._blows.take(t_s, a_mps2)
+        if size_mps2 > 0.0:
             self._straddling = 2 if self._beat.averaged > 1 else 1
             if self._heave is not None and isfinite(self._heave.filter.t_s):
-                self._guard.strike(self._heave.filter, t_s, a_mps2)
+                self._guard.strike(self._heave.filter, t_s, a_mps2, size_mps2**2)
+                if self._guard.blow_s is not None:
+                    self._record.strike(t_s)
                 if self._aiding.unaided is not None:
-                    self._unaided_guard.strike(self._aiding.unaided, t_s, a_mps2)
+                    self._unaided_guard.strike(self._aiding.unaided, t_s, a_mps2, size_mps2**2)
         return self._straddling > 0
 
     def _step(self, guard: Guard, f: SeaFilter, t_s: float, a_mps2: float) -> tuple[float, float]:
@@ -309,7 +314,8 @@ class SeaObserver:
 
     def due(self) -> SeaWindow | None:
         """The past, when it is time for another look at it; each is given out once."""
-        if not self._record.is_due(self.t_s, is_changing=self._trust.is_changing):
+        # What a burst is will be known soon, and a filter that does not know of it is of no use.
+        if self._guard.is_burst or not self._record.is_due(self.t_s, is_changing=self._trust.is_changing):
             return None
         p = self._params
         number, rows = self._record.ask(self.t_s)

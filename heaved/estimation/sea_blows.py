@@ -35,16 +35,17 @@ class Blows:
         self._before: tuple[float, float] | None = None
         self._usual2 = self._seconds = self._ringing = 0.0
 
-    def take(self, t_s: float, a_mps2: float) -> bool:
-        """Whether a blow has struck just before this beat, or while it was measured."""
+    def take(self, t_s: float, a_mps2: float) -> float:
+        """Size (m/s2) of the blow that has struck just before this beat, or while it was measured; 0: there was
+        none."""
         last, before = self._last, self._before
         self._last, self._before = (t_s, a_mps2), last
         if last is None or before is None:
-            return False
+            return 0.0
         dt = t_s - last[0]
         if not 0.0 < dt < 1.5 * (last[0] - before[0]) < 2.25 * dt:
             self._ringing = 0.0
-            return False
+            return 0.0
         size = abs(a_mps2 - 2.0 * last[1] + before[1])
         self._ringing *= exp(-dt / RINGS_S)
         is_blow = (
@@ -56,4 +57,4 @@ class Blows:
         self._seconds = min(self._seconds + dt, USUAL_S)
         counted = size * size if self._seconds < 0.1 * USUAL_S else min(size * size, COUNTED**2 * self._usual2)
         self._usual2 += dt / self._seconds * (counted - self._usual2)
-        return is_blow
+        return size if is_blow else 0.0

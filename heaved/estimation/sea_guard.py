@@ -9,16 +9,16 @@ since are gone through again with a bias of which nothing is known. If that expl
 noise: its variance is taken from the innovations and added to the sensor's own for as long as it lasts, so that the
 state is known only as well as it then can be.
 
-A blow (:mod:`sea_blows`) sets the hull ringing. The model has resonances for that, and of what they do nothing is known
-from then on; the reading in which it falls is left out. Some readings later it is seen whether a step of the level
-explains them better.
+A blow (:mod:`sea_blows`) is a burst at first, from its first reading on. The hull rings, and the model may have
+resonances for that: as soon as the readings since then are explained by the filter as it was before, but with nothing
+known of what rings, it goes on from there, as if there had been no burst.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from math import inf, nan, sqrt
-from typing import Final
+from math import inf, sqrt
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,8 +48,9 @@ NOISE_S: Final = 1.0
 """Memory of the variance of a burst."""
 QUIET: Final = 1.0
 """Share of the sensor's own noise that is left of a burst when it is over."""
-BURST_S: Final = 20.0
-"""Noise that lasts longer is no burst: from then on the record of it counts, and the next fit learns it."""
+BURST_S: Final = 16.0
+"""Noise that lasts longer is no burst: what shakes the sensor has changed. From then on the record of it counts, and
+the next fit, which is made at once, learns it."""
 SMOOTH: Final = 0.9
 """Most that neighbouring innovations of a burst are alike: noise that is smooth is heavier than its variance says."""
 BOUNDED: Final = 1.0
@@ -59,12 +60,30 @@ MIXED: Final = 2
 RINGING: Final = 5
 """Innovations that are left out after a blow: what rings is found from them."""
 RINGS: Final = 14
-"""Readings after a blow when it is told from a step."""
+"""Readings after a blow before it is looked for what rings,"""
+RINGS_STILL: Final = 60
+"""and after which it has died away."""
+RINGING_LEFT: Final = 0.2
+"""Share of what the readings after a blow have left that their two predecessors do not explain, of a ringing."""
 LIKELIER: Final = 0.5
 """A step has to leave that share of the squares at most of what a blow leaves."""
 RETRIED: Final = 10
 RETRY_S: Final = 0.5
 """In a burst, so many readings are tried as those after a step, so often."""
+
+
+After = Literal["step", "blow", "burst"]
+
+
+class Explanation(NamedTuple):
+    """Of the readings since something happened."""
+
+    square: float
+    """Mean of the squared innovations over their variances."""
+    state: State
+    """Of the filter after the last of them."""
+    from_s: float
+    """Time of the first that counts."""
 
 
 class Guard:
@@ -73,9 +92,9 @@ class Guard:
     Attributes:
         step_s: from the first reading that may be of two levels to the first after a step, when the last reading has
             shown one; None: it has not.
-        since_step: (time, value) of the readings since then, some of which had been withheld.
-        blow_s: of the first reading after a blow, and
-        no_blow_s: of one that has turned out to be a step; None: there was none.
+        explained: (time, value) of the readings since either, some of which had been withheld.
+        blow_s: from when on the hull rings, when the last reading has shown that; None: it has not.
+        held: (time, value) of the readings of the burst that lasts, as long as it may be one.
         is_burst: whether the last reading is of a burst, and not fit to be learned from.
         spoilt_s: the readings since when a burst that the last reading has shown began: they are neither; None: none.
     """
@@ -93,13 +112,12 @@ class Guard:
         self._burst_s = self._retry_s = -inf
         self._alike = self._before = 0.0
         self.step_s: tuple[float, float] | None = None
-        self.since_step: tuple[tuple[float, float], ...] = ()
         self.blow_s: float | None = None
-        self.no_blow_s: float | None = None
-        self._struck: list[float] | None = None
-        """Squares of the scaled innovations since a blow, until it is known to be one."""
-        self._at_s = self._square = nan
+        self.explained: tuple[tuple[float, float], ...] = ()
+        self._is_struck = False
+        """Whether the readings that are kept begin with a blow."""
         self.is_burst = False
+        self.held: list[tuple[float, float]] = []
         self.spoilt_s: tuple[float, float] | None = None
 
     def step(self, f: SeaFilter, t_s: float, a_mps2: float) -> tuple[float, float]:
@@ -110,62 +128,57 @@ class Guard:
             self.restart()
         self._past.append((t_s, a_mps2, f.state()))
         said = f.step(t_s, a_mps2)
-        scaled = f.innovation / sqrt(f.innovation_variance)
-        if self._struck is not None:
-            self._struck.append(scaled**2)
-            self._keep(0.0)
-            if len(self._struck) == RINGS:
-                self._tell(f)
-            return said
-        self._keep(scaled)
+        self._keep(f.innovation / sqrt(f.innovation_variance))
         if f.burst_variance > 0.0:
             self._in_burst(f, t_s)
         elif count := self._suspects(f):
             self._judge(f, count)
         self.is_burst = f.burst_variance > 0.0 and t_s - self._burst_s < BURST_S
+        if self.is_burst:
+            self.held.append((t_s, a_mps2))
+        elif self.held and not f.burst_variance > 0.0:
+            self.held = []
         return said
 
-    def strike(self, f: SeaFilter, t_s: float, a_mps2: float) -> None:
-        """Something has struck the hull since the last reading, and this one is in part of before."""
+    def strike(self, f: SeaFilter, t_s: float, a_mps2: float, variance: float) -> None:
+        """Something has struck the hull since the last reading, and this one is in part of before; ``variance``
+        (m/s2)2: what may ring at first."""
         self._forget_events()
-        f.burst_variance, self.is_burst = 0.0, False
         if f is self._of:
             self.restart()
+            self._is_struck = self.is_burst = True
+            self.held = []
             self._past.append((t_s, a_mps2, f.state()))
-            self._struck = []
-        f.open_resonances()
-        self.blow_s = t_s
+            f.burst_variance = max(f.burst_variance, variance)
+            self._burst_s, self._alike, self._before = t_s, 0.0, 0.0
+            self._retry_s = t_s + RINGS * f.steady.dt_s
+        else:
+            f.open_resonances()
+            self.blow_s = t_s
 
-    def _tell(self, f: SeaFilter) -> None:
-        """Whether what began as a blow was a step of the level."""
-        assert self._struck is not None
-        blow = float(np.mean(self._struck[RINGING:]))
-        self._struck = None
-        count = RINGS
-        now = f.state()
-        at_s = self._past[-count - 1][0] if count < len(self._past) else nan
-        if count < len(self._past) and self._goes_through(f, count, is_step=True):
-            if self._square < LIKELIER * blow:
-                self.since_step = tuple([(t_s, a_mps2) for t_s, a_mps2, _ in self._past if t_s >= self._at_s])
-                self.step_s, self.no_blow_s = (at_s, self._at_s), at_s
-                self.restart()
-            else:
-                f.restore(now)
+    def lasting(self) -> list[tuple[float, float]]:
+        """The readings that had been held, once, when what was taken for a burst is none."""
+        if self.is_burst:
+            return []
+        held, self.held = self.held, []
+        return held
 
     def rest(self, f: SeaFilter) -> None:
         """The filter goes on unguarded."""
         f.burst_variance, self.is_burst = 0.0, False
+        self.held = []
         self._forget_events()
-        self._of = self._struck = None
+        self._of = None
 
     def _forget_events(self) -> None:
-        self.step_s = self.spoilt_s = self.blow_s = self.no_blow_s = None
+        self.step_s = self.spoilt_s = self.blow_s = None
+        self.explained = ()
 
     def restart(self) -> None:
         """Another filter, or a gap: what was seen is not of it."""
         self._past.clear()
         self._scaled[:] = 0.0
-        self._struck = None
+        self._is_struck = False
 
     def _keep(self, scaled: float) -> None:
         at, size = self._next, LATE[-1]
@@ -207,39 +220,85 @@ class Guard:
 
     def _is_step(self, f: SeaFilter, count: int) -> bool:
         """Whether a step explains the last ``count`` readings; if it does, the filter has gone through them again."""
-        skipped = self._past[-count - 1][0]
-        if not self._goes_through(f, count, is_step=True):
-            return False
-        self.since_step = tuple([(t_s, a_mps2) for t_s, a_mps2, _ in self._past if t_s >= self._at_s])
-        self.restart()
-        self.step_s = skipped, self._at_s
-        return True
+        found = self._explanation(f, count, "step")
+        if found is not None:
+            self.step_s = self._past[-count - 1][0], found.from_s
+            self._go_on(f, found)
+        return found is not None
 
-    def _goes_through(self, f: SeaFilter, count: int, *, is_step: bool) -> bool:
-        """Whether the filter explains the last ``count`` readings from where it was before, without more noise than its
-        own; if it does not, it is left as it was. After a step nothing is known of the bias, and the readings about it
-        are left out: the mean of some before and some after it is neither."""
-        readings = list(self._past)[-count - is_step :]
+    def _go_on(self, f: SeaFilter, found: Explanation) -> None:
+        """From there."""
+        f.restore(found.state)
+        self.explained = tuple([(t_s, a_mps2) for t_s, a_mps2, _ in self._past if t_s >= found.from_s])
+        self.restart()
+
+    def _explanation(self, f: SeaFilter, count: int, after: After) -> Explanation | None:
+        """What the filter makes of the last ``count`` readings from where it was before, if it explains them without
+        more noise than its own; it is left as it was. After a step nothing is known of the bias, after a blow nothing
+        of what rings, and the readings about it are left out: the mean of some before and some after it is neither."""
+        if count + (after == "step") > len(self._past):
+            return None
+        readings = list(self._past)[-count - (after == "step") :]
         now = f.state()
         f.restore(readings[0][2])
         f.withheld, f.burst_variance = 0, 0.0
-        if is_step:
+        first = FIRST
+        if after == "step":
             f.open_bias()
             readings = readings[MIXED:]
-        self._at_s = readings[0][0]
+        elif after == "blow":
+            f.open_resonances()
+            readings, first = readings[1:], RINGING
         square = left = told = 0.0
         for i, (t_s, a_mps2, _) in enumerate(readings):
             f.step(t_s, a_mps2)
-            if i >= FIRST:
+            if i >= first:
                 told += 1.0
                 square += f.innovation**2 / f.innovation_variance
                 left += f.innovation**2
-        self._square = square / max(told, 1.0)
         is_left = 0.0 < LEFT * now.burst_variance * told < left
-        if f.withheld or square > (told + EXPLAINED * sqrt(2.0 * told)) * max(*self._usual, 1.0) or is_left:
-            f.restore(now)
-            return False
-        return True
+        is_well = not f.withheld and square <= (told + EXPLAINED * sqrt(2.0 * told)) * max(*self._usual, 1.0)
+        found = Explanation(square / max(told, 1.0), f.state(), readings[0][0])
+        f.restore(now)
+        return found if is_well and not is_left else None
+
+    def _resolve(self, f: SeaFilter) -> None:
+        """What the burst is that lasts still: a blow, or a step, if either explains all of it; or it is over."""
+        count = len(self._past)
+        if self._is_struck and count <= RINGS_STILL:
+            blow = self._explanation(f, count, "blow") if f.system.model.resonances else None
+            step = self._explanation(f, count - 1, "step")
+            if blow is not None and (step is None or step.square > LIKELIER * blow.square):
+                self.blow_s = self._past[0][0]  # What stands there is in part of after it.
+                self._go_on(f, blow)
+                return
+            if step is not None:
+                self.step_s = self._past[0][0], step.from_s
+                self._go_on(f, step)
+                return
+        else:
+            self._learn_ringing()
+        since = sum(1 for at_s, _, _ in self._past if at_s >= self._burst_s)
+        over = self._explanation(f, RETRIED, "burst")
+        if over is not None:
+            f.restore(over.state)
+            self._learn_ringing()
+            self.restart()
+        elif not (RETRIED < since < len(self._past) and self._is_step(f, since)):
+            self._is_step(f, RETRIED)
+
+    def _learn_ringing(self) -> None:
+        """A blow that sets something ringing of which the model knows nothing yet: the next fit shall see it."""
+        count = len(self._past)
+        if not self._is_struck or count < RINGS:
+            return
+        self._is_struck = False
+        y = self._scaled[self._next + LATE[-1] - count + 1 : self._next + LATE[-1]]
+        before = np.column_stack((y[1:-1], y[:-2]))
+        told = before @ np.linalg.lstsq(before, y[2:], rcond=None)[0]
+        if float(np.sum((y[2:] - told) ** 2)) < RINGING_LEFT * float(np.sum(y[2:] ** 2)):
+            self.blow_s = self._past[0][0]
+            self.explained = tuple([(t_s, a_mps2) for t_s, a_mps2, _ in self._past])[1:]
 
     def _in_burst(self, f: SeaFilter, t_s: float) -> None:
         """Follow the variance of the noise; see whether it is over, or was a step."""
@@ -253,14 +312,11 @@ class Guard:
         f.burst_variance += share * (heavier * excess - f.burst_variance)
         if f.burst_variance < QUIET * f.noise_variance:
             f.burst_variance = 0.0
+            self._learn_ringing()
             self.restart()
         elif len(self._past) > RETRIED and t_s >= self._retry_s:
             self._retry_s = t_s + RETRY_S
-            since = sum(1 for at_s, _, _ in self._past if at_s >= self._burst_s)
-            if self._goes_through(f, RETRIED, is_step=False):
-                self.restart()
-            elif not (RETRIED < since < len(self._past) and self._is_step(f, since)):
-                self._is_step(f, RETRIED)
+            self._resolve(f)
 
 
 def _patterns(f: SeaFilter) -> Array:

@@ -58,6 +58,10 @@ SLOWEST_S: Final = 0.8
 """Samples further apart than this, in the mean, do not show the waves (up to 0.6 Hz) at all."""
 WALK_SEEN_S: Final = 300.0
 """An unbroken stretch that long shows how the bias of the accelerometer walks."""
+SHAKEN_ALIKE_S: Final = (120.0, 60.0, 30.0, 15.0, 10.0)
+"""Lengths of the past that may show what shakes the sensor."""
+SHAKEN_OTHERWISE: Final = 2.0
+"""Ratio of variances."""
 NOISE_SEEN_S: Final = 200.0
 """One that long shows the noise below the waves."""
 WALK_OF_NOISE: Final = 0.03
@@ -424,9 +428,10 @@ def _fit_all(
     # What shakes the sensor now is in the newest past: all lengths are told of it.
     if not earlier:
         earlier = {length: one.model for length, one in fit({}).items()}
-    shaking, noise_psd = sea_resonances.resonances(
-        spectra[0].above, earlier.get(lengths[0]), min(sp.noise_psd for sp in spectra)
-    )
+    above = spectra[0].above
+    if not record.blows and (alike_s := _shaken_alike_s(record, is_measured)) < lengths[0]:
+        above = sea_fit.spectrum(unbroken(record, round(alike_s * rate)), rate, passed).above
+    shaking, noise_psd = sea_resonances.resonances(above, earlier.get(lengths[0]), min(sp.noise_psd for sp in spectra))
     # A blow has power within the waves' band, too, which is no noise to a filter that knows of it.
     is_whole = bool(np.all(is_measured | ~record.is_known)) and not record.blows
     spectra = [
@@ -457,6 +462,24 @@ def _fit_all(
     )
     shares = [sea_fit.measured_share(sp, fitted[length].model) for sp, length in zip(spectra, lengths, strict=True)]
     return candidates, shares, [sum(map(len, parts)) / rate for parts in stretches], fitted[lengths[0]].waves
+
+
+def _shaken_alike_s(record: sea_run.Record, is_measured: NDArray[np.bool_]) -> float:
+    """How long (s) it has been shaken as it is now: the longest of some lengths in which the second differences, that
+    see no waves, are on the whole as large as in the last seconds."""
+    squares = np.diff(record.a_mps2, n=2) ** 2
+    known = is_measured[2:] & is_measured[1:-1] & is_measured[:-2]
+
+    def mean(seconds: float) -> float:
+        count = round(seconds / record.dt_s)
+        part = known[-count:]
+        return float(np.mean(squares[-count:][part])) if np.mean(part) > MOSTLY else nan
+
+    now = mean(SHAKEN_ALIKE_S[-1])
+    for seconds in SHAKEN_ALIKE_S:
+        if not now > SHAKEN_OTHERWISE * mean(seconds) and not mean(seconds) > SHAKEN_OTHERWISE * now:
+            return seconds
+    return SHAKEN_ALIKE_S[0]
 
 
 def unbroken(record: sea_run.Record, count: int) -> list[Array]:
