@@ -35,7 +35,7 @@ from heaved.estimation.rock_experts import Switch
 from heaved.estimation.rock_gate import JUDGED_S, Channel, Timing
 from heaved.estimation.rock_holes import NODE_S, ORDER, HoleFilter
 from heaved.estimation.rock_lags import SampleWindow, curve_weights, fading_taps, lag_knots
-from heaved.estimation.rock_learning import BATCH_S, EXPERT_SPANS_S, EXPERTS, FILTER_LIKE, Learner, first_choice
+from heaved.estimation.rock_learning import BATCH_S, EXPERT_SPANS_S, FILTER_LIKE, Learner, expert_count, first_choice
 from heaved.estimation.rock_regressors import Regressors
 from heaved.predictions import Limits
 
@@ -125,7 +125,8 @@ class DirectPredictor:
         """The channels that are predicted by them."""
         self.given_back: dict[int, tuple[int, Array]] = {}
         """Of those that no longer are: when that ended, and the deviations now and at the horizons then."""
-        self._switch = Switch(self._horizons, EXPERTS, self._n, first_choice(self._horizons))
+        experts = expert_count(rates=self._with_rates)
+        self._switch = Switch(self._horizons, experts, self._n, first_choice(self._horizons))
         self.curve = self._unknown_curve
         """What is known of the latest sample (filled where it was missing) and of the horizons, (H + 1, n)."""
         self.values = self._unknown_curve[1:]
@@ -167,7 +168,8 @@ class DirectPredictor:
 
     @property
     def experts(self) -> NDArray[np.intp]:
-        """The expert in office, (H, n): 0, 1, 2 regressions by their lags, then extrapolation, hold, mean."""
+        """The expert in office, (H, n): 0, 1, 2 regressions by their lags, then extrapolation, hold, mean, and the
+        regressions without rates."""
         return self._switch.best
 
     def spread(self, channel: int, ahead_s: Array) -> Array:

@@ -39,6 +39,7 @@ class Switch:
     def __init__(self, horizons_s: Array, experts: int, channels: int, first: NDArray[np.intp]) -> None:
         """``first`` (H,): the expert in office while no error of an available one is known."""
         count = len(horizons_s)
+        self.experts = experts
         # Last what was published, of which nothing is hastened and which is reported over another time.
         self._memory_s = np.repeat((MEMORY_S + PER_HORIZON * horizons_s)[:, None, None], experts + 1, axis=1)
         self._memory_s[:, -1] = REPORT_MEMORY_S

@@ -30,11 +30,13 @@ EXPERT_MEMORY: Final = (0.4, 0.7, 1.0)
 """Their memory over that of the configuration."""
 FADING, HOLD, MEAN = 3, 4, 5
 """The experts that are not regressions."""
-EXPERTS: Final = 6
+RATELESS: Final = 6
+"""From here on, where rates are given: the regressions again, on the same equations but without them. What shakes a
+gyroscope, or is wrong with it, shall not make predictions worse than they would be without one."""
 FILTER_LIKE: Final = 1
 """The one that sees as much of the past as the filter for holes."""
-SHOWN, HALF_WIDTH = EXPERTS, EXPERTS + 1
-"""Beside what the experts made of a row: what was published, and the half-width of its interval."""
+SHOWN, HALF_WIDTH = -2, -1
+"""After what the experts made of a row: what was published, and the half-width of its interval."""
 EXTRAPOLATED_S: Final = 0.5
 """Up to this horizon the residual to the fading-memory extrapolation is fitted."""
 RIDGE: Final = 0.1
@@ -46,8 +48,8 @@ GROWTH: Final = 50
 ROW_S: Final = 0.2
 """Errors and equations closer together than this are hardly different ones."""
 SOLVED_PER_BATCH: Final = 3
-"""Sets of equations (three experts, short and long horizons) solved in a batch, in turn: each every 8 s in the end, a
-fortieth of the memory."""
+"""Sets of equations (three spans of lags, short and long horizons) solved in a batch, in turn: each every 8 s in the
+end, a fortieth of the memory."""
 ON_TIME: Final = 0.02
 """Deviation from a whole sample that makes no difference."""
 UNUSABLE: Final = -1
@@ -57,6 +59,11 @@ UNUSABLE: Final = -1
 def first_choice(horizons_s: Array) -> Indices:
     """(H,) experts before any error is known."""
     return np.where(horizons_s <= EXTRAPOLATED_S, FADING, HOLD).astype(np.intp)
+
+
+def expert_count(*, rates: bool) -> int:
+    """How many there are."""
+    return RATELESS + len(EXPERT_SPANS_S) if rates else RATELESS
 
 
 class Learner:
@@ -82,7 +89,10 @@ class Learner:
         self._most_rows = max(1, round(BATCH_S / spacing_s))
         self._spans = np.array([round(s / interval_s) for s in EXPERT_SPANS_S])
         self._longest = int(self._spans[-1])
-        self._floor = np.concatenate([self._spans, np.zeros(EXPERTS - FADING, dtype=np.intp)])[:, None]
+        self._rateless = switch.experts > RATELESS
+        plain = np.zeros(RATELESS - FADING, dtype=np.intp)
+        again = self._spans if self._rateless else self._spans[:0]
+        self._floor = np.concatenate([self._spans, plain, again])[:, None]
         features = len(regressors.features)
         fronts = features - (len(knots) - 2)
         lags = [int(np.searchsorted(knots, span + 0.5)) - 2 for span in self._spans]
@@ -121,12 +131,14 @@ class Learner:
         self._parts = np.concatenate([regressors.features, regressors.taps[:count], regressors.block[None]])
         self._row_map = self._parts.T.copy()
         self._p = features
-        self._coefficients = np.zeros((n, count, EXPERTS, len(self._parts)))
-        self._coefficients[:, :, :FADING, :features] = np.nan
+        experts = self._switch.experts
+        regressions = np.r_[:FADING, RATELESS:experts]
+        self._coefficients = np.zeros((n, count, experts, len(self._parts)))
+        self._coefficients[:, :, regressions, :features] = np.nan
         self._coefficients[:, :, MEAN, 0] = 1.0
-        self._base = np.full((count, EXPERTS), -1)
+        self._base = np.full((count, experts), -1)
         """Column of what the features are added to."""
-        self._base[:early, :FADING] = features + self._h[:early, None]
+        self._base[:early, regressions] = features + self._h[:early, None]
         self._base[:, FADING] = features + self._h
         np.put_along_axis(self._coefficients, self._base[None, :, :, None] % len(self._parts), 1.0, axis=3)
 
@@ -135,7 +147,7 @@ class Learner:
         self._kept = int(self._delay[-1]) + self._most_rows + self._most_choice + 2
         capacity = 3 * self._kept
         self._seen = np.zeros((capacity, n, len(self._parts)))
-        self._made = np.full((capacity, count, EXPERTS + 2, n), np.nan)
+        self._made = np.full((capacity, count, self._switch.experts + 2, n), np.nan)
         self._aims = np.full((capacity, count, n), np.nan)
         self._age = np.full((capacity, n), UNUSABLE, dtype=np.intp)
         self._row_end = self._kept  # as if there had been rows that predicted nothing
@@ -230,7 +242,7 @@ class Learner:
         made, age = self._made[rows, h], self._age[rows]
         error = measured[:, :, None] - made[:, :, :HALF_WIDTH]
         if age.min() < self._longest:
-            error[:, :, :EXPERTS][age[:, :, None] < self._floor] = np.nan
+            error[:, :, :-1][age[:, :, None] < self._floor] = np.nan
         self._switch.score(self._spacing_s, error, made[:, :, HALF_WIDTH])
 
     def _learn(self, channels: Sequence[Channel]) -> None:
@@ -262,12 +274,21 @@ class Learner:
             expert.add(moments[:, : targets + size, : targets + size], used.sum(axis=0))
 
     def _solve(self, g: int, expert: int, channels: Sequence[Channel]) -> None:
-        group, size = self._groups[g], self._sizes[expert]
+        group, equations = self._groups[g], self._equations[g][expert]
+        whole = np.arange(self._sizes[expert])
+        kept = np.delete(whole, self._regressors.rate_features)
         for c, channel in enumerate(channels):
-            found = self._equations[g][expert].solve(c, RIDGE * channel.noise_square)
-            if found is not None:
-                self._coefficients[c, group, expert, :size] = found
-                self._coefficients[c, group, expert, size : self._p] = 0.0
+            ridge = RIDGE * channel.noise_square
+            self._take(c, group, expert, whole, equations.solve(c, ridge))
+            if self._rateless:
+                self._take(c, group, RATELESS + expert, kept, equations.solve(c, ridge, kept))
+
+    def _take(self, c: int, group: slice, expert: int, features: Indices, found: Array | None) -> None:
+        """Coefficients of an expert on these features, as far as there are any."""
+        if found is not None:
+            of_all = self._coefficients[c, group, expert, : self._p]
+            of_all[:] = 0.0
+            of_all[:, features] = found
 
     def _weights(self) -> Array:
         best = self._switch.best

@@ -25,6 +25,7 @@ from heaved.estimation.rock_blocks import Blocks
 from heaved.estimation.rock_clock import LEAST_S
 from heaved.estimation.rock_direct import BACKWARDS, DirectPredictor, Params
 from heaved.estimation.rock_experts import GAUSSIAN_QUANTILE, Switch
+from heaved.estimation.rock_rates import RateGate
 from heaved.predictions import Limits
 
 Array = NDArray[np.float64]
@@ -101,6 +102,7 @@ class PacedPredictor:
         self._is_sparse = False
         """Readings come at their own rate: samples without any are not fed."""
         self._backwards = 0
+        self._rate_gate = RateGate(self._n)
         self._pending: list[tuple[float, list[float], Sequence[float] | None]] = []
         self._recent: deque[float] = deque()
         """Stamps of the last JUDGED_S."""
@@ -205,6 +207,8 @@ class PacedPredictor:
                 t_s if is_known else max(read_s, self._whole_s)
                 for is_known, read_s in zip(known, self._read_s, strict=True)
             ]
+        if rates is not None:
+            rates = self._rate_gate.take(t_s, rates)
         if self._taking is None:
             if t_s - self.t_s > self._params.max_gap_s:
                 self._pending = []
