@@ -152,6 +152,11 @@ class DirectPredictor:
         return self._switch.coverage
 
     @property
+    def shaking_square(self) -> Array:
+        """Mean square of what of each channel is vibration and noise, (n,)."""
+        return self._learner.shaking_square if self._built else np.zeros(self._n)
+
+    @property
     def spikes(self) -> int:
         """Samples held back for good since the stream was begun."""
         return sum(channel.spikes for channel in self._channels)

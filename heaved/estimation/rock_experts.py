@@ -52,6 +52,8 @@ class Switch:
         self._first = first[:, None]
         self.best: NDArray[np.intp] = np.repeat(self._first, channels, axis=1)
         """The chosen expert, (H, n)."""
+        self.least_square = np.zeros((count, channels))
+        """No mean square is published that is less."""
         self.std = np.full((count, channels), np.nan)
         self.half_width = np.full((count, channels), np.nan)
         """Deviation of the chosen expert's errors and half-width of the 95 % interval, (H, n)."""
@@ -88,8 +90,8 @@ class Switch:
             unknown = square == np.inf
             self.best = np.where(unknown, self._first, self.best)
             square = np.where(unknown, np.nan, square)
-        self.std = np.sqrt(square)
-        self.half_width = self._quantile * self.std
+        self.std = np.sqrt(np.maximum(square, self.least_square))
+        self.half_width = np.maximum(self._quantile * np.sqrt(square), GAUSSIAN_QUANTILE * np.sqrt(self.least_square))
 
     def rms_of(self, expert: int) -> Array:
         """Errors of an expert, (H, n); 0 until one is known."""

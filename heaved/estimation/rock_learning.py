@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.rock_equations import NormalEquations, moments_of
-from heaved.estimation.rock_experts import GAUSSIAN_QUANTILE, Switch
+from heaved.estimation.rock_experts import Switch
 from heaved.estimation.rock_gate import Channel
-from heaved.estimation.rock_lags import Indices, SampleWindow, between
+from heaved.estimation.rock_lags import Indices, SampleWindow, between, shaking_taps
 from heaved.estimation.rock_regressors import Regressors
 
 Array = NDArray[np.float64]
@@ -50,6 +50,8 @@ ROW_S: Final = 0.2
 SOLVED_PER_BATCH: Final = 3
 """Sets of equations (three spans of lags, short and long horizons) solved in a batch, in turn: each every 8 s in the
 end, a fortieth of the memory."""
+SHAKING_S: Final = 30.0
+"""Memory of what shakes a channel: that of errors."""
 ON_TIME: Final = 0.02
 """Deviation from a whole sample that makes no difference."""
 UNUSABLE: Final = -1
@@ -103,12 +105,17 @@ class Learner:
         self._whole = bool(np.all(self._target.weights == (0.0, 1.0, 0.0, 0.0)))
         self._delay = np.ceil((self._target.first + 3) / every).astype(np.intp)
         self._h = np.arange(len(horizons_s))
+        self._shaking_taps = shaking_taps(interval_s)
+        half = len(self._shaking_taps) // 2
+        self._shaking_places = np.arange(-half, half + 1)
         self._soon = int(np.count_nonzero(horizons_s < (1.0 - ON_TIME) * interval_s))
 
         # Horizons that share a set of equations: those whose targets are known early, and the others.
         early = int(np.count_nonzero(horizons_s <= EXTRAPOLATED_S))
         self._groups = [g for g in (slice(0, early), slice(early, len(horizons_s))) if g.stop > g.start]
         n, count = switch.best.shape[1], len(horizons_s)
+        self.shaking_square, self._shaking_rows = np.zeros(n), np.zeros(n)
+        """Mean square of what shakes each channel, over so many rows."""
         memory = [memory_s * share / spacing_s for share in EXPERT_MEMORY]
         self._equations = [
             [NormalEquations(n, g.stop - g.start, p, m) for p, m in zip(self._sizes, memory, strict=True)]
@@ -197,24 +204,37 @@ class Learner:
         self._score()
         self._unlearned += self._rows
         if is_due := self._unlearned >= self._batch_rows:
+            self._widen(channels)
             self._learn(channels)
         self._until_batch = self._rows
         before = self._switch.best
         self._switch.choose(np.array([channel.calm for channel in channels]) >= self._floor)
-        if self._soon:
-            self._widen(channels)
         if not is_due and (self._switch.best is before or np.array_equal(before, self._switch.best)):
             return False
         self.weights = self._weights()
         return True
 
     def _widen(self, channels: Sequence[Channel]) -> None:
-        """Horizons shorter than an interval are not known better than the next sample is: what is measured there is
-        interpolated from the very samples that were predicted from, and their noise cancels."""
-        least = np.sqrt([channel.step_square for channel in channels])
-        soon, switch = self._soon, self._switch
-        switch.std[:soon] = np.maximum(switch.std[:soon], least)
-        switch.half_width[:soon] = np.maximum(switch.half_width[:soon], GAUSSIAN_QUANTILE * least)
+        """Deviations are no less than what shakes the channel: a steady vibration is predicted with the motion, and who
+        asks for the motion of the ship is told how far off it is.
+
+        Horizons shorter than an interval are not known better than the next sample is: what is measured there is
+        interpolated from the very samples that were predicted from, and their noise cancels.
+        """
+        window, n = self._window, len(channels)
+        ago = self.every * np.arange(self._unlearned)
+        about = window.end - 1 - len(self._shaking_taps) // 2 - ago
+        off = self._shaking_taps @ window.x[about[:, None] + self._shaking_places, :n]
+        known = window.known[about, :n]
+        count = known.sum(axis=0)
+        square = np.where(known, off * off, 0.0).sum(axis=0) / np.maximum(count, 1)
+        self._shaking_rows = np.minimum(self._shaking_rows + count, SHAKING_S / self._spacing_s)
+        share = np.minimum(count, self._shaking_rows) / np.maximum(self._shaking_rows, 1.0)
+        self.shaking_square += share * (square - self.shaking_square)
+        least = self._switch.least_square
+        least[:] = self.shaking_square
+        if self._soon:
+            least[: self._soon] = np.maximum(self.shaking_square, [channel.step_square for channel in channels])
 
     def _complete(self) -> None:
         """What is seen from the new rows, and what each expert makes of it."""
