@@ -57,7 +57,7 @@ MEASURED: Final = 0.75
 """Share of the nodes that a filter for holes learns from that were measured: the odd missing one is filled well."""
 SURPRISED_S: Final = 0.5
 """Predictions for so long ahead, the longest that is known so soon, show that the motion has become another one,"""
-SURPRISED: Final = 2.0
+SURPRISED: Final = 1.5
 """when they are off by more than usual by so many of their deviations; what is more widens all others."""
 SURPRISED_FOR_S: Final = 4.0
 OUT: Final = 4
@@ -419,9 +419,9 @@ class DirectPredictor:
                 now[c] = nan
         earlier.append(now)
 
-    def wider(self, channel: int) -> float:
-        """By how much deviations are larger than usual: the motion has just become another one."""
-        return max(1.0, self.surprise[channel] - SURPRISED) if self._built else 1.0
+    def surplus(self, channel: int) -> float:
+        """By how much of themselves deviations are larger than usual: the motion has just become another one."""
+        return max(0.0, self.surprise[channel] - SURPRISED - 1.0) if self._built else 0.0
 
     # -- holes -----------------------------------------------------------------------------------------------------
 
