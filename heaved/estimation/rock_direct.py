@@ -33,9 +33,17 @@ from numpy.typing import NDArray
 from heaved.estimation.rock_clock import SampleClock
 from heaved.estimation.rock_experts import Switch
 from heaved.estimation.rock_gate import JUDGED_S, Channel, Timing
-from heaved.estimation.rock_holes import NODE_S, ORDER, HoleFilter
-from heaved.estimation.rock_lags import SampleWindow, curve_weights, fading_taps, lag_knots
-from heaved.estimation.rock_learning import BATCH_S, EXPERT_SPANS_S, FILTER_LIKE, Learner, expert_count, first_choice
+from heaved.estimation.rock_holes import NODE_S, NODES, HoleFilter
+from heaved.estimation.rock_lags import SMOOTHED_S, SampleWindow, curve_weights, fading_taps, lag_knots
+from heaved.estimation.rock_learning import (
+    BATCH_S,
+    EXPERT_SPANS_S,
+    FILTER_LIKE,
+    ROW_S,
+    Learner,
+    expert_count,
+    first_choice,
+)
 from heaved.estimation.rock_regressors import Regressors
 from heaved.predictions import Limits
 
@@ -263,7 +271,11 @@ class DirectPredictor:
         judged = max(round(JUDGED_S / interval_s), 3)
         self._unmeasured, self._rates = [nan] * n, [0.0] * n
 
-        keep = int(knots[-1]) + round((BATCH_S + 1.0) / interval_s) + judged + 8
+        self._nodes = max(1, round(NODE_S / interval_s)) * np.arange(NODES)
+        """Of the filters, in rows back from the newest."""
+        learned = LEARNED_TOGETHER * max(1, round(ROW_S / interval_s))
+        reach = max(int(knots[-1]) + round((BATCH_S + 1.0) / interval_s) + judged, int(self._nodes[-1]) + learned)
+        keep = reach + round(SMOOTHED_S / interval_s) + 8
         columns = 3 * n if self._with_rates else 2 * n
         self._window = SampleWindow(knots, columns, max(keep, settling))
         # Predictions by extrapolation, and the slope now.
@@ -307,8 +319,6 @@ class DirectPredictor:
         self._row_index = 0
         self._out = 0
         """Times on end that predictions were beyond the limits."""
-        self._nodes = max(1, round(NODE_S / interval_s)) * np.arange(ORDER + 1)
-        """Of the filters, in rows back from the newest."""
         self.filters = [HoleFilter(int(self._nodes[1]), interval_s, float(horizons[-1])) for _ in range(n)]
         self._holes_s = RATED_HOLES_S if self._with_rates else HOLES_S
         self._missing = [0.0] * n
@@ -477,9 +487,11 @@ class DirectPredictor:
         window.fill(c, hole.mean + hole.past((row - ago).astype(np.float64)))
 
     def _learn_for_holes(self) -> None:
-        """From stretches without any: every other of the rows since the last time."""
-        window, n = self._window, self._n
-        ends = window.end - 1 - 2 * int(self._learner.every) * np.arange(LEARNED_TOGETHER // 2)
+        """From stretches without any: every other of the rows since the last time, smoothed, for the noise of readings
+        is taken care of elsewhere."""
+        window, n, taps = self._window, self._n, self._learner.shaking_taps
+        half = len(taps) // 2
+        ends = window.end - 1 - half - 2 * int(self._learner.every) * np.arange(LEARNED_TOGETHER // 2)
         at = ends[:, None] - self._nodes
         known = window.known[at, :n]
         used = np.ones((len(ends), n), dtype=bool) if known.all() else known.mean(axis=1) >= MEASURED  # (R, n)
@@ -487,15 +499,20 @@ class DirectPredictor:
             if c in self.holed:
                 hole.move_mean(channel.mean)
                 used[:, c] = False
-        if used.any():
-            nodes = window.x[at, :n] - window.x[ends, -n:][:, None]
-            if not used.all():
-                nodes = np.where(used[:, None], nodes, 0.0)
-            rows = np.ascontiguousarray(nodes.transpose(2, 0, 1))
-            moments = rows.transpose(0, 2, 1) @ rows
-            for hole, of_channel, count in zip(self.filters, moments, used.sum(axis=0).tolist(), strict=True):
-                if count:
-                    hole.model.learn(2.0 * of_channel, 2 * count)
+        if not used.any():
+            return
+        first = int(at[-1, -1])
+        stretch = window.x[first - half : window.end, :n]
+        shaking = np.stack([np.convolve(column, taps, "valid") for column in stretch.T], axis=-1)
+        nodes = (stretch[half:-half] if half else stretch)[at - first] - shaking[at - first]
+        nodes -= window.x[ends, -n:][:, None]
+        if not used.all():
+            nodes = np.where(used[:, None], nodes, 0.0)
+        rows = np.ascontiguousarray(nodes.transpose(2, 0, 1))
+        moments = rows.transpose(0, 2, 1) @ rows
+        for hole, of_channel, count in zip(self.filters, moments, used.sum(axis=0).tolist(), strict=True):
+            if count:
+                hole.model.learn(2.0 * of_channel, 2 * count)
 
     def _publish(self, late_s: float) -> None:
         """The latest predictions as seen from ``late_s`` after their grid time."""

@@ -105,8 +105,8 @@ class Learner:
         self._whole = bool(np.all(self._target.weights == (0.0, 1.0, 0.0, 0.0)))
         self._delay = np.ceil((self._target.first + 3) / every).astype(np.intp)
         self._h = np.arange(len(horizons_s))
-        self._shaking_taps = shaking_taps(interval_s)
-        half = len(self._shaking_taps) // 2
+        self.shaking_taps = shaking_taps(interval_s)
+        half = len(self.shaking_taps) // 2
         self._shaking_places = np.arange(-half, half + 1)
         self._soon = int(np.count_nonzero(horizons_s < (1.0 - ON_TIME) * interval_s))
 
@@ -223,8 +223,8 @@ class Learner:
         """
         window, n = self._window, len(channels)
         ago = self.every * np.arange(self._unlearned)
-        about = window.end - 1 - len(self._shaking_taps) // 2 - ago
-        off = self._shaking_taps @ window.x[about[:, None] + self._shaking_places, :n]
+        about = window.end - 1 - len(self.shaking_taps) // 2 - ago
+        off = self.shaking_taps @ window.x[about[:, None] + self._shaking_places, :n]
         known = window.known[about, :n]
         count = known.sum(axis=0)
         square = np.where(known, off * off, 0.0).sum(axis=0) / np.maximum(count, 1)
