@@ -25,6 +25,8 @@ PHASE_GAIN: Final = 0.05
 """Share of a stamp's deviation that the phase takes over: averages the jitter of some 40 stamps."""
 INTERVAL_GAIN: Final = PHASE_GAIN**2 / 4.0
 """Critical damping."""
+TRUSTED: Final = 0.3
+"""Deviations, in intervals, that move phase and interval as far as they are."""
 RECENT: Final = 32
 """Intervals that decide whether the rate has changed."""
 CHANGED: Final = 0.08
@@ -55,14 +57,26 @@ class SampleClock:
         if len(stamps_s) < FIRST:
             return False
         t = np.array(stamps_s)
-        slope, first = np.polyfit(np.rint((t - t[-1]) / max(usual_interval(t), LEAST_S)), t - t[-1], 1)
-        self.interval_s = max(float(slope), LEAST_S)
-        self.late_s = -float(first)
-        self._grid_s = t[-1] + float(first)
+        since_s = t - t[-1]
+        self.interval_s = max(usual_interval(t), LEAST_S)
+        # The mean of the phases, which late stamps move little; on whole steps about it, a straight line.
+        phase = float(np.angle(np.exp(2j * np.pi * since_s / self.interval_s).mean())) / (2.0 * np.pi)
+        steps = np.rint(since_s / self.interval_s - phase)
+        off_s = since_s - (steps + phase) * self.interval_s
+        slope, first = np.polyfit(steps, np.clip(off_s, *self._trusted_s), 1)
+        self.interval_s = max(self.interval_s + float(slope), LEAST_S)
+        first_s = float(first) + phase * self.interval_s
+        self.late_s = float(since_s[-1]) - steps[-1] * self.interval_s - first_s
+        self._grid_s = t[-1] - self.late_s
         self._last_s = float(t[-1])
         self._recent.clear()
         self._steps.clear()
         return True
+
+    @property
+    def _trusted_s(self) -> tuple[float, float]:
+        """What of a deviation is believed: a stamp that is late by more may be so by any number of steps."""
+        return -TRUSTED * self.interval_s, TRUSTED * self.interval_s
 
     def step(self, t_s: float) -> int:
         """Whole grid steps from the last sample to this later one; 0: both fall on the same grid time."""
@@ -74,8 +88,10 @@ class SampleClock:
         deviation_s = since_s - steps * self.interval_s
         self._grid_s += steps * self.interval_s
         if 0 < steps <= GAP:
-            self._grid_s += PHASE_GAIN * deviation_s
-            self.interval_s += INTERVAL_GAIN * deviation_s / steps
+            low_s, high_s = self._trusted_s
+            trusted_s = min(max(deviation_s, low_s), high_s)
+            self._grid_s += PHASE_GAIN * trusted_s
+            self.interval_s += INTERVAL_GAIN * trusted_s / steps
         self.late_s = t_s - self._grid_s
         return steps
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from heaved.block_outlook import Moment
-from heaved.estimation.arrivals import usual_interval
+from heaved.estimation.arrivals import are_still_apart, usual_interval
 from heaved.estimation.rock_blocks import Blocks
 from heaved.estimation.rock_clock import LEAST_S
 from heaved.estimation.rock_direct import BACKWARDS, SURPRISED_S, DirectPredictor, Params
@@ -293,7 +293,10 @@ class PacedPredictor:
         mean_s = (recent[-1] - recent[0]) / (len(recent) - 1)
         if abs(mean_s - self._interval_s) <= allowed_s:
             return False  # Held-up polls change intervals, not their mean; lost ones the mean, not the usual interval.
-        return abs(usual_interval(np.array(recent)) - self._interval_s) > allowed_s
+        stamps_s = np.array(recent)
+        if are_still_apart(stamps_s - stamps_s[0], self._interval_s):
+            return False
+        return abs(usual_interval(stamps_s) - self._interval_s) > allowed_s
 
     def _restart(self) -> None:
         self._begun_anew = self.begun_anew

@@ -382,7 +382,7 @@ def test_what_is_scored_has_come_true_though_the_rate_was_first_taken_for_anothe
     assert paced.restarts == 0
     for horizon in range(len(HORIZONS)):
         steady = rms(x[:, None], predicted, horizon, 14_000)[0]
-        assert 0.75 * steady < paced.std[horizon, 0] < 1.3 * steady, horizon
+        assert 0.75 * steady < paced.std[horizon, 0] < 1.5 * steady, horizon  # few of 5 s there are in 200 s
 
 
 def test_what_is_asked_for_later_is_what_was_predicted():
