@@ -149,7 +149,8 @@ ALWAYS = {
     "50 Hz, every tenth": (50.0, every(10), 0.3),
     "20 Hz, every third": (20.0, every(3), 0.3),
     "100 Hz, every fifth": (100.0, every(5), 0.3),
-    "20 Hz, 60 % lost": (20.0, random_rows(0.6), 0.5),
+    "20 Hz, 60 % lost": (20.0, random_rows(0.6), 0.3),
+    "50 Hz, 85 % lost": (50.0, random_rows(0.85), 0.4),
 }
 
 
