@@ -134,6 +134,8 @@ class DirectPredictor:
         self.given_back: dict[int, tuple[int, Array]] = {}
         """Of those that no longer are: when that ended, and the deviations now and at the horizons then."""
         experts = expert_count(rates=self._with_rates)
+        self.surplus = [0.0] * self._n
+        """By how much of themselves deviations are larger than usual: the motion has just become another one."""
         self._switch = Switch(self._horizons, experts, self._n, first_choice(self._horizons))
         self.curve = self._unknown_curve
         """What is known of the latest sample (filled where it was missing) and of the horizons, (H + 1, n)."""
@@ -301,8 +303,8 @@ class DirectPredictor:
         self._curve_s = np.append(0.0, horizons)
         self._surprised_node = max(int(np.searchsorted(horizons, SURPRISED_S + 1e-6)) - 1, 0)
         ahead = max(round(float(horizons[self._surprised_node]) / interval_s), 1)
-        self._earlier: deque[Array] = deque(maxlen=ahead)
-        self.surprise = [0.0] * n
+        self._earlier: deque[list[float]] = deque(maxlen=ahead)
+        self._surprise = [0.0] * n
         """Of each channel: by how many deviations predictions were off lately, at most; it fades."""
         # Interpolation of the predicted curve: one sample on, and its slope at each horizon.
         ahead_s = interval_s * np.arange(1, ceil(horizons[-1] / interval_s) + 2)
@@ -405,33 +407,32 @@ class DirectPredictor:
         """Predictions of channels with limits stay within reach of the motion."""
         if self._limits is None:
             return
-        for c, (channel, largest) in enumerate(zip(self._channels, self._limits.largest, strict=True)):
-            if largest < inf and (reach := channel.reach(taken[c])) < inf:
-                curve = self._curves[c]
-                np.clip(curve, channel.mean - reach, channel.mean + reach, out=curve)
+        means, reaches = [], []
+        for channel, x, largest in zip(self._channels, taken, self._limits.largest, strict=False):
+            means.append(channel.mean)
+            reaches.append(channel.reach(x) if largest < inf else inf)
+        mean, reach = np.array((means, reaches))[:, :, None]
+        np.maximum(self._curves, mean - reach, out=self._curves)
+        np.minimum(self._curves, mean + reach, out=self._curves)
 
     def _be_surprised(self, known: Sequence[bool]) -> None:
         """Hold what was predicted SURPRISED_S ago against what there is now."""
         earlier, node = self._earlier, self._surprised_node
         if len(earlier) == earlier.maxlen:
-            off = np.abs(self._curves[:, 0] - earlier[0])
-            std = self._switch.std[node]
-            with np.errstate(invalid="ignore", divide="ignore"):
-                stds = off / std
+            now, stds = self._curves[:, 0].tolist(), self._switch.std[node].tolist()
             fade = exp(-self._interval_s / SURPRISED_FOR_S)
-            for c, (is_known, one) in enumerate(zip(known, stds.tolist(), strict=True)):
-                self.surprise[c] *= fade
-                if is_known and c not in self.holed and self.surprise[c] < one < inf:
-                    self.surprise[c] = one
-        now = self._curves[:, node + 1].copy()
+            for c, (is_known, x, expected, std) in enumerate(zip(known, now, earlier[0], stds, strict=True)):
+                surprise = fade * self._surprise[c]
+                off = abs(x - expected)
+                if is_known and 0.0 <= surprise * std < off < inf and std > 0.0 and c not in self.holed:
+                    surprise = off / std
+                self._surprise[c] = surprise
+                self.surplus[c] = max(0.0, surprise - SURPRISED - 1.0)
+        later = self._curves[:, node + 1].tolist()
         for c, channel in enumerate(self._channels):
             if channel.unsettled > 0 or not channel.ready:
-                now[c] = nan
-        earlier.append(now)
-
-    def surplus(self, channel: int) -> float:
-        """By how much of themselves deviations are larger than usual: the motion has just become another one."""
-        return max(0.0, self.surprise[channel] - SURPRISED - 1.0) if self._built else 0.0
+                later[c] = nan
+        earlier.append(later)
 
     # -- holes -----------------------------------------------------------------------------------------------------
 

@@ -234,8 +234,8 @@ class PacedPredictor:
         of the readings, or what the filter for holes says, if that is more."""
         std, half_width = self.scored.std, self.scored.half_width
         fed = self.fed
-        if fed is not None and max(surplus := [fed.surplus(c) for c in range(self._n)]) > 0.0:
-            wider = 1.0 + self._growth * surplus
+        if fed is not None and max(fed.surplus) > 0.0:
+            wider = 1.0 + self._growth * fed.surplus
             std, half_width = std * wider, half_width * wider
         if fed is None or (self._whole_s == t_s and not fed.holed and not fed.given_back and not self._thin):
             return std, half_width

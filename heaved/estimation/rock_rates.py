@@ -13,15 +13,13 @@ from collections.abc import Sequence
 from math import exp, inf, isfinite, nan
 from typing import Final
 
-GATE: Final = 8.0
-"""Standard deviations of how far off readings usually are."""
-RMS_OF_MEDIAN: Final = 1.483
-"""Of normal deviations."""
+GATE: Final = 12.0
+"""Medians of how far off readings usually are: eight standard deviations of normal ones."""
 QUANTA: Final = 3.0
 """Steps of a coarse register that are never refused."""
 FIRST: Final = 20
 """Readings by whose median it is first known how far off they are; none is refused before."""
-ADJUSTED: Final = 0.01
+HIGHER, LOWER = 1.01, 0.99
 """By so much of itself that goes up with a reading that is further off and down with one that is not: it is the median
 of a hundred or so, and a quarter of wrong readings moves it little."""
 SLOPE_S: Final = 0.1
@@ -70,6 +68,7 @@ class RateGate:
         self.refused = 0
         """Readings so far."""
         self._axes = [_Axis() for _ in range(channels)]
+        self._elapsed_s = self._share = nan
 
     def take(self, t_s: float, rates: Sequence[float]) -> list[float]:
         """The rates as they may be used; nan: neither a reading nor the line serves."""
@@ -88,15 +87,20 @@ class RateGate:
         size, change = abs(off), abs(rate - axis.rate)
         if 0.0 < change < axis.quantum:
             axis.quantum = change
-        if len(axis.first) < FIRST:
-            insort(axis.first, size)
-            axis.usual = axis.first[len(axis.first) // 2]
-            axis.interval_s = min(axis.interval_s or elapsed_s, elapsed_s)
+        if axis.limit >= 0.0:
+            axis.usual = usual = axis.usual * (HIGHER if size > axis.usual else LOWER)
+            axis.limit = GATE * usual
+            if axis.limit < QUANTA * axis.quantum:
+                axis.limit = QUANTA * axis.quantum
         else:
-            axis.usual *= 1.0 + ADJUSTED if size > axis.usual else 1.0 - ADJUSTED
-        if len(axis.first) == FIRST:
-            axis.limit = max(GATE * RMS_OF_MEDIAN * axis.usual, QUANTA * axis.quantum)
-        axis.slope += off * (1.0 - exp(-elapsed_s / SLOPE_S)) / elapsed_s
+            insort(axis.first, size)
+            axis.interval_s = min(axis.interval_s or elapsed_s, elapsed_s)
+            if len(axis.first) == FIRST:
+                axis.usual = axis.first[FIRST // 2]
+                axis.limit = max(GATE * axis.usual, QUANTA * axis.quantum)
+        if elapsed_s != self._elapsed_s:
+            self._elapsed_s, self._share = elapsed_s, (1.0 - exp(-elapsed_s / SLOPE_S)) / elapsed_s
+        axis.slope += off * self._share
         axis.t_s, axis.rate = t_s, rate
         axis.refused = 0
 
@@ -107,8 +111,7 @@ class RateGate:
                 axis.begin(t_s, rate)
                 return rate
             # The motion is not straight: over several intervals the line leads astray by as many times more.
-            few = len(axis.first) < FIRST
-            if few or abs(off) <= max(elapsed_s / axis.interval_s, 1.0) * axis.limit:
+            if axis.limit < 0.0 or abs(off) <= max(elapsed_s / axis.interval_s, 1.0) * axis.limit:
                 self._follow(axis, t_s, elapsed_s, rate, off)
                 return rate
             if not axis.refused:
