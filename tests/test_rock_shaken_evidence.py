@@ -34,6 +34,13 @@ def test_spikes_cost_nothing(rows):
         assert max(rows[name].over_still) < 1.05
 
 
+def test_a_steady_vibration_that_is_predicted_with_the_motion_is_in_the_deviations():
+    """Of the waves alone a prediction is off by all of it."""
+    (row,) = rock_shaken.rows(20.0, 5, 250.0, ("line 3.1 Hz, 40 mrad/s, angles too",))
+    assert max(row.over_still[:3]) > 5.0
+    assert row.lies < 1e-3 * row.predictions
+
+
 def test_the_report_has_every_row(rows):
     text = rock_shaken.report(list(rows.values()))
     assert all(f"| {name} | 20 |" in text for name in NAMES)
