@@ -7,7 +7,8 @@
     tools/accuracy.py table       those figures, asked and measured, out of OUT/results.jsonl
     tools/accuracy.py limits [--shake NAME]    the least error that is possible, alone
     tools/accuracy.py gates [--set]    short runs against their regression gates
-    tools/accuracy.py rock        roll and pitch ahead: the paper's method, the direct predictor, quiet windows
+    tools/accuracy.py rock [--shake]    roll and pitch ahead: the paper's method, the direct predictor, quiet windows;
+                                  or what a gyroscope adds to it on a hull that shakes
     tools/accuracy.py correction [--seeds 3]  the learned correction while a network is in use, laser on and off
     tools/accuracy.py closed-loop [S6 T3] [--replay]    a hook under a winch that the stream drives, in real time
     tools/accuracy.py faults [DISASTER ...] [--seas S6] [--rates 20]    what is published while things go wrong
@@ -54,6 +55,7 @@ from evidence import (
     quiescence,
     rock,
     rock_direct,
+    rock_shaken,
     scenarios,
     shake,
     tables,
@@ -68,6 +70,7 @@ CHECKOUT = Path(__file__).resolve().parent.parent
 RESULTS = "results.jsonl"
 SHIP_RECORD = CHECKOUT.parent / "shared" / "data" / "palmer" / "NBP1406_2014-08-01_seapath330.csv"
 QUIESCENCE_S = 4000.0
+SHAKEN_S = 420.0
 PACKAGES = ("heaved", "numpy", "scipy", "torch")
 
 
@@ -201,6 +204,11 @@ def _tell(record: Judged) -> None:
 
 
 def run_rock(options: argparse.Namespace, output: Output) -> None:
+    if options.shake:
+        shaken = rock_shaken.table(range(1, options.seeds + 1), options.duration or SHAKEN_S, options.jobs)
+        output.write("rock_shaken", shaken)
+        print(rock_shaken.report(shaken))
+        return
     duration_s = 240.0 if options.duration is None else options.duration
     rows = rock.table(range(1, options.seeds + 1), duration_s)
     output.write("rock", rows)
@@ -397,6 +405,7 @@ def _headline(parser: argparse.ArgumentParser) -> None:
 
 
 def _rock(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--shake", action="store_true", help="on a hull that shakes, with body rates and without")
     for add in (_records, _duration, _common):
         add(parser)
 

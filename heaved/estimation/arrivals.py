@@ -22,6 +22,28 @@ HIDDEN: Final = 0.1
 """Median deviation of the intervals, relative, from which jitter hides how many steps they are."""
 LONG: Final = 0.02
 """Share of intervals longer than two in the mean from which stamps are missing."""
+GRID: Final = (0.6, 1.3)
+"""Rates that stamps are held against: from so much of their own mean one to so much of the counted one,"""
+FINEST: Final = 10.0
+"""or to so much of the mean one, if that is less."""
+BINS: Final = 8.0
+"""In the shortest interval: what is counted into them loses 3 % of its phase."""
+ON_GRID: Final = 0.35
+"""Length of the mean of the stamps' phases, at the right rate, from which they are on a grid: 1 without jitter, 0 where
+it hides the rate. At any wrong rate that of N stamps stays below..."""
+BY_CHANCE: Final = 4.0
+"""...so much over the root of N, at all rates that are looked at."""
+OTHER: Final = 1.5
+"""Stamps on a grid are on one of twice the rate, too, and late ones may be so even more: rates further apart than this
+are other grids."""
+ON_TIME: Final = 0.25
+"""Stamps that are so near to the grid, in intervals, tell the interval exactly."""
+SURELY: Final = 2.5
+"""Over the root of N: the agreement of N stamps with a given grid that is no chance."""
+SINGLES: Final = 0.25
+"""Share of the intervals that are single ones, at least, on a grid that still is the right one."""
+MANY: Final = 150
+"""So many stamps that are on no grid are counted as they are."""
 
 FIRST: Final = 12
 """Stamps that are looked at together, at least,"""
@@ -36,11 +58,56 @@ WHOLE: Final = 0.1
 def usual_interval(stamps_s: Array) -> float:
     """Interval at which increasing stamps (n,), n > 3, are meant to come, whatever befell some of them.
 
-    On a busy machine a poll comes up to an interval late and the next one soon after: the single intervals then lie in
-    two heaps beside the true one, and their median in either. Lateness cancels in the sum of neighbours, and a lost
-    poll shows in every sum across it. So the steps in spans of three intervals are counted, rounded to whole ones, and
-    time is divided by steps, as often as it takes to agree with itself. Jitter of half an interval makes anything agree
-    with itself; then, if none are missing, the stamps themselves are counted.
+    On a busy line or machine a third of the polls come late, by part of an interval or by some, and those after them
+    are late as well, or skipped: the intervals say little. But the polls that are on time lie on a grid. So the rate is
+    the one at which the phases of the stamps agree (the periodogram of a point process, Bartlett 1963). Where jitter of
+    half an interval hides it, lateness still cancels in the sum of neighbours: see :func:`_counted_interval`.
+    """
+    counted_s = _counted_interval(stamps_s)
+    interval_s = _grid_interval(stamps_s, counted_s)
+    if interval_s == interval_s:
+        return interval_s
+    return counted_s if len(stamps_s) < MANY else float(stamps_s[-1] - stamps_s[0]) / (len(stamps_s) - 1)
+
+
+def are_still_apart(stamps_s: Array, interval_s: float) -> bool:
+    """Whether stamps (n,) lie on a grid of this interval, and some of them a single interval apart: where all have
+    others between them it is another sensor, where some have, polls are late or lost."""
+    agreement = abs(np.exp(2j * np.pi * stamps_s / interval_s).mean())
+    singles = np.abs(np.diff(stamps_s) / interval_s - 1.0) < ON_TIME
+    return bool(agreement > SURELY / len(stamps_s) ** 0.5 and np.mean(singles) > SINGLES)
+
+
+def _grid_interval(stamps_s: Array, counted_s: float) -> float:
+    """That of the coarsest grid on which stamps lie; nan: on none."""
+    since_s = stamps_s - stamps_s[0]
+    span_s = float(since_s[-1])
+    mean_hz = (len(since_s) - 1) / span_s
+    most_hz = min(GRID[1] / counted_s, FINEST * mean_hz)
+    bins = np.bincount((BINS * most_hz * since_s).astype(np.intp))
+    rates_hz = np.fft.rfftfreq(4 * len(bins), 1.0 / (BINS * most_hz))
+    length = np.abs(np.fft.rfft(bins, 4 * len(bins))) / len(since_s)
+    looked_at = (rates_hz >= GRID[0] * mean_hz) & (rates_hz <= most_hz)
+    on_grid = looked_at & (length >= max(ON_GRID, BY_CHANCE / len(since_s) ** 0.5))
+    if not on_grid.any():
+        return nan
+    coarsest_hz = rates_hz[int(np.argmax(on_grid))]
+    best_hz = rates_hz[int(np.argmax(np.where(on_grid & (rates_hz < OTHER * coarsest_hz), length, 0.0)))]
+    near_hz = best_hz + np.linspace(-0.25, 0.25, 11) / span_s
+    phasors = np.exp(2j * np.pi * np.multiply.outer(near_hz, since_s)).sum(axis=1)
+    best = int(np.argmax(np.abs(phasors)))
+    place = since_s * near_hz[best] - float(np.angle(phasors[best])) / (2.0 * np.pi)
+    steps = np.rint(place)
+    on_time = np.abs(place - steps) < ON_TIME
+    return float(np.polyfit(steps[on_time], since_s[on_time], 1)[0])
+
+
+def _counted_interval(stamps_s: Array) -> float:
+    """The same from how many steps there are in spans of three intervals, rounded to whole ones.
+
+    Time is divided by steps, as often as it takes to agree with itself; a lost poll shows in every sum across it.
+    Jitter of half an interval makes anything agree with itself; then, if none are missing, the stamps themselves are
+    counted.
     """
     pairs = stamps_s[2:] - stamps_s[:-2]
     interval_s = 0.5 * float(np.quantile(pairs, PAIRS))

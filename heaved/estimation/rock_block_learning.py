@@ -100,8 +100,11 @@ class BlockLearner:
         closed.curves[:] = [self._no_curve] * len(closed.curves)
         closed.moments[:] = [None] * len(closed.moments)
 
-    def batch(self, block_s: float) -> None:
-        """Learn from what came true of the blocks, of this length, whose targets are known, and score it."""
+    def batch(self, block_s: float, shaking_square: Array) -> None:
+        """Learn from what came true of the blocks, of this length, whose targets are known, and score it.
+
+        ``shaking_square`` (n,): of what shakes the channels; deviations are no less.
+        """
         self._keep_closed()
         samples, count = self._samples, self._per_batch
         flat = self._measured.reshape(-1, self._n)
@@ -117,6 +120,7 @@ class BlockLearner:
         error = self._due.of(flat, samples * (self._kept - 1 - back) + phase) - shown
         errors = np.repeat(error[:, :, None], 2, axis=2)  # the only expert is what is published
         self.switch.score(SCORED * block_s, errors, half_width)
+        self.switch.least_square[:] = shaking_square
         self.switch.choose(np.ones((1, self._n), dtype=bool))
 
     def _keep_closed(self) -> None:

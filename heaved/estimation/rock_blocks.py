@@ -216,7 +216,7 @@ class Blocks:
             if abs(self.interval_s - self._aimed_s) > DRIFT * self.interval_s:
                 self._aim()
                 self._learner.aim(self.interval_s, self._weights)
-            self._learner.batch(self._block_s)
+            self._learner.batch(self._block_s, self.fed.shaking_square)
             self._map()
         curve = self.fed.curve
         self._expected = self._expectation.dot(curve).tolist()

@@ -33,9 +33,17 @@ from numpy.typing import NDArray
 from heaved.estimation.rock_clock import SampleClock
 from heaved.estimation.rock_experts import Switch
 from heaved.estimation.rock_gate import JUDGED_S, Channel, Timing
-from heaved.estimation.rock_holes import NODE_S, ORDER, HoleFilter
-from heaved.estimation.rock_lags import SampleWindow, curve_weights, fading_taps, lag_knots
-from heaved.estimation.rock_learning import BATCH_S, EXPERT_SPANS_S, EXPERTS, FILTER_LIKE, Learner, first_choice
+from heaved.estimation.rock_holes import NODE_S, NODES, HoleFilter
+from heaved.estimation.rock_lags import SMOOTHED_S, SampleWindow, curve_weights, fading_taps, lag_knots
+from heaved.estimation.rock_learning import (
+    BATCH_S,
+    EXPERT_SPANS_S,
+    FILTER_LIKE,
+    ROW_S,
+    Learner,
+    expert_count,
+    first_choice,
+)
 from heaved.estimation.rock_regressors import Regressors
 from heaved.predictions import Limits
 
@@ -57,7 +65,7 @@ MEASURED: Final = 0.75
 """Share of the nodes that a filter for holes learns from that were measured: the odd missing one is filled well."""
 SURPRISED_S: Final = 0.5
 """Predictions for so long ahead, the longest that is known so soon, show that the motion has become another one,"""
-SURPRISED: Final = 2.0
+SURPRISED: Final = 1.5
 """when they are off by more than usual by so many of their deviations; what is more widens all others."""
 SURPRISED_FOR_S: Final = 4.0
 OUT: Final = 4
@@ -125,7 +133,10 @@ class DirectPredictor:
         """The channels that are predicted by them."""
         self.given_back: dict[int, tuple[int, Array]] = {}
         """Of those that no longer are: when that ended, and the deviations now and at the horizons then."""
-        self._switch = Switch(self._horizons, EXPERTS, self._n, first_choice(self._horizons))
+        experts = expert_count(rates=self._with_rates)
+        self.surplus = [0.0] * self._n
+        """By how much of themselves deviations are larger than usual: the motion has just become another one."""
+        self._switch = Switch(self._horizons, experts, self._n, first_choice(self._horizons))
         self.curve = self._unknown_curve
         """What is known of the latest sample (filled where it was missing) and of the horizons, (H + 1, n)."""
         self.values = self._unknown_curve[1:]
@@ -151,6 +162,11 @@ class DirectPredictor:
         return self._switch.coverage
 
     @property
+    def shaking_square(self) -> Array:
+        """Mean square of what of each channel is vibration and noise, (n,)."""
+        return self._learner.shaking_square if self._built else np.zeros(self._n)
+
+    @property
     def spikes(self) -> int:
         """Samples held back for good since the stream was begun."""
         return sum(channel.spikes for channel in self._channels)
@@ -167,7 +183,8 @@ class DirectPredictor:
 
     @property
     def experts(self) -> NDArray[np.intp]:
-        """The expert in office, (H, n): 0, 1, 2 regressions by their lags, then extrapolation, hold, mean."""
+        """The expert in office, (H, n): 0, 1, 2 regressions by their lags, then extrapolation, hold, mean, and the
+        regressions without rates."""
         return self._switch.best
 
     def spread(self, channel: int, ahead_s: Array) -> Array:
@@ -256,7 +273,11 @@ class DirectPredictor:
         judged = max(round(JUDGED_S / interval_s), 3)
         self._unmeasured, self._rates = [nan] * n, [0.0] * n
 
-        keep = int(knots[-1]) + round((BATCH_S + 1.0) / interval_s) + judged + 8
+        self._nodes = max(1, round(NODE_S / interval_s)) * np.arange(NODES)
+        """Of the filters, in rows back from the newest."""
+        learned = LEARNED_TOGETHER * max(1, round(ROW_S / interval_s))
+        reach = max(int(knots[-1]) + round((BATCH_S + 1.0) / interval_s) + judged, int(self._nodes[-1]) + learned)
+        keep = reach + round(SMOOTHED_S / interval_s) + 8
         columns = 3 * n if self._with_rates else 2 * n
         self._window = SampleWindow(knots, columns, max(keep, settling))
         # Predictions by extrapolation, and the slope now.
@@ -282,8 +303,8 @@ class DirectPredictor:
         self._curve_s = np.append(0.0, horizons)
         self._surprised_node = max(int(np.searchsorted(horizons, SURPRISED_S + 1e-6)) - 1, 0)
         ahead = max(round(float(horizons[self._surprised_node]) / interval_s), 1)
-        self._earlier: deque[Array] = deque(maxlen=ahead)
-        self.surprise = [0.0] * n
+        self._earlier: deque[list[float]] = deque(maxlen=ahead)
+        self._surprise = [0.0] * n
         """Of each channel: by how many deviations predictions were off lately, at most; it fades."""
         # Interpolation of the predicted curve: one sample on, and its slope at each horizon.
         ahead_s = interval_s * np.arange(1, ceil(horizons[-1] / interval_s) + 2)
@@ -300,8 +321,6 @@ class DirectPredictor:
         self._row_index = 0
         self._out = 0
         """Times on end that predictions were beyond the limits."""
-        self._nodes = max(1, round(NODE_S / interval_s)) * np.arange(ORDER + 1)
-        """Of the filters, in rows back from the newest."""
         self.filters = [HoleFilter(int(self._nodes[1]), interval_s, float(horizons[-1])) for _ in range(n)]
         self._holes_s = RATED_HOLES_S if self._with_rates else HOLES_S
         self._missing = [0.0] * n
@@ -388,33 +407,32 @@ class DirectPredictor:
         """Predictions of channels with limits stay within reach of the motion."""
         if self._limits is None:
             return
-        for c, (channel, largest) in enumerate(zip(self._channels, self._limits.largest, strict=True)):
-            if largest < inf and (reach := channel.reach(taken[c])) < inf:
-                curve = self._curves[c]
-                np.clip(curve, channel.mean - reach, channel.mean + reach, out=curve)
+        means, reaches = [], []
+        for channel, x, largest in zip(self._channels, taken, self._limits.largest, strict=False):
+            means.append(channel.mean)
+            reaches.append(channel.reach(x) if largest < inf else inf)
+        mean, reach = np.array((means, reaches))[:, :, None]
+        np.maximum(self._curves, mean - reach, out=self._curves)
+        np.minimum(self._curves, mean + reach, out=self._curves)
 
     def _be_surprised(self, known: Sequence[bool]) -> None:
         """Hold what was predicted SURPRISED_S ago against what there is now."""
         earlier, node = self._earlier, self._surprised_node
         if len(earlier) == earlier.maxlen:
-            off = np.abs(self._curves[:, 0] - earlier[0])
-            std = self._switch.std[node]
-            with np.errstate(invalid="ignore", divide="ignore"):
-                stds = off / std
+            now, stds = self._curves[:, 0].tolist(), self._switch.std[node].tolist()
             fade = exp(-self._interval_s / SURPRISED_FOR_S)
-            for c, (is_known, one) in enumerate(zip(known, stds.tolist(), strict=True)):
-                self.surprise[c] *= fade
-                if is_known and c not in self.holed and self.surprise[c] < one < inf:
-                    self.surprise[c] = one
-        now = self._curves[:, node + 1].copy()
+            for c, (is_known, x, expected, std) in enumerate(zip(known, now, earlier[0], stds, strict=True)):
+                surprise = fade * self._surprise[c]
+                off = abs(x - expected)
+                if is_known and 0.0 <= surprise * std < off < inf and std > 0.0 and c not in self.holed:
+                    surprise = off / std
+                self._surprise[c] = surprise
+                self.surplus[c] = max(0.0, surprise - SURPRISED - 1.0)
+        later = self._curves[:, node + 1].tolist()
         for c, channel in enumerate(self._channels):
             if channel.unsettled > 0 or not channel.ready:
-                now[c] = nan
-        earlier.append(now)
-
-    def wider(self, channel: int) -> float:
-        """By how much deviations are larger than usual: the motion has just become another one."""
-        return max(1.0, self.surprise[channel] - SURPRISED) if self._built else 1.0
+                later[c] = nan
+        earlier.append(later)
 
     # -- holes -----------------------------------------------------------------------------------------------------
 
@@ -470,9 +488,11 @@ class DirectPredictor:
         window.fill(c, hole.mean + hole.past((row - ago).astype(np.float64)))
 
     def _learn_for_holes(self) -> None:
-        """From stretches without any: every other of the rows since the last time."""
-        window, n = self._window, self._n
-        ends = window.end - 1 - 2 * int(self._learner.every) * np.arange(LEARNED_TOGETHER // 2)
+        """From stretches without any: every other of the rows since the last time, smoothed, for the noise of readings
+        is taken care of elsewhere."""
+        window, n, taps = self._window, self._n, self._learner.shaking_taps
+        half = len(taps) // 2
+        ends = window.end - 1 - half - 2 * int(self._learner.every) * np.arange(LEARNED_TOGETHER // 2)
         at = ends[:, None] - self._nodes
         known = window.known[at, :n]
         used = np.ones((len(ends), n), dtype=bool) if known.all() else known.mean(axis=1) >= MEASURED  # (R, n)
@@ -480,15 +500,20 @@ class DirectPredictor:
             if c in self.holed:
                 hole.move_mean(channel.mean)
                 used[:, c] = False
-        if used.any():
-            nodes = window.x[at, :n] - window.x[ends, -n:][:, None]
-            if not used.all():
-                nodes = np.where(used[:, None], nodes, 0.0)
-            rows = np.ascontiguousarray(nodes.transpose(2, 0, 1))
-            moments = rows.transpose(0, 2, 1) @ rows
-            for hole, of_channel, count in zip(self.filters, moments, used.sum(axis=0).tolist(), strict=True):
-                if count:
-                    hole.model.learn(2.0 * of_channel, 2 * count)
+        if not used.any():
+            return
+        first = int(at[-1, -1])
+        stretch = window.x[first - half : window.end, :n]
+        shaking = np.stack([np.convolve(column, taps, "valid") for column in stretch.T], axis=-1)
+        nodes = (stretch[half:-half] if half else stretch)[at - first] - shaking[at - first]
+        nodes -= window.x[ends, -n:][:, None]
+        if not used.all():
+            nodes = np.where(used[:, None], nodes, 0.0)
+        rows = np.ascontiguousarray(nodes.transpose(2, 0, 1))
+        moments = rows.transpose(0, 2, 1) @ rows
+        for hole, of_channel, count in zip(self.filters, moments, used.sum(axis=0).tolist(), strict=True):
+            if count:
+                hole.model.learn(2.0 * of_channel, 2 * count)
 
     def _publish(self, late_s: float) -> None:
         """The latest predictions as seen from ``late_s`` after their grid time."""

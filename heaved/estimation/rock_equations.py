@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 ROUNDING: Final = 1e-12
 """Least ridge, over the mean diagonal: what double precision leaves of a motion without noise."""
@@ -45,17 +46,21 @@ class NormalEquations:
         self._count *= keep
         self._count += count
 
-    def solve(self, channel: int, ridge: float) -> Array | None:
-        """Coefficients (H, p) with ``ridge`` per equation added to the diagonal; None: not enough, or not definite."""
+    def solve(self, channel: int, ridge: float, features: Indices | None = None) -> Array | None:
+        """Coefficients (H, p) with ``ridge`` per equation added to the diagonal, on these ``features`` alone or on all;
+        None: not enough, or not definite."""
         count = float(self._count[channel])
-        if count < OVERDETERMINED * self._features:
+        if features is None:
+            features = np.arange(self._features)
+        if count < OVERDETERMINED * len(features):
             return None
         h = self._targets
         moments = self._moments[channel]
-        gram = moments[h:, h:].copy()
-        diagonal = gram.ravel()[:: self._features + 1]
-        diagonal += count * ridge + ROUNDING * float(diagonal.sum()) / self._features + 1e-300
-        _, solution, failed = dposv(gram, moments[h:, :h], lower=1)
+        there = h + features
+        gram = moments[np.ix_(there, there)]
+        diagonal = gram.ravel()[:: len(features) + 1]
+        diagonal += count * ridge + ROUNDING * float(diagonal.sum()) / len(features) + 1e-300
+        _, solution, failed = dposv(gram, moments[there, :h], lower=1)
         if failed:
             return None
         coefficients: Array = solution.T

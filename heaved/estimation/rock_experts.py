@@ -29,6 +29,13 @@ EARLY: Final = 2.0
 """While young the mean square is that of the last half or so: what the start cost fades as 1/t^2."""
 ENOUGH_S: Final = 1.0
 """Errors of an expert known for so long before it may be chosen by them."""
+APART_S: Final = 0.2
+"""Errors are different ones when they lie further apart than their horizon and so much."""
+FEW: Final = 2.0
+"""Of N different errors the mean square of those to come is expected to be 1 + FEW / N times theirs, on average;"""
+RARE, RARE_POWER = 12.5, 1.5
+"""and 4 deviations are exceeded once in ten thousand, as they are by Gaussian errors of known size, with a mean square
+1 + (RARE / N)^RARE_POWER times theirs: Student's t with N degrees of freedom, within some percent from N = 5 on."""
 BETTER: Final = 0.97
 """Mean square below that of the expert in office before it is replaced."""
 
@@ -39,9 +46,11 @@ class Switch:
     def __init__(self, horizons_s: Array, experts: int, channels: int, first: NDArray[np.intp]) -> None:
         """``first`` (H,): the expert in office while no error of an available one is known."""
         count = len(horizons_s)
+        self.experts = experts
         # Last what was published, of which nothing is hastened and which is reported over another time.
         self._memory_s = np.repeat((MEMORY_S + PER_HORIZON * horizons_s)[:, None, None], experts + 1, axis=1)
         self._memory_s[:, -1] = REPORT_MEMORY_S
+        self._apart_s = (APART_S + horizons_s)[:, None, None]
         self._early = np.array([[EARLY]] * experts + [[1.0]])
         self._seconds = np.zeros((count, experts + 1, channels))
         self._mean_square = np.zeros((count, experts + 1, channels))
@@ -51,6 +60,8 @@ class Switch:
         self._first = first[:, None]
         self.best: NDArray[np.intp] = np.repeat(self._first, channels, axis=1)
         """The chosen expert, (H, n)."""
+        self.least_square = np.zeros((count, channels))
+        """No mean square is published that is less."""
         self.std = np.full((count, channels), np.nan)
         self.half_width = np.full((count, channels), np.nan)
         """Deviation of the chosen expert's errors and half-width of the 95 % interval, (H, n)."""
@@ -76,19 +87,24 @@ class Switch:
 
     def choose(self, available: NDArray[np.bool_]) -> None:
         """Choose among the ``available`` (E, n) experts."""
-        mean_square = np.where(available & (self._seconds[:, :-1] >= ENOUGH_S), self._mean_square[:, :-1], np.inf)
-        square = mean_square[self._horizon, self.best, self._channel]
-        least = mean_square.min(axis=1)
+        seconds = self._seconds[:, :-1]
+        share = self._apart_s / np.maximum(seconds, ENOUGH_S)
+        expected = (1.0 + FEW * share) * self._mean_square[:, :-1]
+        expected = np.where(available & (seconds >= ENOUGH_S), expected, np.inf)
+        square = expected[self._horizon, self.best, self._channel]
+        least = expected.min(axis=1)
         better = least < BETTER * square
         if better.any():
-            self.best = np.where(better, mean_square.argmin(axis=1), self.best)
+            self.best = np.where(better, expected.argmin(axis=1), self.best)
             square = np.where(better, least, square)
-        if not isfinite(square.sum()):
-            unknown = square == np.inf
+        unknown = square == np.inf
+        if unknown.any():
             self.best = np.where(unknown, self._first, self.best)
-            square = np.where(unknown, np.nan, square)
-        self.std = np.sqrt(square)
-        self.half_width = self._quantile * self.std
+        office = self._horizon, self.best, self._channel
+        square = (1.0 + (RARE * share[office]) ** RARE_POWER) * self._mean_square[office]
+        square = np.where(unknown, np.nan, square)
+        self.std = np.sqrt(np.maximum(square, self.least_square))
+        self.half_width = np.maximum(self._quantile * np.sqrt(square), GAUSSIAN_QUANTILE * np.sqrt(self.least_square))
 
     def rms_of(self, expert: int) -> Array:
         """Errors of an expert, (H, n); 0 until one is known."""

@@ -4,11 +4,11 @@ Regressions on lags want every lag. Filled with their own predictions, a quiet s
 are nobody's, and predict the next hole from those. A Kalman filter needs no filling: readings are taken at their own
 times, what lies between them is known as well as it is known, and that well is what is published as the deviation.
 
-Its state is the motion at the last 51 of nodes 0.2 s apart, its model the autoregression of order 50 between them. That
+Its state is the motion at the last 56 of nodes 0.2 s apart, its model the autoregression of order 50 between them. That
 is learned by exponentially forgetting least squares from stretches without a hole (one matrix of moments, looked at
 only when it is wanted); in holes from the filter's own state, each product of two nodes counted with its covariance:
 the expectation step of the EM algorithm for a state-space model (Shumway and Stoffer 1982), with the smoothing that a
-state of 10 s brings with it. Moments over their number are the covariance that a filter begins with.
+state of 11 s brings with it. Moments over their number are the covariance that a filter begins with.
 """
 
 from __future__ import annotations
@@ -25,6 +25,12 @@ Array = NDArray[np.float64]
 NODE_S: Final = 0.2
 """Distance of nodes: a third of the shortest motion that is told from noise."""
 ORDER: Final = 50
+SMOOTHED: Final = 5
+"""Older nodes beside those: what is learned in holes is learned from nodes that so many later ones have shown, too. Of
+the newest an estimate that goes by the model says little but the model."""
+NODES: Final = ORDER + 1 + SMOOTHED
+NEWEST, OLDEST = slice(0, ORDER + 1), slice(SMOOTHED, NODES)
+"""The nodes that are predicted from, and those that the model is learned from."""
 MEMORY_S: Final = 300.0
 RIDGE: Final = 0.1
 """Over the noise variance, as in :mod:`heaved.estimation.rock_learning`."""
@@ -69,13 +75,13 @@ def _first_of_four(place: Array, count: int) -> NDArray[np.intp]:
 
 
 class Autoregression:
-    """Second moments of 51 nodes of one channel about its slow mean, newest first, and the model that follows."""
+    """Second moments of 56 nodes of one channel about its slow mean, newest first, and the model that follows."""
 
     def __init__(self, spacing_s: float, reach_s: float) -> None:
         """``spacing_s``: of the nodes; ``reach_s``: how far ahead is predicted, at most."""
         self._keep = exp(-spacing_s / MEMORY_S)
         self._ahead = int(reach_s / spacing_s) + 3
-        self._moments = np.zeros((ORDER + 1, ORDER + 1))
+        self._moments = np.zeros((NODES, NODES))
         self._count = 0.0
         self.rows = 0
         """Sets of nodes that were learned from."""
@@ -99,7 +105,7 @@ class Autoregression:
     def assume(self, square: float) -> None:
         """Before anything is known: any wave motion, of that mean square."""
         f = np.linspace(*PRIOR_HZ, 80)
-        lags = NODE_S * np.arange(ORDER + 1)
+        lags = NODE_S * np.arange(NODES)
         shape = np.cos(2.0 * np.pi * np.multiply.outer(lags, f)).mean(axis=1)
         self._moments = PRIOR_ROWS * square * toeplitz(shape)
         self._count = PRIOR_ROWS
@@ -117,7 +123,7 @@ class Autoregression:
 
     def solve(self, noise_square: float) -> bool:
         """Find the model; False: there is none."""
-        moments, count = self._moments, self._count
+        moments, count = self._moments[OLDEST, OLDEST], self._count
         if not count:
             return False
         gram, aim = moments[1:, 1:].copy(), moments[1:, 0]
@@ -161,8 +167,8 @@ class HoleFilter:
         """The same, as it was when the filter began: what follows the model shall not lead it."""
         self.mean = 0.0
         """What the state is counted from."""
-        self._x = np.zeros(ORDER + 1)
-        self._P = np.zeros((ORDER + 1, ORDER + 1))
+        self._x = np.zeros(NODES)
+        self._P = np.zeros((NODES, NODES))
         self._node = 0
         """Row of the newest node."""
         self._until_solved = 0
@@ -177,7 +183,7 @@ class HoleFilter:
         return self.model.rows >= LEARNED_ROWS
 
     def begin(self, row: int, nodes: Array, measured: NDArray[np.bool_], mean: float, noise_square: float) -> bool:
-        """Start from the values (51,) of the row and those ``every`` rows apart before it, where they were measured.
+        """Start from the values (56,) of the row and those ``every`` rows apart before it, where they were measured.
 
         False: there is no model to start from.
         """
@@ -202,7 +208,7 @@ class HoleFilter:
             self._x = gain @ y[here]
             P = P - gain @ P[here]
         else:
-            self._x = np.zeros(ORDER + 1)
+            self._x = np.zeros(NODES)
         self._P = 0.5 * (P + P.T)
         self._node = row
         self._doubt = 1.0
@@ -237,12 +243,12 @@ class HoleFilter:
             self._until_solved = SOLVED_ROWS
             if model.solve(self._ridge_square) and model.rows < LEARNED_ROWS:
                 self._bound_noise(self._largest_noise)
-        ahead = P @ model.step
-        newest = float(model.step @ ahead) + model.square
+        ahead = P[:, NEWEST] @ model.step
+        newest = float(model.step @ ahead[NEWEST]) + model.square
         P[1:, 1:] = P[:-1, :-1].copy()
         P[0, 0] = newest
         P[0, 1:] = P[1:, 0] = ahead[:-1]
-        first = float(model.step @ x)
+        first = float(model.step @ x[NEWEST])
         x[1:] = x[:-1].copy()
         x[0] = first
         self._node += self._every
@@ -295,7 +301,7 @@ class HoleFilter:
         """Values, without the mean, so long after a row."""
         place = self._places(row, ahead_s)
         first = _first_of_four(place, len(self.model.ahead))
-        nodes = self.model.ahead @ self._x
+        nodes = self.model.ahead @ self._x[NEWEST]
         values: Array = (cubic(place - first) * nodes[first[:, None] + POINTS]).sum(axis=1)
         return values
 
@@ -308,7 +314,8 @@ class HoleFilter:
         first = _first_of_four(place, len(model.ahead))
         B = (cubic(place - first)[:, None, :] @ model.ahead[first[:, None] + POINTS])[:, 0]
         grown = np.interp(place, np.arange(len(model.grown)), model.grown)
-        found = np.maximum(((B @ self._P) * B).sum(axis=1), 0.0) + model.square * grown + self.noise_square
+        unknown = np.maximum(((B @ self._P[NEWEST, NEWEST]) * B).sum(axis=1), 0.0)
+        found = unknown + model.square * grown + self.noise_square
         sets = max(0.5 * min(model.rows, MEMORY_S / NODE_S), LEARNED_ROWS)  # neighbours are half the same
         variance: Array = max(self._doubt, 1.0) * (sets + ORDER) / (sets - ORDER) * found
         return variance
@@ -316,7 +323,7 @@ class HoleFilter:
     def past(self, rows: Array) -> Array:
         """The motion, about the mean, at rows that lie within the nodes."""
         place = (self._node - rows) / self._every
-        first = _first_of_four(place, ORDER + 1)
+        first = _first_of_four(place, NODES)
         weights = cubic(place - first)
         values: Array = (weights * self._x[first[:, None] + POINTS]).sum(axis=1)
         return values

@@ -27,6 +27,9 @@ GROWTH: Final = 1.15
 DEGREE: Final = 3
 MEAN_AGE_S: Final = 0.15
 """Of the fading memory: theta / (1 - theta) steps, i.e. theta = 0.75 at 20 Hz."""
+SMOOTHED_S: Final = 0.6
+SMOOTHED_DEGREE: Final = 4
+"""Of the fit that tells the motion from what shakes it, on either side; odd powers make no difference."""
 FADING_SPAN_S: Final = 2.0
 """Where the fading memory is cut off: 0.75^40 = 1e-5."""
 
@@ -95,6 +98,20 @@ def between(ahead: Array) -> Between:
         axis=1,
     )
     return Between(base.astype(np.intp) - 1, weights)
+
+
+def shaking_taps(interval_s: float) -> Array:
+    """Weights (2 L + 1,) on the samples about one of them: what of it is no wave motion, but vibration and noise.
+
+    What is left by a polynomial fitted with weights that fall to zero: 1e-6 of a motion of 5 s period, 3 % of one of
+    1 s, half at 0.5 s, and all that is faster than 2.5 Hz.
+    """
+    half = round(SMOOTHED_S / interval_s)
+    place = np.arange(-half, half + 1) / (half + 1)
+    powers = place[:, None] ** np.arange(0, SMOOTHED_DEGREE + 1, 2)
+    root = np.cos(0.5 * np.pi * place)
+    smooth = (np.linalg.pinv(root[:, None] * powers) * root)[0]
+    return np.asarray((place == 0.0) - smooth, dtype=np.float64)
 
 
 def curve_weights(horizons_s: Array, at_s: Array, derivative: int = 0) -> Array:

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.rock_equations import NormalEquations, moments_of
-from heaved.estimation.rock_experts import GAUSSIAN_QUANTILE, Switch
+from heaved.estimation.rock_experts import Switch
 from heaved.estimation.rock_gate import Channel
-from heaved.estimation.rock_lags import Indices, SampleWindow, between
+from heaved.estimation.rock_lags import Indices, SampleWindow, between, shaking_taps
 from heaved.estimation.rock_regressors import Regressors
 
 Array = NDArray[np.float64]
@@ -30,11 +30,13 @@ EXPERT_MEMORY: Final = (0.4, 0.7, 1.0)
 """Their memory over that of the configuration."""
 FADING, HOLD, MEAN = 3, 4, 5
 """The experts that are not regressions."""
-EXPERTS: Final = 6
+RATELESS: Final = 6
+"""From here on, where rates are given: the regressions again, on the same equations but without them. What shakes a
+gyroscope, or is wrong with it, shall not make predictions worse than they would be without one."""
 FILTER_LIKE: Final = 1
 """The one that sees as much of the past as the filter for holes."""
-SHOWN, HALF_WIDTH = EXPERTS, EXPERTS + 1
-"""Beside what the experts made of a row: what was published, and the half-width of its interval."""
+SHOWN, HALF_WIDTH = -2, -1
+"""After what the experts made of a row: what was published, and the half-width of its interval."""
 EXTRAPOLATED_S: Final = 0.5
 """Up to this horizon the residual to the fading-memory extrapolation is fitted."""
 RIDGE: Final = 0.1
@@ -46,8 +48,10 @@ GROWTH: Final = 50
 ROW_S: Final = 0.2
 """Errors and equations closer together than this are hardly different ones."""
 SOLVED_PER_BATCH: Final = 3
-"""Sets of equations (three experts, short and long horizons) solved in a batch, in turn: each every 8 s in the end, a
-fortieth of the memory."""
+"""Sets of equations (three spans of lags, short and long horizons) solved in a batch, in turn: each every 8 s in the
+end, a fortieth of the memory."""
+SHAKING_S: Final = 30.0
+"""Memory of what shakes a channel: that of errors."""
 ON_TIME: Final = 0.02
 """Deviation from a whole sample that makes no difference."""
 UNUSABLE: Final = -1
@@ -57,6 +61,11 @@ UNUSABLE: Final = -1
 def first_choice(horizons_s: Array) -> Indices:
     """(H,) experts before any error is known."""
     return np.where(horizons_s <= EXTRAPOLATED_S, FADING, HOLD).astype(np.intp)
+
+
+def expert_count(*, rates: bool) -> int:
+    """How many there are."""
+    return RATELESS + len(EXPERT_SPANS_S) if rates else RATELESS
 
 
 class Learner:
@@ -82,7 +91,10 @@ class Learner:
         self._most_rows = max(1, round(BATCH_S / spacing_s))
         self._spans = np.array([round(s / interval_s) for s in EXPERT_SPANS_S])
         self._longest = int(self._spans[-1])
-        self._floor = np.concatenate([self._spans, np.zeros(EXPERTS - FADING, dtype=np.intp)])[:, None]
+        self._rateless = switch.experts > RATELESS
+        plain = np.zeros(RATELESS - FADING, dtype=np.intp)
+        again = self._spans if self._rateless else self._spans[:0]
+        self._floor = np.concatenate([self._spans, plain, again])[:, None]
         features = len(regressors.features)
         fronts = features - (len(knots) - 2)
         lags = [int(np.searchsorted(knots, span + 0.5)) - 2 for span in self._spans]
@@ -93,12 +105,17 @@ class Learner:
         self._whole = bool(np.all(self._target.weights == (0.0, 1.0, 0.0, 0.0)))
         self._delay = np.ceil((self._target.first + 3) / every).astype(np.intp)
         self._h = np.arange(len(horizons_s))
+        self.shaking_taps = shaking_taps(interval_s)
+        half = len(self.shaking_taps) // 2
+        self._shaking_places = np.arange(-half, half + 1)
         self._soon = int(np.count_nonzero(horizons_s < (1.0 - ON_TIME) * interval_s))
 
         # Horizons that share a set of equations: those whose targets are known early, and the others.
         early = int(np.count_nonzero(horizons_s <= EXTRAPOLATED_S))
         self._groups = [g for g in (slice(0, early), slice(early, len(horizons_s))) if g.stop > g.start]
         n, count = switch.best.shape[1], len(horizons_s)
+        self.shaking_square, self._shaking_rows = np.zeros(n), np.zeros(n)
+        """Mean square of what shakes each channel, over so many rows."""
         memory = [memory_s * share / spacing_s for share in EXPERT_MEMORY]
         self._equations = [
             [NormalEquations(n, g.stop - g.start, p, m) for p, m in zip(self._sizes, memory, strict=True)]
@@ -121,12 +138,14 @@ class Learner:
         self._parts = np.concatenate([regressors.features, regressors.taps[:count], regressors.block[None]])
         self._row_map = self._parts.T.copy()
         self._p = features
-        self._coefficients = np.zeros((n, count, EXPERTS, len(self._parts)))
-        self._coefficients[:, :, :FADING, :features] = np.nan
+        experts = self._switch.experts
+        regressions = np.r_[:FADING, RATELESS:experts]
+        self._coefficients = np.zeros((n, count, experts, len(self._parts)))
+        self._coefficients[:, :, regressions, :features] = np.nan
         self._coefficients[:, :, MEAN, 0] = 1.0
-        self._base = np.full((count, EXPERTS), -1)
+        self._base = np.full((count, experts), -1)
         """Column of what the features are added to."""
-        self._base[:early, :FADING] = features + self._h[:early, None]
+        self._base[:early, regressions] = features + self._h[:early, None]
         self._base[:, FADING] = features + self._h
         np.put_along_axis(self._coefficients, self._base[None, :, :, None] % len(self._parts), 1.0, axis=3)
 
@@ -135,7 +154,7 @@ class Learner:
         self._kept = int(self._delay[-1]) + self._most_rows + self._most_choice + 2
         capacity = 3 * self._kept
         self._seen = np.zeros((capacity, n, len(self._parts)))
-        self._made = np.full((capacity, count, EXPERTS + 2, n), np.nan)
+        self._made = np.full((capacity, count, self._switch.experts + 2, n), np.nan)
         self._aims = np.full((capacity, count, n), np.nan)
         self._age = np.full((capacity, n), UNUSABLE, dtype=np.intp)
         self._row_end = self._kept  # as if there had been rows that predicted nothing
@@ -185,24 +204,37 @@ class Learner:
         self._score()
         self._unlearned += self._rows
         if is_due := self._unlearned >= self._batch_rows:
+            self._widen(channels)
             self._learn(channels)
         self._until_batch = self._rows
         before = self._switch.best
         self._switch.choose(np.array([channel.calm for channel in channels]) >= self._floor)
-        if self._soon:
-            self._widen(channels)
         if not is_due and (self._switch.best is before or np.array_equal(before, self._switch.best)):
             return False
         self.weights = self._weights()
         return True
 
     def _widen(self, channels: Sequence[Channel]) -> None:
-        """Horizons shorter than an interval are not known better than the next sample is: what is measured there is
-        interpolated from the very samples that were predicted from, and their noise cancels."""
-        least = np.sqrt([channel.step_square for channel in channels])
-        soon, switch = self._soon, self._switch
-        switch.std[:soon] = np.maximum(switch.std[:soon], least)
-        switch.half_width[:soon] = np.maximum(switch.half_width[:soon], GAUSSIAN_QUANTILE * least)
+        """Deviations are no less than what shakes the channel: a steady vibration is predicted with the motion, and who
+        asks for the motion of the ship is told how far off it is.
+
+        Horizons shorter than an interval are not known better than the next sample is: what is measured there is
+        interpolated from the very samples that were predicted from, and their noise cancels.
+        """
+        window, n = self._window, len(channels)
+        ago = self.every * np.arange(self._unlearned)
+        about = window.end - 1 - len(self.shaking_taps) // 2 - ago
+        off = self.shaking_taps @ window.x[about[:, None] + self._shaking_places, :n]
+        known = window.known[about, :n]
+        count = known.sum(axis=0)
+        square = np.where(known, off * off, 0.0).sum(axis=0) / np.maximum(count, 1)
+        self._shaking_rows = np.minimum(self._shaking_rows + count, SHAKING_S / self._spacing_s)
+        share = np.minimum(count, self._shaking_rows) / np.maximum(self._shaking_rows, 1.0)
+        self.shaking_square += share * (square - self.shaking_square)
+        least = self._switch.least_square
+        least[:] = self.shaking_square
+        if self._soon:
+            least[: self._soon] = np.maximum(self.shaking_square, [channel.step_square for channel in channels])
 
     def _complete(self) -> None:
         """What is seen from the new rows, and what each expert makes of it."""
@@ -230,7 +262,7 @@ class Learner:
         made, age = self._made[rows, h], self._age[rows]
         error = measured[:, :, None] - made[:, :, :HALF_WIDTH]
         if age.min() < self._longest:
-            error[:, :, :EXPERTS][age[:, :, None] < self._floor] = np.nan
+            error[:, :, :-1][age[:, :, None] < self._floor] = np.nan
         self._switch.score(self._spacing_s, error, made[:, :, HALF_WIDTH])
 
     def _learn(self, channels: Sequence[Channel]) -> None:
@@ -262,12 +294,21 @@ class Learner:
             expert.add(moments[:, : targets + size, : targets + size], used.sum(axis=0))
 
     def _solve(self, g: int, expert: int, channels: Sequence[Channel]) -> None:
-        group, size = self._groups[g], self._sizes[expert]
+        group, equations = self._groups[g], self._equations[g][expert]
+        whole = np.arange(self._sizes[expert])
+        kept = np.delete(whole, self._regressors.rate_features)
         for c, channel in enumerate(channels):
-            found = self._equations[g][expert].solve(c, RIDGE * channel.noise_square)
-            if found is not None:
-                self._coefficients[c, group, expert, :size] = found
-                self._coefficients[c, group, expert, size : self._p] = 0.0
+            ridge = RIDGE * channel.noise_square
+            self._take(c, group, expert, whole, equations.solve(c, ridge))
+            if self._rateless:
+                self._take(c, group, RATELESS + expert, kept, equations.solve(c, ridge, kept))
+
+    def _take(self, c: int, group: slice, expert: int, features: Indices, found: Array | None) -> None:
+        """Coefficients of an expert on these features, as far as there are any."""
+        if found is not None:
+            of_all = self._coefficients[c, group, expert, : self._p]
+            of_all[:] = 0.0
+            of_all[:, features] = found
 
     def _weights(self) -> Array:
         best = self._switch.best

@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from heaved.block_outlook import Moment
-from heaved.estimation.arrivals import usual_interval
+from heaved.estimation.arrivals import are_still_apart, usual_interval
 from heaved.estimation.rock_blocks import Blocks
 from heaved.estimation.rock_clock import LEAST_S
-from heaved.estimation.rock_direct import BACKWARDS, DirectPredictor, Params
+from heaved.estimation.rock_direct import BACKWARDS, SURPRISED_S, DirectPredictor, Params
 from heaved.estimation.rock_experts import GAUSSIAN_QUANTILE, Switch
+from heaved.estimation.rock_rates import RateGate
 from heaved.predictions import Limits
 
 Array = NDArray[np.float64]
@@ -55,6 +56,8 @@ REGULAR: Final = 0.7
 """and share of their intervals that are the usual one, within CHANGED."""
 THIN_S: Final = 2.0
 """Blocks that miss samples have means with as much more noise, by what was missing lately."""
+GROWN: Final = 2.0
+"""But not for more than so many times as long as it takes to be noticed: a ship comes back."""
 BEYOND_S: Final = 0.5
 """A curve is believed for so long after its last horizon."""
 
@@ -78,6 +81,8 @@ class PacedPredictor:
         self._n, self._rates, self._limits = channels, rates, limits
         self.horizons_s = tuple(sorted(set(self._params.horizons_s)))
         count = len(self.horizons_s)
+        self._growth = np.clip(np.array(self.horizons_s) / SURPRISED_S, 1.0, GROWN)[:, None] ** 2
+        """Of what surprises: a force that is new moves a ship as the square of time."""
         self._unknown = np.full((count, channels), nan)
         self._nothing_scored = Switch(np.array(self.horizons_s), 1, channels, np.zeros(count, dtype=np.intp))
         self._begun_anew: Counter[str] = Counter()
@@ -101,6 +106,7 @@ class PacedPredictor:
         self._is_sparse = False
         """Readings come at their own rate: samples without any are not fed."""
         self._backwards = 0
+        self._rate_gate = RateGate(self._n)
         self._pending: list[tuple[float, list[float], Sequence[float] | None]] = []
         self._recent: deque[float] = deque()
         """Stamps of the last JUDGED_S."""
@@ -205,6 +211,8 @@ class PacedPredictor:
                 t_s if is_known else max(read_s, self._whole_s)
                 for is_known, read_s in zip(known, self._read_s, strict=True)
             ]
+        if rates is not None:
+            rates = self._rate_gate.take(t_s, rates)
         if self._taking is None:
             if t_s - self.t_s > self._params.max_gap_s:
                 self._pending = []
@@ -226,7 +234,8 @@ class PacedPredictor:
         of the readings, or what the filter for holes says, if that is more."""
         std, half_width = self.scored.std, self.scored.half_width
         fed = self.fed
-        if fed is not None and max(wider := [fed.wider(c) for c in range(self._n)]) > 1.0:
+        if fed is not None and max(fed.surplus) > 0.0:
+            wider = 1.0 + self._growth * fed.surplus
             std, half_width = std * wider, half_width * wider
         if fed is None or (self._whole_s == t_s and not fed.holed and not fed.given_back and not self._thin):
             return std, half_width
@@ -284,7 +293,10 @@ class PacedPredictor:
         mean_s = (recent[-1] - recent[0]) / (len(recent) - 1)
         if abs(mean_s - self._interval_s) <= allowed_s:
             return False  # Held-up polls change intervals, not their mean; lost ones the mean, not the usual interval.
-        return abs(usual_interval(np.array(recent)) - self._interval_s) > allowed_s
+        stamps_s = np.array(recent)
+        if are_still_apart(stamps_s - stamps_s[0], self._interval_s):
+            return False
+        return abs(usual_interval(stamps_s) - self._interval_s) > allowed_s
 
     def _restart(self) -> None:
         self._begun_anew = self.begun_anew

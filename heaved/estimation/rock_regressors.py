@@ -59,6 +59,8 @@ class Regressors:
         self.taps = np.zeros((len(taps), self.width))
         self.taps[:, sample:] = taps[:, ::-1]
         fronts = 1 + (RATE_LAGS if rates else 0)
+        self.rate_features = slice(1, fronts)
+        """Those of them that are rates."""
         self.features = np.zeros((fronts + lags - 1, self.width))
         """(p, width): the slow mean, the rates, the means about the other knots, all but the rates less the block."""
         self.features[0, mean] = 1.0

@@ -17,6 +17,7 @@ from heaved.estimation.rock_equations import NormalEquations, moments_of
 from heaved.estimation.rock_experts import Switch
 from heaved.estimation.rock_gate import Channel, Timing
 from heaved.estimation.rock_lags import SampleWindow, between, fading_taps, lag_knots
+from heaved.estimation.rock_paced import PacedPredictor
 
 TURN = 2 * pi
 HORIZONS = Params().horizons_s
@@ -143,6 +144,58 @@ def test_the_switch_finds_the_better_expert_and_a_calibrated_interval():
     assert switch.coverage[0, 0] == pytest.approx(0.95, abs=0.02)
     switch.choose(np.array([[True], [False], [True]]))
     assert switch.best[0, 0] == 0
+
+
+def test_a_young_expert_says_how_little_is_known_of_it():
+    """4 deviations are exceeded once in ten thousand, however few errors there have been."""
+    rng = np.random.default_rng(9)
+    channels, horizon_s = 4000, 0.8
+    switch = Switch(np.array([horizon_s]), 1, channels, np.array([0]))
+    beyond = []
+    for count in range(1, 40):
+        switch.score(1.0, rng.standard_normal((1, 1, 2, channels)), np.full((1, 1, channels), np.inf))
+        switch.choose(np.ones((1, channels), dtype=bool))
+        if count >= 4:
+            beyond.append(np.mean(np.abs(rng.standard_normal(channels)) > 4.0 * switch.std[0]))
+    assert np.mean(beyond) < 5e-4
+    assert np.median(switch.std) == pytest.approx(np.sqrt(1.0 + (12.5 / 39.0) ** 1.5), rel=0.05)
+
+
+def test_a_lucky_expert_is_not_believed_at_once():
+    """One that has been right for a second, by chance, does not replace one that is known."""
+    switch = Switch(np.array([0.5]), 2, 1, np.array([0]))
+    for k in range(300):
+        error = np.ones((1, 1, 3, 1))
+        error[:, :, 1] = np.nan if k < 295 else 0.7
+        switch.score(0.2, error, np.full((1, 1, 1), np.inf))
+        switch.choose(np.ones((2, 1), dtype=bool))
+    assert switch.best[0, 0] == 0
+    for _ in range(100):
+        error[:, :, 1] = 0.7
+        switch.score(0.2, error, np.full((1, 1, 1), np.inf))
+        switch.choose(np.ones((2, 1), dtype=bool))
+    assert switch.best[0, 0] == 1
+
+
+def test_a_list_that_comes_about_opens_the_deviations():
+    """As soon as it shows, for all that it will do meanwhile."""
+    t = np.arange(0.0, 200.0, 0.05)
+    rng = np.random.default_rng(4)
+    x = waves(t) + 3e-4 * rng.standard_normal(len(t))
+    u = np.clip((t - 150.0) / 5.0, 0.0, 1.0)
+    listed = np.radians(3.0) * u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+    paced = PacedPredictor(1)
+    horizon = paced.horizons_s.index(1.0)
+    off = []
+    for moment, value in zip(t.tolist(), (x + listed).tolist(), strict=True):
+        predicted = paced.step(moment, [value])[horizon, 0]
+        off.append((predicted, paced.deviations(moment)[0][horizon, 0]))
+    predicted, std = np.array(off).T
+    error = predicted[:-20] - (waves(t) + listed)[20:]
+    shows = (t[:-20] > 151.0) & (t[:-20] < 170.0)
+    assert np.mean(np.abs(error[shows]) > 4.0 * std[:-20][shows]) < 0.005
+    calm = (t[:-20] > 100.0) & (t[:-20] < 148.0)
+    assert np.mean(np.abs(error[calm]) < 1.96 * std[:-20][calm]) > 0.9
 
 
 def test_a_steady_channel_takes_what_any_channel_takes():

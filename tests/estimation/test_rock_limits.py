@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from evidence.limits import autocovariance, causal_heave_limit, prediction_limit
+from evidence.limits import autocovariance, causal_heave_limit, holed_prediction_limit, prediction_limit
 from scipy.linalg import expm, solve_continuous_are, solve_discrete_are
 
 
@@ -52,6 +52,24 @@ def test_prediction_limit_needs_noise():
     f = np.arange(0.0, 1.0, 0.01)
     with pytest.raises(ValueError, match="noise_std"):
         prediction_limit(f, np.ones_like(f), 0.0, 20.0, np.array([0.05]))
+
+
+def test_the_limit_in_holes_is_that_of_whole_records_where_there_are_none_and_grows_with_the_age_of_the_last_sample():
+    _, spectrum = resonator(2 * np.pi / 8.0, 0.1)
+    f = np.arange(0.0, 20.0, 1 / 400)
+    density, horizons = spectrum(f), np.array([0.1, 0.5, 1.0])
+    noise = 0.02 * np.sqrt(np.trapezoid(density, f))
+    t = np.arange(0.0, 30.0, 0.1)
+    whole = prediction_limit(f, density, noise, 10.0, horizons, memory_s=20.0)
+    found = holed_prediction_limit(f, density, noise, t, horizons, t[-1:], memory_s=20.0)
+    assert found[0] == pytest.approx(whole, rel=1e-3)
+    holed = t[(t < 25.0) | (t > 27.05)]
+    ages = holed_prediction_limit(f, density, noise, holed, horizons, np.array([24.9, 25.5, 26.5, 27.1, 29.9]))
+    assert np.all(np.diff(ages[:3], axis=0) > 0.0)
+    assert np.all(ages[3] < ages[2])
+    assert ages[4] == pytest.approx(ages[0], rel=0.05)
+    with pytest.raises(ValueError, match="positive"):
+        holed_prediction_limit(f, density, 0.0, t, horizons, t[-1:])
 
 
 @pytest.mark.parametrize("noise_psd", [1e-4, 1e-2])

@@ -199,6 +199,58 @@ def test_polls_that_are_held_up_are_no_other_rate(rate_hz, seed):
     assert np.sqrt(np.mean(error**2)) < 0.01 * np.sqrt(0.5)  # of the wave; half a millisecond would be 0.0004
 
 
+def free(due, lateness_s, rate_hz):
+    """Each poll is as late as it is."""
+    return np.maximum.accumulate(due + lateness_s)
+
+
+def skipping(due, lateness_s, rate_hz):
+    """Deadlines that have passed meanwhile are skipped."""
+    stamps, k = [], 0
+    while k < len(due):
+        stamps.append(due[k] + lateness_s[k])
+        k = max(k + 1, int(np.ceil(stamps[-1] * rate_hz)))
+    return np.array(stamps)
+
+
+def queued(due, lateness_s, rate_hz):
+    """Each poll waits for the one before."""
+    stamps = [0.0]
+    for moment, late_s in zip(due.tolist(), lateness_s.tolist(), strict=True):
+        stamps.append(max(moment, stamps[-1]) + 4e-3 + late_s)
+    return np.array(stamps[1:])
+
+
+def late_polls(kind, rate_hz, duration_s, seed):
+    """Stamps on a busy line: 30 % of the polls 10-40 ms late, all of them by some milliseconds of jitter."""
+    rng = np.random.default_rng(seed)
+    due = np.arange(round(duration_s * rate_hz)) / rate_hz
+    lateness_s = np.where(rng.random(len(due)) < 0.3, rng.uniform(0.01, 0.04, len(due)), 0.0)
+    t = kind(due, lateness_s + 2e-3 * np.abs(rng.standard_normal(len(due))), rate_hz)
+    return t[np.diff(t, prepend=-1.0) > 0.0]
+
+
+@pytest.mark.parametrize("kind", [free, skipping, queued])
+@pytest.mark.parametrize("rate_hz", [10.0, 20.0, 33.0, 50.0])
+@pytest.mark.parametrize("seed", [2, 3])
+def test_a_third_of_the_polls_late_is_no_other_rate(kind, rate_hz, seed):
+    t = late_polls(kind, rate_hz, 40.0, seed)
+    paced = PacedPredictor(1)
+    predicted = predict(paced, t, np.sin(TURN * t / 8)[:, None])[:, 2, 0]
+    assert paced.restarts <= 2 * (rate_hz == 33.0)  # which the first seconds may not show yet
+    error = (predicted - np.sin(TURN * (t + 0.15) / 8))[t > 10.0]
+    assert np.isfinite(error).all()
+    assert np.sqrt(np.mean(error**2)) < 0.02 * np.sqrt(0.5)
+
+
+@pytest.mark.parametrize(("kind", "rate_hz"), [(free, 20.0), (skipping, 20.0), (skipping, 50.0), (queued, 33.0)])
+def test_the_usual_interval_where_a_third_of_the_polls_is_late(kind, rate_hz):
+    """Of 5 s, as others look at them."""
+    t = late_polls(kind, rate_hz, 60.0, 4)
+    found = [usual_interval(t[(t >= begin) & (t < begin + 5.0)]) for begin in np.arange(0.0, 55.0, 2.5)]
+    np.testing.assert_allclose(found, 1.0 / rate_hz, rtol=0.01)
+
+
 @pytest.mark.parametrize(("before_hz", "after_hz"), [(20.0, 10.0), (10.0, 20.0), (100.0, 50.0), (50.0, 100.0)])
 def test_another_rate_is_noticed_among_held_up_polls(before_hz, after_hz):
     t = np.concatenate([busy(before_hz, 20.0, 3), 20.1 + busy(after_hz, 20.0, 4)])
@@ -382,7 +434,7 @@ def test_what_is_scored_has_come_true_though_the_rate_was_first_taken_for_anothe
     assert paced.restarts == 0
     for horizon in range(len(HORIZONS)):
         steady = rms(x[:, None], predicted, horizon, 14_000)[0]
-        assert 0.75 * steady < paced.std[horizon, 0] < 1.3 * steady, horizon
+        assert 0.75 * steady < paced.std[horizon, 0] < 1.5 * steady, horizon  # few of 5 s there are in 200 s
 
 
 def test_what_is_asked_for_later_is_what_was_predicted():

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_toeplitz
+from scipy.interpolate import CubicSpline
+from scipy.linalg import cho_factor, cho_solve, solve_toeplitz
 
 Array = NDArray[np.float64]
 
@@ -48,6 +49,35 @@ def prediction_limit(
     taps = solve_toeplitz(column, cross)
     explained = np.sum(cross * taps, axis=0)
     return np.asarray(np.sqrt(np.maximum(variance - explained, 0.0)), dtype=np.float64)
+
+
+def holed_prediction_limit(
+    f_hz: Array, spectrum: Array, noise_std: float, t_s: Array, horizons_s: Array, at_s: Array, memory_s: float = 30.0
+) -> Array:
+    """RMS error (m, H) of the best linear prediction of the *true* signal at each of m moments and H horizons, from
+    noisy samples at the increasing times ``t_s`` (n,) up to that moment, whatever is missing between them.
+
+    The conditional variance of a Gaussian process: its normal equations, solved for the samples of ``memory_s``.
+
+    Raises:
+        ValueError: noise_std is not positive.
+    """
+    if noise_std <= 0.0:
+        raise ValueError(f"noise_std must be positive, got {noise_std}")
+    horizons = np.asarray(horizons_s, dtype=np.float64)
+    fine_s = np.arange(0.0, memory_s + float(horizons.max()) + 0.1, 0.01)
+    covariance = CubicSpline(fine_s, autocovariance(f_hz, spectrum, fine_s))
+    variance = float(covariance(0.0))
+    limits = np.full((len(at_s), len(horizons)), np.sqrt(variance))
+    for row, moment in enumerate(np.asarray(at_s).tolist()):
+        known = t_s[(t_s > moment - memory_s) & (t_s <= moment + 1e-9)]
+        if not known.size:
+            continue
+        gram = covariance(np.abs(known[:, None] - known)) + noise_std**2 * np.eye(known.size)
+        cross = covariance(moment + horizons - known[:, None])
+        explained = np.sum(cross * cho_solve(cho_factor(gram), cross), axis=0)
+        limits[row] = np.sqrt(np.maximum(variance - explained, 0.0))
+    return limits
 
 
 def causal_heave_limit(f_hz: Array, s_heave: Array, noise_psd: Array | float, delay_s: float = 0.0) -> float:
