@@ -26,6 +26,7 @@ from heaved.estimation.beat import BEAT_MIN_S, BEAT_S, Beat
 from heaved.estimation.bounds import HEAVE_M
 from heaved.estimation.outlook import Motion
 from heaved.estimation.sea_blows import Blows
+from heaved.estimation.sea_drift import DRIFTS_S, DriftWatch
 from heaved.estimation.sea_filter import GaugeError, SeaFilter
 from heaved.estimation.sea_guard import Guard
 from heaved.estimation.sea_heave import SeaHeave
@@ -113,6 +114,7 @@ class SeaObserver:
         self._smoother: FixedLagSmoother | None = None
         self._ripening: deque[DelayedHeave] = deque()
         """Delayed heave of a past with holes, not yet as old as it shall be."""
+        self._drift: DriftWatch | None = None
         self._blows = Blows()
         self._straddling = 0
         """Beats, with this one, that are in part of before a blow."""
@@ -179,6 +181,8 @@ class SeaObserver:
             predicted_m, innovation = self._step(self._unaided_guard, self._aiding.unaided, t_s, a_mps2)
         if not self._is_sound(f):
             return
+        if self._drift is not None and self._drift.is_due(t_s):
+            self._drift.look(t_s, self._record.since(t_s - max(DRIFTS_S) - 1.0))
         if self._smoother is not None:
             self._smooth(self._heave, self._smoother, t_s, missed, predicted_m, innovation)
         self._moved(self._heave)
@@ -291,7 +295,7 @@ class SeaObserver:
         self._bias_mps2 = float(heave.filter.x[-1])
         heave.moved()
         self._trust.beat(heave.filter.surprise, heave.is_recovering, self.sea)
-        factor = self._trust.factor
+        factor = max(self._trust.factor, 1.0 if self._drift is None else self._drift.factor)
         heave.scale = OVERCONFIDENCE * (factor if self._trial is None else max(factor, self._trial.factor))
 
     @property
@@ -315,7 +319,8 @@ class SeaObserver:
     def due(self) -> SeaWindow | None:
         """The past, when it is time for another look at it; each is given out once."""
         # What a burst is will be known soon, and a filter that does not know of it is of no use.
-        if self._guard.is_burst or not self._record.is_due(self.t_s, is_changing=self._trust.is_changing):
+        is_changing = self._trust.is_changing or (self._drift is not None and self._drift.is_drifting)
+        if self._guard.is_burst or not self._record.is_due(self.t_s, is_changing=is_changing):
             return None
         p = self._params
         number, rows = self._record.ask(self.t_s)
@@ -363,6 +368,7 @@ class SeaObserver:
             self._aiding.renew(SeaFilter(system, steady, fit.t_s, np.frombuffer(fit.x).copy(), unaided_P))
         self._guard.restart()
         self._unaided_guard.restart()
+        self._drift = DriftWatch(fit.model, fit.dt_s)
         self._candidates, self._looked_s = fit.candidates, fit.t_s
         self._trust.fitted(fit.whiteness, fit.waves, heave.steady_std_m, heave.sea_std_m, fit.waves_seen)
         self.refreshes += 1

@@ -28,6 +28,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.estimation.sea_drift import DRIFTS_S, drift_variances, drift_weights
 from heaved.estimation.sea_model import Resonance, SeaModel, shaking_spectrum
 from heaved.estimation.sea_resonances import Above
 
@@ -60,6 +61,8 @@ deviations of chance: what shakes the sensor may fill all the bands above."""
 LEAST_OF_MEAN: Final = 0.2
 WALK_BELOW_HZ: Final = 0.035
 """The walk of the bias is looked for below: no wave that counts is longer."""
+DRIFTS: Final = 4.5
+"""Standard deviations of a drift that is none of the walk."""
 WALKS: Final = np.linspace(-3.0, 10.0, 66)
 """Logarithms of the variances of a walk, over that which is expected, that are tried."""
 WALK_SPREADS: Final = (0.3, 2.5)
@@ -250,17 +253,27 @@ def _fitted(sp: Spectrum, theta: Array, cost: float, stages: int, bias_walk_psd:
 
 def bias_walk(stretch: Array, rate_hz: float, model: SeaModel, expected_psd: float) -> float:
     """The walk of the bias, (m/s2)2/s, that ``stretch`` (n,) shows below the waves of ``model``: the likeliest one,
-    where ``expected_psd`` is what its data sheet says."""
+    where ``expected_psd`` is what its data sheet says. A straight drift is not in the periodogram, and may have begun a
+    moment ago: it is looked for by itself."""
+    levels = expected_psd * np.exp(WALKS)
+    quiet = msgspec.structs.replace(model, bias_walk_psd=0.0)
+    cost = -WALK_PRIOR
     f, power = _welch([stretch], rate_hz, len(stretch))
     inside = (f >= MAIN_LOBE * rate_hz / len(stretch)) & (f <= WALK_BELOW_HZ)
-    if not inside.any():
-        return model.bias_walk_psd
-    f, power = f[inside], power[inside]
-    rest = msgspec.structs.replace(model, bias_walk_psd=0.0).acceleration_spectrum(f, 1.0 / rate_hz)
-    levels = expected_psd * np.exp(WALKS)
-    S = rest + levels[:, None] * (2.0 / (2.0 * pi * f) ** 2)
-    cost = INDEPENDENT_ORDINATES * np.sum(np.log(S) + power / S, axis=1) - WALK_PRIOR
-    return float(levels[np.argmin(cost)])
+    if inside.any():
+        f, power = f[inside], power[inside]
+        S = quiet.acceleration_spectrum(f, 1.0 / rate_hz) + levels[:, None] * (2.0 / (2.0 * pi * f) ** 2)
+        cost = cost + INDEPENDENT_ORDINATES * np.sum(np.log(S) + power / S, axis=1)
+    walked = float(levels[np.argmin(cost)])
+    for seconds in DRIFTS_S:
+        weights = drift_weights(round(seconds * rate_hz))
+        if len(weights) > len(stretch):
+            break
+        rest, walk = drift_variances(weights, 1.0 / rate_hz, model)
+        square = float(weights @ stretch[-len(weights) :]) ** 2
+        if square > DRIFTS**2 * (rest + walked * walk):
+            walked = (square - rest) / walk
+    return walked
 
 
 def measured_share(sp: Spectrum, model: SeaModel) -> float:
