@@ -83,8 +83,8 @@ class Imu:
 
 
 class Attitude:
-    """Roll, pitch and yaw as a complementary filter of the IMU shows them, at increasing instants; exact for an apparent
-    vertical that runs straight between them."""
+    """Roll, pitch and yaw as a complementary filter of the IMU shows them, at increasing instants; exact for an
+    apparent vertical that runs straight between them."""
 
     def __init__(self, sea: MotionSource, lean_s: float, late_s: float) -> None:
         self._sea, self._lean_s, self._late_s = sea, lean_s, late_s

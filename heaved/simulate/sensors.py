@@ -45,8 +45,8 @@ class ImuModel(msgspec.Struct, frozen=True, kw_only=True):
     mounting_roll_rad: float = 0.0
     """The inertial triads are rolled by this against the frame in which the attitude is given."""
     attitude_lean_s: float = math.inf
-    """Time constant with which roll and pitch follow the apparent vertical, that of the true specific force; they follow
-    the gyroscopes above it, so that they lean into horizontal acceleration. Infinite: they do not."""
+    """Time constant with which roll and pitch follow the apparent vertical, that of the true specific force; above it
+    they follow the gyroscopes, and so they lean into horizontal acceleration. Infinite: they do not."""
     attitude_late_s: float = 0.0
     """Roll, pitch and yaw are those of so much earlier than the forces and the rates."""
     attitude_noise_rad: float = 0.0
@@ -264,7 +264,7 @@ def leaning(truth: Motion[Real]) -> tuple[Real, Real]:
 
 def shown_angles(truth: Motion[Array], lean_s: float, late_s: float) -> Array:
     """Roll, pitch and yaw (3, n) as a complementary filter of time constant ``lean_s`` shows them ``late_s`` later: the
-    true ones, and what has come into them of the apparent vertical. Nothing has at the start; before it, all moved
+    true ones, and what has come into them of the apparent vertical. At the start nothing has; before it, all moved
     evenly."""
     angles = np.array([truth.roll_rad, truth.pitch_rad, truth.yaw_rad])
     rates = np.array([truth.roll_rate_radps, truth.pitch_rate_radps, truth.yaw_rate_radps])
@@ -273,8 +273,9 @@ def shown_angles(truth: Motion[Array], lean_s: float, late_s: float) -> Array:
         between = CubicHermiteSpline(t_s, angles, rates, axis=1)(shown_s)
         angles = np.where(shown_s < t_s[0], angles[:, :1] + rates[:, :1] * (shown_s - t_s[0]), between)
     if math.isfinite(lean_s):
-        filtered = cont2discrete(([1.0], [lean_s, 1.0]), float(np.mean(np.diff(t_s))), method="foh")
-        numerator, denominator = filtered[0].ravel(), filtered[1]
+        analogue = (np.array([1.0]), np.array([lean_s, 1.0]))
+        found, denominator, _ = cont2discrete(analogue, float(np.mean(np.diff(t_s))), method="foh")
+        numerator = found.ravel()
         for angle, off in zip(angles, leaning(truth), strict=False):
             lean, _ = lfilter(numerator, denominator, off, zi=-numerator[:1] * off[:1])
             angle += np.interp(shown_s, t_s, lean)
