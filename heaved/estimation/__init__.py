@@ -4,7 +4,8 @@ Where to look, in the order in which a sample passes (``heaved/pipeline.py`` wir
 
 * what a reading may be: ``bounds`` (what no vessel does), ``conditioning`` (judges every reading first, with
   ``spikes``, ``angle_gate``, ``mounting`` for signs and units, and ``measured_rate`` for a sensor slower than its
-  polls), ``intake`` (tilt, missing samples), ``arrivals`` (how often samples come)
+  polls), ``intake`` (tilt, missing samples) with ``attitude_error`` (an attitude that leans, or is late; its equations
+  in ``attitude_fit``), ``arrivals`` (how often samples come)
 * the heave: ``chain``, with the sea observer ``sea`` (``sea_model``, ``sea_fit`` and ``sea_window`` for the spectrum,
   ``sea_filter`` and ``sea_heave`` for the state, ``sea_bridge`` for holes, ``sea_guard`` for steps and bursts,
   ``sea_trust`` and ``sea_trial`` for how far it is believed, ``smoother`` for the delayed heave), or ``heave``, the

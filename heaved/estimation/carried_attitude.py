@@ -112,6 +112,18 @@ class CarriedAttitude:
         """Whether the body rates have led from angle to angle."""
         return self._rated >= COMPARED and self._off_square < AGREED**2 * self._moved_square
 
+    @property
+    def are_rates_measured(self) -> bool:
+        """Whether body rates that are believed came with the last sample."""
+        return self.latest.t_s == self._t_s and self.are_rates_believed and isfinite(self._roll_rate + self._pitch_rate)
+
+    @property
+    def rates(self) -> tuple[float, float]:
+        """Derivatives of roll and pitch at the last sample, rad/s."""
+        if self.are_rates_measured:
+            return self._roll_rate, self._pitch_rate
+        return self.latest.roll_rate_radps, self.latest.pitch_rate_radps
+
     def take(self, sample: ImuSample, measured: Attitude | None, rock: Sequence[RockPrediction]) -> None:
         """Take a sample, the angles that were read with it (None: no new ones) and the predictions from it."""
         t_s, before_s, now = sample.t_s, self._t_s, measured if measured is not None else self.latest

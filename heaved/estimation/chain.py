@@ -12,6 +12,8 @@ from collections import Counter
 from math import hypot, isfinite, nan
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from heaved.estimation import lead
 from heaved.estimation.correction import Params as CorrectionParams
@@ -23,6 +25,8 @@ from heaved.estimation.reference import Params as LaserParams
 from heaved.estimation.sea import SeaObserver
 from heaved.predictions import HeaveForecasts
 from heaved.samples import DelayedHeave
+
+Array = NDArray[np.float64]
 
 
 class Heave(msgspec.Struct, frozen=True, gc=False, kw_only=True):
@@ -86,6 +90,16 @@ class HeaveChain:
         """The vertical acceleration is made otherwise from now on: with the tilt removed, or without."""
         if isinstance(self.observer, SeaObserver):
             self.observer.cut()
+
+    def amend(self, t_s: Array, more_mps2: Array) -> None:
+        """The vertical accelerations of the past at ``t_s`` (n,) were too little by ``more_mps2`` (n,)."""
+        if isinstance(self.observer, SeaObserver):
+            self.observer.amend(t_s, more_mps2)
+
+    def disturb(self, f_hz: Array, psd: Array) -> None:
+        """The vertical acceleration has noise of one-sided density ``psd`` (n,), (m/s2)2/Hz, that it does not show."""
+        if isinstance(self.observer, SeaObserver):
+            self.observer.disturb(f_hz, psd)
 
     def _note(self, t_s: float) -> None:
         observer, taught = self.observer, self.laser.lead

@@ -14,5 +14,13 @@ def up_acceleration(fx: float, fy: float, fz: float, roll_rad: float, pitch_rad:
     sin(pitch) fx + sin(roll) cos(pitch) fy + cos(roll) cos(pitch) fz - g. It is zero at rest for any attitude.
     A wrong sign of roll or pitch shows as an error of 2 g sin^2(tilt) and as cross-talk from sway and surge.
     """
-    cp = cos(pitch_rad)
-    return sin(pitch_rad) * fx + sin(roll_rad) * cp * fy + cos(roll_rad) * cp * fz - GRAVITY_MPS2
+    return level_acceleration(fx, fy, fz, roll_rad, pitch_rad)[2]
+
+
+def level_acceleration(
+    fx: float, fy: float, fz: float, roll_rad: float, pitch_rad: float
+) -> tuple[float, float, float]:
+    """Acceleration forward, to port and up, m/s2, in the level frame that turns with the heading, likewise."""
+    sr, cr, sp, cp = sin(roll_rad), cos(roll_rad), sin(pitch_rad), cos(pitch_rad)
+    mast = sr * fy + cr * fz  # along the z axis of the hull before it rolls
+    return cp * fx - sp * mast, cr * fy - sr * fz, sp * fx + cp * mast - GRAVITY_MPS2

@@ -12,10 +12,11 @@ from math import cos, inf, isfinite, nan
 from typing import Final
 
 from heaved.estimation.arrivals import Arrivals
+from heaved.estimation.attitude_error import AttitudeError
 from heaved.estimation.carried_attitude import Attitude, CarriedAttitude
 from heaved.estimation.chain import HeaveChain
 from heaved.estimation.conditioning import NOTHING, Conditioned
-from heaved.estimation.frames import up_acceleration
+from heaved.estimation.frames import level_acceleration
 from heaved.estimation.level_bias import LevelBias
 from heaved.estimation.trail import Trail
 from heaved.samples import GRAVITY_MPS2, Fault, RockPrediction
@@ -63,6 +64,7 @@ class Intake:
         self._lingers_until_s = -inf
         self._tilt_square = 0.0
         self._level_bias = LevelBias()
+        self._attitude_error = AttitudeError()
 
     def take(self, conditioned: Conditioned, rock: Sequence[RockPrediction]) -> None:
         """Take one sample in, as far as there are readings in it; ``rock``: the predictions from it."""
@@ -90,7 +92,13 @@ class Intake:
         bias, tilt = self._level_bias, None
         if self._tilt_removed:
             tilt = self._attitude_of_acceleration(t_s)
-            level = up_acceleration(ax - bias.x_mps2, ay - bias.y_mps2, az, *tilt)
+            x, y, level = level_acceleration(ax - bias.x_mps2, ay - bias.y_mps2, az, *tilt)
+            carried = self._carried
+            # Angles moved back to where the accelerometers are would seem late against the gyroscopes.
+            are_of_gyros = carried.are_rates_measured and self._chain.lead.learned_s > -LAG_S
+            level = self._attitude_error.corrected(
+                t_s, x, y, level, *tilt, *carried.rates, are_rates_measured=are_of_gyros
+            )
             # A bias across the deck is not all vertical on a vessel that rolls; what is left of it is the observer's.
             level += self._chain.observer.bias_mps2 * (1.0 - cos(tilt[0]) * cos(tilt[1]))
             share = min((t_s - self._chain.good_t_s) / TILT_MEMORY_S, 1.0)
@@ -98,6 +106,12 @@ class Intake:
                 self._tilt_square += share * ((level - up) ** 2 - self._tilt_square)
             up = level
         self._chain.observe(t_s, up)
+        if (amendment := self._attitude_error.amendment) is not None:
+            self._attitude_error.amendment = None
+            self._chain.amend(amendment.t_s, amendment.more_mps2)
+        if (noise := self._attitude_error.noise) is not None:
+            self._attitude_error.noise = None
+            self._chain.disturb(noise.f_hz, noise.psd)
         self.arrivals.take(t_s)
         if tilt is not None:
             bias.take(t_s, ax, ay, az, *tilt)

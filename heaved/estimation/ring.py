@@ -82,6 +82,12 @@ class Ring:
         row[0] = t
         return row
 
+    def add(self, column: int, times: Array, values: Array) -> None:
+        """Add ``values`` (n,) to a column, linear between ``times`` (n,), increasing; outside of them nothing."""
+        once, twice = self._rows[: self._capacity], self._rows[self._capacity :]
+        once[:, column] += np.interp(once[:, 0], times, values, left=0.0, right=0.0)
+        twice[:, column] = once[:, column]
+
     def clear(self) -> None:
         """Forget every row; the memory stays."""
         self._next = self._count = 0

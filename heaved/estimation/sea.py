@@ -14,7 +14,7 @@ of the sensor, and every sample gets its own output, moved from the last beat.
 from __future__ import annotations
 
 from collections import Counter, deque
-from math import isfinite, nan, pi, sqrt
+from math import hypot, isfinite, nan, pi, sqrt
 from typing import Annotated, Final
 
 import msgspec
@@ -97,6 +97,7 @@ class SeaObserver:
         self._candidates: tuple[Candidate, ...] = ()
         self._trial: Trial | None = None
         self._beat = Beat()
+        self._disturbance: tuple[Array, Array] | None = None
         self._start_over()
 
     def _start_over(self) -> None:
@@ -257,8 +258,10 @@ class SeaObserver:
             ripe = self._ripening.popleft()
             delayed = delayed or ripe
         if delayed is not None and (self.delayed is None or delayed.t_s > self.delayed.t_s):
-            self.delayed = delayed
             self._trust.divergence.check(delayed)
+            # What a disturbance does is the same in hindsight.
+            std_m = hypot(delayed.std_m, heave.disturbed_m)
+            self.delayed = msgspec.structs.replace(delayed, std_m=std_m) if heave.disturbed_m else delayed
 
     def aid(self, t_s: float, laser_m: float, std_m: float) -> None:
         """Take a laser as a measurement of the heave at ``t_s``, its sign applied; what it is off by is found too."""
@@ -309,6 +312,16 @@ class SeaObserver:
             self._record.cut(self.t_s, self.t_s + CUT_S)
             if self._heave is not None:
                 self._heave.filter.open_bias()
+
+    def amend(self, t_s: Array, more_mps2: Array) -> None:
+        """The past at ``t_s`` (n,) was measured too little by ``more_mps2`` (n,): it is looked at anew, soon."""
+        self._record.amend(t_s, more_mps2)
+
+    def disturb(self, f_hz: Array, psd: Array) -> None:
+        """What comes, and what came, has noise that no spectrum of it shows (:meth:`SeaHeave.disturb`)."""
+        self._disturbance = f_hz, psd
+        if self._heave is not None:
+            self._heave.disturb(f_hz, psd)
 
     def _reset(self, reason: str) -> None:
         self.resets[reason] += 1
@@ -418,6 +431,8 @@ class SeaObserver:
         rejected = self.rejected
         self._heave = SeaHeave(SeaFilter(system, steady, t_s, x, P), self._horizons_s, self._lead_s)
         self._heave.filter.rejected = rejected
+        if self._disturbance is not None:
+            self._heave.disturb(*self._disturbance)
         self._moved(self._heave)
         return self._heave
 

@@ -75,6 +75,7 @@ class SeaHeave:
         self._plain_row = self._outlook.derivatives((0.0,))[0]
         self._steady_by_age: dict[int, Stds] = {}
         self._learned_s = nan
+        self._disturbed_m2 = 0.0
         self.moved()
 
     def moved(self) -> None:
@@ -93,6 +94,17 @@ class SeaHeave:
             self._rows = rows.reshape(-1, rows.shape[2])
             self._steady_by_age = {}
             self.moved()
+
+    def disturb(self, f_hz: Array, psd: Array) -> None:
+        """The acceleration has noise that the model knows nothing of, of one-sided density ``psd`` (n,), (m/s2)2/Hz, at
+        ``f_hz`` (n,), evenly spaced: what the steady filter makes of it is in every standard deviation from now on."""
+        steady, system = self.filter.steady, self.filter.system
+        n = len(system.H)
+        loop = (np.eye(n) - np.outer(steady.K, system.H)) @ steady.F
+        turns = np.exp(-2j * np.pi * steady.dt_s * f_hz)[:, None, None]
+        states = np.linalg.solve(np.eye(n) - turns * loop, np.broadcast_to(steady.K[:, None], (len(f_hz), n, 1)))
+        self._disturbed_m2 = float((f_hz[1] - f_hz[0]) * psd @ np.abs(states[..., 0] @ system.heave) ** 2)
+        self._steady_by_age, self._by_age = {}, {}
 
     # --- heave -------------------------------------------------------------------------------------------------------
 
@@ -170,8 +182,15 @@ class SeaHeave:
         early_s = self._learned_s if isfinite(self._learned_s) else 0.0
         taus = [shift + late_s - early_s for shift in shifts_s]
         if self.filter.is_steady:
-            return self._outlook.between(self._steady_stds, taus)
-        return self._outlook.stds_at(self.filter.published_covariance, taus)
+            stds_m = self._outlook.between(self._steady_stds, taus)
+        else:
+            stds_m = self._outlook.stds_at(self.filter.published_covariance, taus)
+        return [sqrt(std_m * std_m + self._disturbed_m2) for std_m in stds_m] if self._disturbed_m2 else stds_m
+
+    @property
+    def disturbed_m(self) -> float:
+        """Standard deviation of what noise makes of the heave that the model knows nothing of."""
+        return sqrt(self._disturbed_m2)
 
     @property
     def state_std_m(self) -> float:

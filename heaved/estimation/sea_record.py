@@ -17,6 +17,9 @@ EARLY_EVERY_S: Final = 10.0
 """Between fits, until EARLY_S of record: each sees much more than the one before."""
 EARLY_S: Final = 120.0
 AGAIN_S: Final = 1.0
+MUCH_MPS2: Final = 5e-4
+"""RMS by which the past is amended from which the sea is looked at anew at once: below the waves, so much is as much as
+the noise of a good sensor."""
 
 
 class SeaRecord:
@@ -57,6 +60,12 @@ class SeaRecord:
         """Store a beat."""
         self._beats.push((t_s, a_mps2))
         self._newest_s = t_s
+
+    def amend(self, t_s: Array, more_mps2: Array) -> None:
+        """Add ``more_mps2`` (n,) to what is stored, linear between ``t_s`` (n,). If it is much, look soon."""
+        self._beats.add(1, t_s, more_mps2)
+        if float(np.sqrt(np.mean(more_mps2**2))) > MUCH_MPS2:
+            self.ask_again()
 
     def cut(self, from_s: float, to_s: float) -> None:
         """From ``to_s`` on it is measured otherwise than before (another level, another tilt); between, as neither."""

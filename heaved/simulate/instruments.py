@@ -24,6 +24,7 @@ from heaved.simulate.sensors import (
     LaserPattern,
     imu_model,
     laser_pattern,
+    leaning,
     mounted,
     reading_std,
 )
@@ -54,6 +55,7 @@ class Imu:
         self._bias = model.bias_mps2 * self._rng.choice([-1.0, 1.0], 3)
         self._std = reading_std(model, rate_hz)
         self._low_pass = LowPass(model.bandwidth_hz) if math.isfinite(model.bandwidth_hz) else None
+        self._attitude = Attitude(sea, model.attitude_lean_s, model.attitude_late_s)
         self._t_s: float | None = None
 
     def read(self, t_s: float) -> ImuSample:
@@ -73,7 +75,7 @@ class Imu:
         if self._low_pass is not None:
             force = self._low_pass.step(force, elapsed)
         rates = _vector(mounted(body_rates(motion), model.mounting_roll_rad))
-        angles = np.array([motion.roll_rad, motion.pitch_rad, motion.yaw_rad])
+        angles = self._attitude.at(t_s)
         values = np.concatenate([force + self._bias, angles, rates]) + self._std * noise[:9]
         if self._shaken is not None:
             values += self._shaken.readings(np.array([t_s]))[:, 0]
@@ -84,6 +86,31 @@ class Imu:
             t_s=t_s, ax_mps2=ax, ay_mps2=ay, az_mps2=az, roll_rad=roll, pitch_rad=pitch, yaw_rad=yaw,
             gx_radps=gx, gy_radps=gy, gz_radps=gz,
         )  # fmt: skip
+
+
+class Attitude:
+    """Roll, pitch and yaw as a complementary filter of the IMU shows them, at increasing instants; exact for an
+    apparent vertical that runs straight between them."""
+
+    def __init__(self, sea: MotionSource, lean_s: float, late_s: float) -> None:
+        self._sea, self._lean_s, self._late_s = sea, lean_s, late_s
+        self._t_s: float | None = None
+        self._off = self._lean = np.zeros(2)
+
+    def at(self, t_s: float) -> Array:
+        """(3,) what it shows at ``t_s``."""
+        shown = self._sea.at(t_s - self._late_s)
+        angles = np.array([shown.roll_rad, shown.pitch_rad, shown.yaw_rad])
+        if math.isfinite(self._lean_s):
+            off = np.array(leaning(shown))
+            if self._t_s is not None and t_s > self._t_s:
+                # The filter is that far behind a steadily growing lean; what it is off that dies out.
+                behind = self._lean_s * (off - self._off) / (t_s - self._t_s)
+                left = math.exp((self._t_s - t_s) / self._lean_s)
+                self._lean = off - behind + left * (self._lean - self._off + behind)
+            self._t_s, self._off = t_s, off
+            angles[:2] += self._lean
+        return angles
 
 
 class Laser:

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 
 import msgspec
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from heaved.samples import GRAVITY_MPS2, ImuSample, LaserSample, Sample
@@ -42,6 +43,11 @@ class ImuModel(msgspec.Struct, frozen=True, kw_only=True):
     """Corner of the accelerometers' second-order Butterworth low-pass; the noise above is added behind it."""
     mounting_roll_rad: float = 0.0
     """The inertial triads are rolled by this against the frame in which the attitude is given."""
+    attitude_lean_s: float = math.inf
+    """Time constant with which roll and pitch follow the apparent vertical, that of the true specific force; above it
+    they follow the gyroscopes, and so they lean into horizontal acceleration. Infinite: they do not."""
+    attitude_late_s: float = 0.0
+    """Roll, pitch and yaw are those of so much earlier than the forces and the rates."""
     attitude_noise_rad: float = 0.0
     """White, per reading, on roll, pitch and yaw alike."""
     gyro_noise_radps_rthz: float = 0.0
@@ -76,10 +82,20 @@ SENSORS: dict[str, ImuModel] = {
         attitude_noise_rad=math.radians(0.1),
         gyro_noise_radps_rthz=5e-5,
     ),
+    "AHRS": ImuModel(
+        noise_mps2_rthz=1e-3,
+        bias_mps2=0.03,
+        bias_walk_mps2_rts=2e-5,
+        attitude_lean_s=8.0,
+        attitude_late_s=0.04,
+        attitude_noise_rad=math.radians(0.02),
+        gyro_noise_radps_rthz=5e-5,
+    ),
     "ideal": ImuModel(),
 }
-"""A: tactical MEMS. B: industrial MEMS, slow and a little crooked. C: consumer MEMS, noisy, its bias wanders. ideal:
-the truth, to test against."""
+"""A: tactical MEMS. B: industrial MEMS, slow and a little crooked. C: consumer MEMS, noisy, its bias wanders. AHRS: A
+with an attitude that is not known from elsewhere but by a complementary filter of its own. ideal: the truth, to test
+against."""
 
 
 def imu_model(name: str | ImuModel) -> ImuModel:
@@ -216,7 +232,7 @@ def measure(
     if math.isfinite(model.bandwidth_hz):
         force = _low_passed(force, model.bandwidth_hz, imu_rate_hz)
     rates = _matrix(mounted(body_rates(truth), model.mounting_roll_rad))
-    angles = np.array([truth.roll_rad, truth.pitch_rad, truth.yaw_rad])
+    angles = shown_angles(truth, model.attitude_lean_s, model.attitude_late_s)
     noise = reading_std(model, imu_rate_hz)[:, None] * imu_rng.standard_normal((9, n))
     values = np.concatenate([force + bias + walk, angles, rates]) + shaken.readings(truth.t_s) + noise
     if model.sixteen_bit:
@@ -249,6 +265,35 @@ def mounted(true: Triad[Real], roll_rad: float) -> Triad[Real]:
     """A body vector as read by a triad rolled by ``roll_rad`` about x."""
     c, s = math.cos(roll_rad), math.sin(roll_rad)
     return Triad(x=true.x, y=c * true.y + s * true.z, z=c * true.z - s * true.y)
+
+
+def leaning(truth: Motion[Real]) -> tuple[Real, Real]:
+    """How far the apparent vertical, along the specific force, is off the true one: in roll and in pitch, rad."""
+    force = specific_force(truth)
+    return (
+        np.arctan2(force.y, force.z) - truth.roll_rad,
+        np.arctan2(force.x, np.hypot(force.y, force.z)) - truth.pitch_rad,
+    )
+
+
+def shown_angles(truth: Motion[Array], lean_s: float, late_s: float) -> Array:
+    """Roll, pitch and yaw (3, n) as a complementary filter of time constant ``lean_s`` shows them ``late_s`` later: the
+    true ones, and what has come into them of the apparent vertical. At the start nothing has; before it, all moved
+    evenly."""
+    angles = np.array([truth.roll_rad, truth.pitch_rad, truth.yaw_rad])
+    rates = np.array([truth.roll_rate_radps, truth.pitch_rate_radps, truth.yaw_rate_radps])
+    t_s, shown_s = truth.t_s, truth.t_s - late_s
+    if late_s > 0.0:
+        between = CubicHermiteSpline(t_s, angles, rates, axis=1)(shown_s)
+        angles = np.where(shown_s < t_s[0], angles[:, :1] + rates[:, :1] * (shown_s - t_s[0]), between)
+    if math.isfinite(lean_s):
+        analogue = (np.array([1.0]), np.array([lean_s, 1.0]))
+        found, denominator, _ = cont2discrete(analogue, float(np.mean(np.diff(t_s))), method="foh")
+        numerator = found.ravel()
+        for angle, off in zip(angles, leaning(truth), strict=False):
+            lean, _ = lfilter(numerator, denominator, off, zi=-numerator[:1] * off[:1])
+            angle += np.interp(shown_s, t_s, lean)
+    return np.asarray(angles, dtype=np.float64)
 
 
 def _matrix(triad: Triad[Array]) -> Array:

@@ -90,3 +90,13 @@ def test_time_may_start_again_after_a_clear() -> None:
 def test_an_impossible_ring_is_refused(capacity: int, columns: int) -> None:
     with pytest.raises(ValueError, match="at least 1"):
         Ring(capacity, columns)
+
+
+def test_values_are_added_to_a_column_where_there_are_any() -> None:
+    ring = Ring(4, 2)
+    for t in range(6):
+        ring.push((float(t), 10.0 * t))
+    ring.add(1, np.array([2.5, 4.5]), np.array([1.0, 3.0]))
+    np.testing.assert_allclose(ring.last(4), [[2.0, 20.0], [3.0, 31.5], [4.0, 42.5], [5.0, 50.0]])
+    ring.push((6.0, 60.0))
+    np.testing.assert_allclose(ring.last(4), [[3.0, 31.5], [4.0, 42.5], [5.0, 50.0], [6.0, 60.0]])

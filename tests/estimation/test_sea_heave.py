@@ -6,7 +6,7 @@ from math import isnan
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_discrete_lyapunov
 from seas import model, simulated, whole
 
 from heaved.estimation.sea_filter import SeaFilter
@@ -150,3 +150,21 @@ def test_without_a_beat_for_too_long_nothing_is_known(heave: SeaHeave) -> None:
     forecast = heave.forecast(t_s)
     assert [f.horizon_s for f in forecast] == list(HORIZONS_S)
     assert all(isnan(f.heave_m) and isnan(f.std_m) for f in forecast)
+
+
+def test_a_disturbance_is_in_every_standard_deviation(heave: SeaHeave, system: SeaSystem) -> None:
+    """White noise up to half of the rate: what the steady filter makes of it, by Lyapunov's equation."""
+    heave.set_lead(0.0)
+    before_m = [heave.std_m(BEAT_S + 0.02, shift_s) for shift_s in (0.0, LEAD_S, 0.3)]
+    f_hz = np.arange(0.001, 0.5 / DT_S, 0.002)
+    psd = 1e-5
+    heave.disturb(f_hz, np.full(len(f_hz), psd))
+    steady = heave.filter.steady
+    loop = (np.eye(len(system.H)) - np.outer(steady.K, system.H)) @ steady.F
+    P = solve_discrete_lyapunov(loop, np.outer(steady.K, steady.K) * psd * 0.5 / DT_S)
+    more_m2 = float(system.heave @ P @ system.heave)
+    after_m = [heave.std_m(BEAT_S + 0.02, shift_s) for shift_s in (0.0, LEAD_S, 0.3)]
+    assert np.sqrt(np.square(before_m) + more_m2) == pytest.approx(after_m, rel=1e-2)
+    assert all(one.std_m**2 > more_m2 for one in heave.forecast(BEAT_S))
+    heave.disturb(f_hz, np.zeros(len(f_hz)))
+    assert [heave.std_m(BEAT_S + 0.02, shift_s) for shift_s in (0.0, LEAD_S, 0.3)] == before_m

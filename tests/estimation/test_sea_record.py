@@ -74,3 +74,18 @@ def test_a_cut_is_remembered_for_as_long_as_what_it_cuts() -> None:
     record.cut(140.0, 140.0)
     assert record.cuts_s == ((100.0, 101.0), (140.0, 140.0))
     assert not record.follows(19.0)
+
+
+@pytest.mark.parametrize(("more_mps2", "is_due"), [(1e-2, True), (1e-5, False)])
+def test_a_past_that_is_amended_much_is_looked_at_anew(more_mps2: float, is_due: bool) -> None:
+    record = SeaRecord(120.0, 40.0, 20.0)
+    record.start(0.0)
+    for k in range(1, 3000):
+        record.push(k * BEAT_S, 1.0)
+    record.ask(150.0)
+    record.amend(np.array([100.0, 140.0]), np.array([more_mps2, more_mps2]))
+    assert record.is_due(162.0, is_changing=False) is is_due
+    a = record.since(0.0)
+    assert a[a[:, 0] > 140.1, 1] == pytest.approx(1.0)
+    within = (a[:, 0] > 100.0) & (a[:, 0] < 140.0)
+    assert a[within, 1] == pytest.approx(1.0 + more_mps2)

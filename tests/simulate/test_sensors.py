@@ -2,6 +2,7 @@
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,7 +14,7 @@ from heaved.devices.profile import Block, DeviceSpec, Field, Profile
 from heaved.samples import GRAVITY_MPS2, Fault, ImuSample, LaserSample
 from heaved.simulate.instruments import Imu, Instruments, Laser, LowPass
 from heaved.simulate.seaway import seaway
-from heaved.simulate.sensors import LASER_DISTANCE_M, SENSORS, ImuModel, laser_pattern, measure, record
+from heaved.simulate.sensors import LASER_DISTANCE_M, SENSORS, ImuModel, laser_pattern, leaning, measure, record
 from heaved.simulate.vessel import Motion, body_rates, specific_force
 
 angles = st.floats(-math.pi, math.pi)
@@ -219,7 +220,7 @@ def test_measure_takes_any_motion_that_is_known_on_a_grid() -> None:
     recording = measure(truth, imu_rate_hz=20.0, laser_rate_hz=10.0, sensor="ideal", laser="5+5")
     assert np.nanmean(recording.laser_m) == pytest.approx(LASER_DISTANCE_M + 0.7, abs=0.001)
     assert np.isfinite(recording.laser_m).sum() == 150
-    with pytest.raises(ValueError, match=r"'Z'.*A, B, C, ideal"):
+    with pytest.raises(ValueError, match=r"'Z'.*A, B, C, AHRS, ideal"):
         measure(truth, imu_rate_hz=20.0, sensor="Z")
 
 
@@ -240,3 +241,42 @@ def test_instruments_keep_one_sensor_for_each_device() -> None:
     reading = instruments.read(laser, 1.0)
     assert isinstance(reading, LaserSample)
     assert reading.laser_m == pytest.approx(LASER_DISTANCE_M + sea.at(1.0).heave_m, abs=0.01)
+
+
+def test_an_attitude_leans_into_a_turn_with_its_time_constant() -> None:
+    still = seaway("S0").motion(np.arange(0.0, 60.0, 0.1))
+    turning = msgspec.structs.replace(still, sway_acceleration_mps2=np.full(600, 0.15))
+    found = measure(turning, imu_rate_hz=10.0, sensor=ImuModel(attitude_lean_s=8.0), laser="off")
+    expected = math.atan2(0.15, GRAVITY_MPS2) * (1.0 - np.exp(-still.t_s / 8.0))
+    np.testing.assert_allclose(found.roll_rad, expected, atol=1e-9)
+    np.testing.assert_allclose(found.pitch_rad, 0.0, atol=1e-9)
+
+
+def test_a_late_attitude_is_that_of_before() -> None:
+    sea, t_s = seaway("S6", seed=2), np.arange(0.0, 60.0, 0.05)
+    found = record(sea, 60.0, imu_rate_hz=20.0, sensor=ImuModel(attitude_late_s=0.04), laser="off")
+    before = sea.motion(t_s - 0.04)
+    for angle, expected in (
+        (found.roll_rad, before.roll_rad), (found.pitch_rad, before.pitch_rad), (found.yaw_rad, before.yaw_rad),
+    ):  # fmt: skip
+        np.testing.assert_allclose(angle[1:], expected[1:], atol=2e-6)
+    np.testing.assert_allclose(found.gx_radps, body_rates(sea.motion(t_s)).x, atol=1e-12)
+
+
+@pytest.mark.parametrize(("lean_s", "late_s"), [(8.0, 0.04), (5.0, 0.0), (math.inf, 0.06)])
+def test_a_polled_attitude_errs_as_a_recorded_one(lean_s: float, late_s: float) -> None:
+    sea, sensor = seaway("S6", seed=3), ImuModel(attitude_lean_s=lean_s, attitude_late_s=late_s)
+    recording = record(sea, 60.0, imu_rate_hz=50.0, sensor=sensor, laser="off")
+    imu = Imu(sea, sensor, rate_hz=50.0, seed=1)
+    polled = np.array([[s.roll_rad, s.pitch_rad, s.yaw_rad] for s in map(imu.read, recording.t_s.tolist())])
+    recorded = np.column_stack((recording.roll_rad, recording.pitch_rad, recording.yaw_rad))
+    np.testing.assert_allclose(polled[3:], recorded[3:], atol=1e-4)
+
+
+def test_the_apparent_vertical_is_along_the_specific_force() -> None:
+    motion = motion_at(roll_rad=0.1, pitch_rad=-0.05, sway_acceleration_mps2=0.5, surge_acceleration_mps2=-0.3)
+    roll, pitch = leaning(motion)
+    apparent = hull_from_ship(0.1 + float(roll), -0.05 + float(pitch), 0.0)
+    force = specific_force(motion)
+    along = apparent.apply([force.x, force.y, force.z])
+    np.testing.assert_allclose(along[:2], 0.0, atol=1e-12)
