@@ -75,13 +75,13 @@ class EulerFilter:
         self.x = self._F.dot(self.x)
         self.P = self._F.dot(self.P).dot(self._F.T) + self._Q
 
-    def update(self, motion: Array, local_radps: Array) -> float:
+    def update(self, motion: Array, local_radps: Array, variance: Array) -> float:
         """As ``So3Filter.update``; only the constant term of ``motion`` is used: the model knows no delay.
 
         The gate stays open: from a start at zero the first innovations are as large as the motion.
         """
         rates = motion[0]
-        R = np.diag(self.noise.sample_radps**2)
+        R = np.diag(self.noise.sample_radps**2 + self.noise.left * variance)
         updated = sigma.update(self._points, self.x, self.P, local_radps, lambda points: _measured(points, rates), R)
         if updated is None or not isfinite(updated.nis):
             return nan
@@ -131,6 +131,10 @@ class EulerFilter:
         x = self.x.copy()
         x[THETA] = x[RATE] = 0.0
         return np.asarray(self.static.T.dot(local_radps - _measured(x[None], motion[0])[0]))
+
+    def variance(self, midships: Array, local: Array) -> Array:
+        """As ``So3Filter.variance``."""
+        return np.asarray(midships + (self.static**2).T.dot(local))
 
 
 def euler_rate_matrix(angles: Array) -> Array:

@@ -59,7 +59,10 @@ class Noise(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     bias_walk_radps_rts: float
     delay_walk_s_rts: float
     sample_radps: Array
-    """(3,) white noise of one sample of the rate difference, in hull axes."""
+    """(3,) white noise of one slow reading of the rate difference, in hull axes, beyond what holes and vibration leave.
+    """
+    left: Array
+    """(3,) how much of the variance that these are reckoned to leave is there, in hull axes."""
 
 
 class So3Filter:
@@ -123,15 +126,16 @@ class So3Filter:
 
     # --- measurement --------------------------------------------------------------------------------------------------
 
-    def update(self, motion: Array, local_radps: Array) -> float:
+    def update(self, motion: Array, local_radps: Array, variance: Array) -> float:
         """Take a local reading (3,); ``motion`` (k, 3): midships rates as a polynomial in time about its stamp.
 
-        Returns the normalised innovation squared; beyond ``GATE`` nothing has changed. nan: the covariance is no longer
-        one or something is not finite; the caller starts over and counts.
+        ``variance`` (3,): what holes and vibration leave of both, in hull axes. Returns the normalised innovation
+        squared; beyond ``GATE`` nothing has changed. nan: the covariance is no longer one or something is not finite;
+        the caller starts over and counts.
         """
         x0, P = self.x, self.P
         z = self.C0.T.dot(local_radps)
-        R = self.noise.sample_radps**2
+        R = self.noise.sample_radps**2 + self.noise.left * variance
         x, nis = x0, float("nan")
         for iteration in range(self.iterations):
             expected, H = self._measured(x, motion)
@@ -229,3 +233,7 @@ class So3Filter:
         x = self.x.copy()
         x[At.THETA : At.BIAS] = 0.0
         return np.asarray(self.C0.T.dot(local_radps) - self._measured(x, motion)[0])
+
+    def variance(self, midships: Array, local: Array) -> Array:
+        """(3,) of the rate difference, hull axes: variances (3,) of both rates, each in its own axes."""
+        return np.asarray(midships + (self.C0**2).T.dot(local))
