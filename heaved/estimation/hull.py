@@ -201,11 +201,11 @@ class HullDeformation:
         row[1:4] = self._health[0].take(midships_radps)
         row[4:] = self._health[1].take(local_radps)
         self._ring.push(row)
-        rows = self._ring.last(2 * self._pair.half + 1)
-        centre = self._pair.half
-        due = len(rows) > 2 * centre and self._pair.is_due(float(rows[centre - 1, 0]), float(rows[centre, 0]))
+        ahead = self._pair.ahead
+        rows = self._ring.last(self._pair.back + ahead + 1)
+        due = len(rows) > 2 * ahead and self._pair.is_due(float(rows[-2 - ahead, 0]), float(rows[-1 - ahead, 0]))
         if due:
-            self._at_centre(rows)
+            self._at_last_due(rows)
         if due or self.latest is None or self._filter is None:
             self.latest = self._publish()
         return self.latest
@@ -218,8 +218,8 @@ class HullDeformation:
         if self._filter is None or self._provisional:
             self._start_over()
 
-    def _at_centre(self, rows: Array) -> None:
-        t = float(rows[self._pair.half, 0])
+    def _at_last_due(self, rows: Array) -> None:
+        t = float(rows[-1 - self._pair.ahead, 0])
         if isnan(self._record_s):
             self._record_s = t
         if isnan(self._began_s):
@@ -229,7 +229,7 @@ class HullDeformation:
                 self._learn(rows)
                 self._begin(make_filter(self._params.method, np.eye(3), 0.0, self._prior, self._noise), t)
         if self._learned:
-            reading = self._pair.at_centre(rows)
+            reading = self._pair.at_last_due(rows)
             self._strike(rows, reading)
             slow = reading[1]
             self._slow.push((t, *(slow.motion[0] if slow is not None else (nan, nan, nan))))
@@ -325,7 +325,7 @@ class HullDeformation:
         if waiting or short or self.due_refit is not None or self._filter is None:
             return
         first = isnan(self._refit_s) and self._whole
-        reach_s = (self._pair.half + 0.5) / p.rate_hz
+        reach_s = (self._pair.ahead + 0.5) / p.rate_hz
         rows = self._ring.since((self._record_s if first else t - p.refit_after_s) - reach_s)
         self._refit_s = t
         job = RefitJob(
@@ -351,8 +351,8 @@ class HullDeformation:
         self._pair = pair = result.pair.copy()
         if result.filter is not None and self._whole:
             filter = result.filter.copy()
-            rows = self._ring.since(result.filtered_s - (pair.half - 0.5) / self._params.rate_hz)
-            if run(filter, pair.along(rows.copy()), self._began_s, result.filtered_s):
+            rows = self._ring.since(result.filtered_s - (pair.back + 0.5) / self._params.rate_hz)
+            if run(filter, pair.along(rows.copy(), result.filtered_s), self._began_s, result.filtered_s):
                 self._filter = filter
         self._filter.set_flexure(result.flexure)
         self._filter.set_noise(msgspec.structs.replace(self._filter.noise, sample_radps=result.noise_radps, left=result.left))

@@ -7,7 +7,7 @@ both are reduced to what is slow, by the same rule: the conditional mean of a Ga
 2006, eq. 2.23-2.24; in geostatistics, simple kriging). A reading is the slow motion, of a smooth covariance that no
 vessel's waves exceed, plus what vibrates, of the covariance that the gyro's own record shows above the waves: white
 noise, lines that wander, a broad hum alike. Nothing within the waves' band is inferred from it. The conditional mean
-about the centre of a window that reaches as far back as ahead has no phase, and is at once
+within a window of some seconds is at once
 
 * the low-pass before the down-sampling, as sharp as the window and the vibration at hand allow,
 * the bridge over readings that are missing: what vibrates is told apart from what moves whatever the pattern of holes,
@@ -19,7 +19,7 @@ The motion comes with its derivatives, as a polynomial in time: what a delay bet
 
 from __future__ import annotations
 
-from math import ceil, factorial, pi
+from math import ceil, factorial, inf, pi
 from typing import Final
 
 import msgspec
@@ -29,8 +29,10 @@ from scipy.linalg.lapack import dpotrf, dpotrs
 
 Array = NDArray[np.float64]
 
-REACH_S: Final = 1.0
-"""Half width of the window."""
+AHEAD_S: Final = 1.0
+"""The window reaches so far ahead of its moment, and at the least as far back ..."""
+BACK_S: Final = 3.0
+"""... and so far back where there are readings: a line is the better known the longer it has been heard."""
 OUT_HZ: Final = 2.5
 """Slow readings are made about so often: twice what passes the window under vibration, 0.9 Hz, and more."""
 TERMS: Final = 5
@@ -109,7 +111,8 @@ class Band:
     def __init__(self, rate_hz: float, least_noise_radps: float) -> None:
         """``least_noise_radps``: standard deviation of the white noise of one reading that is assumed at the least."""
         self.rate_hz = rate_hz
-        self.half = max(2, ceil(REACH_S * rate_hz - 1e-6))
+        self.ahead = max(2, ceil(AHEAD_S * rate_hz - 1e-6))
+        self.back = max(2, ceil(BACK_S * rate_hz - 1e-6))
         self._least = least_noise_radps**2 / rate_hz
         self._f = np.linspace(0.0, 0.5 * rate_hz, LINES)
         self.shake(np.full(LINES, self._least))
@@ -125,7 +128,7 @@ class Band:
         self.power = np.maximum(power, self._least)
         white = float(np.min(self.power)) * self.rate_hz
         self._motion = float(np.clip(CLEAREST * white, *np.square(MOTION_RADPS)))
-        self._table = self._covariance(np.arange(2 * self.half * FINE + FINE) / (FINE * self.rate_hz))
+        self._table = self._covariance(np.arange((self.back + self.ahead + 2) * FINE) / (FINE * self.rate_hz))
         self._patterns: dict[bytes, _Pattern | None] = {}
         self._square = np.ones(3)
         """Size of the residuals: their mean square over what the spectrum makes of it, per axis."""
@@ -150,7 +153,7 @@ class Band:
 
         None: too much is missing or wrong.
         """
-        known = np.isfinite(rates[:, 0]) & (np.abs(offset_s) < REACH_S + 1.5 / self.rate_hz)
+        known = np.isfinite(rates[:, 0]) & (offset_s > -BACK_S - 0.5 / self.rate_hz)
         pattern = self._pattern(offset_s[known])
         if pattern is None:
             return None
@@ -166,7 +169,7 @@ class Band:
         here = self._misfits(pattern, values)[0]
         self._square += MEMORY * (here - self._square)
         # What has just begun shows in this window, and in the mean only later.
-        variance = pattern.variance * np.maximum(self._square, 0.5 * here)
+        variance = pattern.variance * np.maximum(self._square, here)
         return Slow(pattern.weights.dot(values), variance, wrong)
 
     def _misfits(self, pattern: _Pattern, values: Array) -> tuple[Array, Array]:
@@ -209,8 +212,8 @@ class Band:
         return self._patterns[key]
 
     def _new_pattern(self, at_s: Array) -> _Pattern | None:
-        ends = np.concatenate([[-REACH_S], at_s, [REACH_S]])
-        if len(at_s) < 3 or float(np.max(np.diff(ends))) > max(LONGEST_HOLE_S, 2.5 / self.rate_hz):
+        near = np.concatenate([[-AHEAD_S], at_s[np.abs(at_s) < AHEAD_S], [AHEAD_S]])
+        if len(near) < 5 or float(np.max(np.diff(near))) > max(LONGEST_HOLE_S, 2.5 / self.rate_hz):
             return None
         lag = np.abs(np.subtract.outer(at_s, at_s))
         vibration = np.interp(lag * (FINE * self.rate_hz), np.arange(len(self._table)), self._table)
@@ -300,7 +303,7 @@ class Pair:
 
     def __init__(self, midships: Band, local: Band) -> None:
         self.midships, self.local = midships, local
-        self.half = midships.half
+        self.back, self.ahead = midships.back, midships.ahead
         self.out_hz = midships.rate_hz / max(1, round(midships.rate_hz / OUT_HZ))
 
     def copy(self) -> Pair:
@@ -310,21 +313,22 @@ class Pair:
         """Is a slow reading made of the row at ``t_s``, that before it at ``before_s``?"""
         return (t_s * self.out_hz + 1e-6) // 1.0 > (before_s * self.out_hz + 1e-6) // 1.0
 
-    def at_centre(self, rows: Array) -> Reading:
-        """Time and both slow motions at the middle row of 2 half + 1."""
-        t = float(rows[self.half, 0])
+    def at_last_due(self, rows: Array) -> Reading:
+        """Time and both slow motions ``ahead`` rows before the last one."""
+        t = float(rows[-1 - self.ahead, 0])
         offset = rows[:, 0] - t
         return t, self.midships.at(offset, rows[:, 1:4]), self.local.at(offset, rows[:, 4:])
 
-    def along(self, rows: Array) -> list[Reading]:
-        """``at_centre`` wherever it is due in a record. Readings that are none are struck out of it."""
-        half, found = self.half, list[Reading]()
-        for i in range(half, len(rows) - half):
-            if self.is_due(float(rows[i - 1, 0]), float(rows[i, 0])):
-                reading = self.at_centre(rows[i - half : i + half + 1])
+    def along(self, rows: Array, after_s: float = -inf) -> list[Reading]:
+        """``at_last_due`` wherever it is due in a record later than ``after_s``. Readings that are none are struck out of it."""
+        found = list[Reading]()
+        for i in range(self.ahead, len(rows) - self.ahead):
+            if rows[i, 0] > after_s and self.is_due(float(rows[i - 1, 0]), float(rows[i, 0])):
+                window = rows[max(0, i - self.back) : i + self.ahead + 1]
+                reading = self.at_last_due(window)
                 for slow, columns in zip(reading[1:], COLUMNS, strict=True):
                     if slow is not None and slow.wrong:
-                        rows[i - half + np.array(slow.wrong), columns] = np.nan
+                        window[slow.wrong, columns] = np.nan
                 found.append(reading)
         return found
 
@@ -332,10 +336,15 @@ class Pair:
         """Learn what vibrates from a record; ``rounds``: so often where readings are missing."""
         for band, columns in zip((self.midships, self.local), COLUMNS, strict=True):
             rates = rows[:, columns]
-            for _ in range(rounds if np.isnan(rates).any() else 1):
+            rounds = rounds if np.isnan(rates).any() else 1
+            for number in range(rounds):
                 power = band.identify(rows[:, 0], rates)
-                if power is not None:
-                    band.shake(power)
+                if power is None:
+                    break
+                if 0 < number < rounds - 1:
+                    # What falls from round to round would go on falling for many more.
+                    power = power * np.clip((power / band.power) ** 2, 0.1, 1.0)
+                band.shake(power)
 
     def learn(self, rows: Array) -> list[Reading]:
         """Go through a record of which nothing is known yet. Readings that are none are struck out of it."""
