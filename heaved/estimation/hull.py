@@ -23,7 +23,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.hull_band import COLUMNS, Band, Pair, Reading
+from heaved.estimation.hull_band import COLUMNS, SHORTEST, Band, Pair, Reading
 from heaved.estimation.hull_estimate import HullEstimate, HullState, HullWarning, Params
 from heaved.estimation.hull_health import Health
 from heaved.estimation.hull_markov import Flexure
@@ -63,9 +63,8 @@ DEG_H: Final = pi / 180.0 / 3600.0
 """One degree per hour, rad/s."""
 DEG_RTH: Final = pi / 180.0 / 60.0
 """One degree per root hour, rad per root second."""
-FIRST_TRY_S: Final = 3.0
-"""Record from which on a provisional filter runs on whatever alignment there is: three slow readings."""
-AGAIN_S: Final = 1.0
+FIRST_TRY_S: Final = 1.0
+"""From here on a provisional filter runs on whatever alignment there is."""
 GOOD_ALIGNMENT_RAD: Final = radians(1.0)
 LONGEST_START_S: Final = 30.0
 """An alignment looks at no more than this."""
@@ -203,9 +202,9 @@ class HullDeformation:
         self._ring.push(row)
         ahead = self._pair.ahead
         rows = self._ring.last(self._pair.back + ahead + 1)
-        due = len(rows) > 2 * ahead and self._pair.is_due(float(rows[-2 - ahead, 0]), float(rows[-1 - ahead, 0]))
+        due = len(rows) > ahead + SHORTEST and self._pair.is_due(float(rows[-2 - ahead, 0]), float(rows[-1 - ahead, 0]))
         if due:
-            self._at_last_due(rows)
+            self._at(rows)
         if due or self.latest is None or self._filter is None:
             self.latest = self._publish()
         return self.latest
@@ -218,7 +217,7 @@ class HullDeformation:
         if self._filter is None or self._provisional:
             self._start_over()
 
-    def _at_last_due(self, rows: Array) -> None:
+    def _at(self, rows: Array) -> None:
         t = float(rows[-1 - self._pair.ahead, 0])
         if isnan(self._record_s):
             self._record_s = t
@@ -226,16 +225,16 @@ class HullDeformation:
             self._began_s, self._first_s = t, float(rows[0, 0])
             self._filtered_s = t
             if self._params.start == "zero":
-                self._learn(rows)
+                self._learn(rows, to_end=False)
                 self._begin(make_filter(self._params.method, np.eye(3), 0.0, self._prior, self._noise), t)
         if self._learned:
-            reading = self._pair.at_last_due(rows)
+            reading = self._pair.at(rows, self._pair.ahead)
             self._strike(rows, reading)
             slow = reading[1]
             self._slow.push((t, *(slow.motion[0] if slow is not None else (nan, nan, nan))))
-            if self._filter is not None:
+            if self._filter is not None and t > self._filtered_s:
                 self._judge(advance(self._filter, t - self._filtered_s, reading, t - self._began_s), t)
-        self._filtered_s = t
+        self._filtered_s = max(t, self._filtered_s)
         if self._provisional and self._t_s - self._first_s >= self._next_try_s - 1e-6:
             self._try_to_start(t)
         if t - self._forecast_s >= FORECAST_EVERY_S and t - self._began_s >= RETRY_S:
@@ -250,10 +249,10 @@ class HullDeformation:
                 for row in slow.wrong:
                     self._ring.strike(float(rows[row, 0]), columns)
 
-    def _learn(self, rows: Array) -> list[Reading]:
+    def _learn(self, rows: Array, to_end: bool) -> list[Reading]:
         """Learn from a record of which nothing is known yet what vibrates."""
         self._pair, self._learned = self._new_pair(), True
-        return self._pair.learn(rows.copy())
+        return self._pair.learn(rows.copy(), to_end)
 
     def _judge(self, nis: float | None, t: float) -> None:
         """Does the filter still explain what is measured?"""
@@ -284,10 +283,10 @@ class HullDeformation:
         p = self._params
         elapsed = self._t_s - self._first_s
         final = elapsed >= p.start_s - 1e-6
-        self._next_try_s = elapsed + RETRY_S if final else min(elapsed + AGAIN_S, p.start_s)
+        self._next_try_s = elapsed + RETRY_S if final else min(elapsed + FIRST_TRY_S, p.start_s)
         if not final and self._filter is not None:
             return
-        record = self._learn(self._ring.since(t - LONGEST_START_S))
+        record = self._learn(self._ring.since(t - LONGEST_START_S), to_end=not final)
         if not record:
             return
         # Only so3 knows of a delay; and a second of record does not tell it from a rotation.
@@ -306,7 +305,7 @@ class HullDeformation:
         if filter is None:
             return
         self._filter = filter
-        self._updated_s = t
+        self._updated_s = self._filtered_s = record[-1][0]
         if final:
             self._begin(filter, record[0][0])
 

@@ -30,9 +30,11 @@ from scipy.linalg.lapack import dpotrf, dpotrs
 Array = NDArray[np.float64]
 
 AHEAD_S: Final = 1.0
-"""The window reaches so far ahead of its moment, and at the least as far back ..."""
+"""The window reaches so far ahead of its moment ..."""
 BACK_S: Final = 3.0
-"""... and so far back where there are readings: a line is the better known the longer it has been heard."""
+"""... and so far back: a line is the better known the longer it has been heard."""
+SHORTEST: Final = 2
+"""Readings ahead and back without which there is no window: at the ends of a record."""
 OUT_HZ: Final = 2.5
 """Slow readings are made about so often: twice what passes the window under vibration, 0.9 Hz, and more."""
 TERMS: Final = 5
@@ -153,7 +155,9 @@ class Band:
 
         None: too much is missing or wrong.
         """
-        known = np.isfinite(rates[:, 0]) & (offset_s > -BACK_S - 0.5 / self.rate_hz)
+        known = np.isfinite(rates[:, 0])
+        if self._is_torn(offset_s, known):
+            return None
         pattern = self._pattern(offset_s[known])
         if pattern is None:
             return None
@@ -163,7 +167,7 @@ class Band:
             wrong = self._wrong(offset_s, rates, known)
             known[wrong] = False
             pattern = self._pattern(offset_s[known])
-            if pattern is None:
+            if pattern is None or self._is_torn(offset_s, known):
                 return None
         values = rates[known]
         here = self._misfits(pattern, values)[0]
@@ -171,6 +175,15 @@ class Band:
         # What has just begun shows in this window, and in the mean only later.
         variance = pattern.variance * np.maximum(self._square, here)
         return Slow(pattern.weights.dot(values), variance, wrong)
+
+    def _is_torn(self, offset_s: Array, known: NDArray[np.bool_]) -> bool:
+        """Is there a hole about the moment?"""
+        near = np.abs(offset_s) < AHEAD_S + 0.5 / self.rate_hz
+        ends, inside = offset_s[near], offset_s[near & known]
+        if len(inside) < 3:
+            return True
+        longest = max(float(np.max(np.diff(inside))), float(inside[0] - ends[0]), float(ends[-1] - inside[-1]))
+        return longest > max(LONGEST_HOLE_S, 2.5 / self.rate_hz)
 
     def _misfits(self, pattern: _Pattern, values: Array) -> tuple[Array, Array]:
         """Of readings (n, 3): mean normalised square of all (3,), and of each from what the others expect (n, 3)."""
@@ -202,7 +215,7 @@ class Band:
         return found[:wrong]
 
     def _pattern(self, offset_s: Array) -> _Pattern | None:
-        """None: there is a hole in the readings."""
+        """None: two readings are too close to be told apart."""
         ticks = np.round(offset_s * (1e4 * self.rate_hz)).astype(np.int64)
         key = ticks.tobytes()
         if key not in self._patterns:
@@ -212,9 +225,6 @@ class Band:
         return self._patterns[key]
 
     def _new_pattern(self, at_s: Array) -> _Pattern | None:
-        near = np.concatenate([[-AHEAD_S], at_s[np.abs(at_s) < AHEAD_S], [AHEAD_S]])
-        if len(near) < 5 or float(np.max(np.diff(near))) > max(LONGEST_HOLE_S, 2.5 / self.rate_hz):
-            return None
         lag = np.abs(np.subtract.outer(at_s, at_s))
         vibration = np.interp(lag * (FINE * self.rate_hz), np.arange(len(self._table)), self._table)
         factor, info = dpotrf(self._smooth(lag) + vibration, lower=1)
@@ -313,19 +323,22 @@ class Pair:
         """Is a slow reading made of the row at ``t_s``, that before it at ``before_s``?"""
         return (t_s * self.out_hz + 1e-6) // 1.0 > (before_s * self.out_hz + 1e-6) // 1.0
 
-    def at_last_due(self, rows: Array) -> Reading:
+    def at(self, rows: Array, ahead: int) -> Reading:
         """Time and both slow motions ``ahead`` rows before the last one."""
-        t = float(rows[-1 - self.ahead, 0])
+        t = float(rows[-1 - ahead, 0])
         offset = rows[:, 0] - t
         return t, self.midships.at(offset, rows[:, 1:4]), self.local.at(offset, rows[:, 4:])
 
-    def along(self, rows: Array, after_s: float = -inf) -> list[Reading]:
-        """``at_last_due`` wherever it is due in a record later than ``after_s``. Readings that are none are struck out of it."""
+    def along(self, rows: Array, after_s: float = -inf, to_end: bool = False) -> list[Reading]:
+        """What is slow in a record wherever it is due, later than ``after_s``. Readings that are none are struck out.
+
+        ``to_end``: with ever shorter windows to its end, not just as far as whole ones fit into it.
+        """
         found = list[Reading]()
-        for i in range(self.ahead, len(rows) - self.ahead):
+        for i in range(SHORTEST, len(rows) - (SHORTEST if to_end else self.ahead)):
             if rows[i, 0] > after_s and self.is_due(float(rows[i - 1, 0]), float(rows[i, 0])):
                 window = rows[max(0, i - self.back) : i + self.ahead + 1]
-                reading = self.at_last_due(window)
+                reading = self.at(window, min(self.ahead, len(rows) - 1 - i))
                 for slow, columns in zip(reading[1:], COLUMNS, strict=True):
                     if slow is not None and slow.wrong:
                         window[slow.wrong, columns] = np.nan
@@ -346,10 +359,10 @@ class Pair:
                     power = power * np.clip((power / band.power) ** 2, 0.1, 1.0)
                 band.shake(power)
 
-    def learn(self, rows: Array) -> list[Reading]:
-        """Go through a record of which nothing is known yet. Readings that are none are struck out of it."""
+    def learn(self, rows: Array, to_end: bool) -> list[Reading]:
+        """Go ``along`` a record of which nothing is known yet."""
         for band, columns in zip((self.midships, self.local), COLUMNS, strict=True):
             band.expect(rows[:, columns])
-        self.along(rows)
+        self.along(rows, to_end=to_end)
         self.identify(rows, ROUNDS)
-        return self.along(rows)
+        return self.along(rows, to_end=to_end)
