@@ -159,6 +159,7 @@ class HullDeformation:
             delay_walk_s_rts=p.delay_walk_us_rts * 1e-6,
             sample_radps=np.maximum(sample_radps, self._least_noise),
             left=np.ones(3),
+            ordinary=np.full(3, inf),
         )
 
     # --- input -------------------------------------------------------------------------------------------------------
@@ -354,7 +355,12 @@ class HullDeformation:
             if run(filter, pair.along(rows.copy(), result.filtered_s), self._began_s, result.filtered_s):
                 self._filter = filter
         self._filter.set_flexure(result.flexure)
-        self._filter.set_noise(msgspec.structs.replace(self._filter.noise, sample_radps=result.noise_radps, left=result.left))
+        new = result.noise
+        self._filter.set_noise(
+            msgspec.structs.replace(
+                self._filter.noise, sample_radps=new.sample_radps, left=new.left, ordinary=new.ordinary
+            )
+        )
         self._flexure = result.flexure
         self._refits += 1
         self._watch.began()

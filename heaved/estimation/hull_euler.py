@@ -81,7 +81,7 @@ class EulerFilter:
         The gate stays open: from a start at zero the first innovations are as large as the motion.
         """
         rates = motion[0]
-        R = np.diag(self.noise.sample_radps**2 + self.noise.left * variance)
+        R = np.diag(self.noise.of(variance))
         updated = sigma.update(self._points, self.x, self.P, local_radps, lambda points: _measured(points, rates), R)
         if updated is None or not isfinite(updated.nis):
             return nan

@@ -30,6 +30,10 @@ ITERATED_S: Final = 30.0
 FEWEST: Final = 3
 USABLE: Final = 0.3
 """Slow readings, and share of the record, that an alignment needs."""
+ORDINARY: Final = 3.0
+"""A reading whose known deviation is more than so many times the median one is left out of a fit."""
+LEAST_SHARE: Final = 0.5
+"""Of the record that must be left to it."""
 ONE_AXIS: Final = 0.02
 """Second over largest eigenvalue of the motion's mean square below which it is about one axis."""
 
@@ -129,9 +133,7 @@ class RefitResult(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     flexure: Flexure
     pair: Pair
     """With what vibrates in the record."""
-    noise_radps: Array
-    left: Array
-    """As in ``Noise``."""
+    noise: Noise
     filter: Filter | None
     """None: only the parameters are new."""
     filtered_s: float
@@ -148,34 +150,42 @@ def refit(job: RefitJob) -> RefitResult | None:
     rows, pair = job.rows.copy(), job.pair.copy()
     pair.identify(rows, ROUNDS)
     record = pair.along(rows)
-    usable = [midships is not None and local is not None for _, midships, local in record]
-    if not record or np.mean(usable) < 0.8:
-        return None
-    rates, variances = np.zeros((len(record), 3)), []
+    rates, known = np.full((len(record), 3), np.nan), np.full((len(record), 3), np.nan)
     for i, (_, midships, local) in enumerate(record):
         if midships is not None and local is not None:
             rates[i] = job.filter.residual(midships.motion, local.motion[0])
-            variances.append(job.filter.variance(midships.variance, local.variance))
-    rates[usable] -= np.mean(rates[usable], axis=0)
-    known = np.mean(variances, axis=0)
+            known[i] = job.filter.variance(midships.variance, local.variance)
+    # What is ordinary: a slam is no part of the spectrum, nor is what remains of a reading across holes.
+    size = known.sum(axis=1)
+    used = size <= ORDINARY**2 * np.nanmedian(size) if np.isfinite(size).any() else np.zeros(len(record), dtype=bool)
+    share = float(np.mean(used)) if len(record) else 0.0
+    if share < LEAST_SHARE:
+        return None
+    t = np.array([reading[0] for reading in record])
+    rates = np.array([np.interp(t, t[used], column) for column in (rates[used] - np.mean(rates[used], axis=0)).T]).T
+    left_over = np.mean(known[used], axis=0)
     before = job.filter.noise.sample_radps
     found = fit(rates, pair.out_hz, job.prior, float(np.min(before)))
     if not all(np.isfinite(a).all() for a in (found.noise_radps, *_arrays(found.flexure))):
         return None
-    # Noise that the flexure does not explain: that of holes and vibration, and what is left white beyond it.
-    left = np.minimum(found.noise_radps**2 / known, 1.0)
-    sample = np.sqrt(np.maximum(found.noise_radps**2 - known, job.least_noise_radps**2))
+    # Noise that the flexure does not explain: that of holes and vibration, and what is white beyond it.
+    variance = found.noise_radps**2 / share
+    left = np.minimum(variance / left_over, 1.0)
+    noise = msgspec.structs.replace(
+        job.filter.noise,
+        sample_radps=np.sqrt(np.maximum(variance - left_over, job.least_noise_radps**2)),
+        left=left,
+        ordinary=ORDINARY**2 * left_over,
+    )
     filter = None
     if job.whole:
-        noise = msgspec.structs.replace(job.filter.noise, sample_radps=sample, left=left)
         filter = make_filter(job.method, job.filter.static, job.filter.delay_s, found.flexure, noise)
         if not run(filter, record, record[0][0], -np.inf):
             return None
     return RefitResult(
         flexure=found.flexure,
         pair=pair,
-        noise_radps=sample,
-        left=left,
+        noise=noise,
         filter=filter,
         filtered_s=record[-1][0],
         generation=job.generation,

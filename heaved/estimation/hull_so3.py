@@ -62,7 +62,14 @@ class Noise(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """(3,) white noise of one slow reading of the rate difference, in hull axes, beyond what holes and vibration leave.
     """
     left: Array
-    """(3,) how much of the variance that these are reckoned to leave is there, in hull axes."""
+    """(3,) how much of the variance that these are reckoned to leave is there, in hull axes ..."""
+    ordinary: Array
+    """... up to this variance (3,). What is beyond counts in full: none of it was there when ``left`` was found."""
+
+    def of(self, variance: Array) -> Array:
+        """(3,) variance of a slow reading in which holes and vibration are reckoned to leave ``variance`` (3,)."""
+        beyond = np.maximum(variance - self.ordinary, 0.0)
+        return np.asarray(self.sample_radps**2 + self.left * (variance - beyond) + beyond)
 
 
 class So3Filter:
@@ -135,7 +142,7 @@ class So3Filter:
         """
         x0, P = self.x, self.P
         z = self.C0.T.dot(local_radps)
-        R = self.noise.sample_radps**2 + self.noise.left * variance
+        R = self.noise.of(variance)
         x, nis = x0, float("nan")
         for iteration in range(self.iterations):
             expected, H = self._measured(x, motion)
