@@ -174,22 +174,26 @@ class Stream:
         return np.asarray(np.linalg.solve(V.T @ V, V.T @ rows[:, 1:])[0])
 
     def _gate(self) -> None:
-        """Strike out the last reading but one when it is far from the middle of its neighbours."""
-        rows = self._ring.last(3)
-        if len(rows) < 3:
+        """Strike out the middle one of the last five readings when it is far from the middle of its neighbours.
+
+        So are both its neighbours then, but by half as much.
+        """
+        rates = self._ring.last(5)[:, 1:]
+        if len(rates) < 5:
             return
-        before, middle, after = rows[:, 1:]
-        square = (middle - 0.5 * (before + after)) ** 2
-        if not np.isfinite(square).all():
+        square = (rates[1:-1] - 0.5 * (rates[:-2] + rates[2:])) ** 2
+        here = square[1]
+        if not np.isfinite(here).all():
             return
         if self._bent == 0:
-            self._bends = square
+            self._bends = here
         self._bent += 1
         # A jump that is there to stay is let in by and by: each that is refused makes the scale more than twice as wide.
         usual = self._bends
-        self._bends = usual + BENDS_MEMORY * (np.minimum(square, GATE_STD**2 * usual) - usual)
-        if self._bent > BENDS and bool((square > GATE_STD**2 * usual).any()):
-            self._ring.strike(float(rows[1, 0]), slice(1, 4))
+        self._bends = usual + BENDS_MEMORY * (np.minimum(here, GATE_STD**2 * usual) - usual)
+        is_far = (here > GATE_STD**2 * usual) & ~(here < np.maximum(square[0], square[2]))
+        if self._bent > BENDS and bool(is_far.any()):
+            self._ring.strike(float(self._ring.last(3)[0, 0]), slice(1, 4))
 
 
 class TwoStreams:
