@@ -226,7 +226,7 @@ class HullDeformation:
             self._began_s, self._first_s = t, float(rows[0, 0])
             self._filtered_s = t
             if self._params.start == "zero":
-                self._learn(rows, to_end=False)
+                self._learned = True
                 self._begin(make_filter(self._params.method, np.eye(3), 0.0, self._prior, self._noise), t)
         if self._learned:
             reading = self._pair.at(rows, self._pair.ahead)

@@ -24,7 +24,7 @@ ONE_AXIS: Final = 0.02
 """Least over second least eigenvalue of the information below which the motion is about one axis."""
 WORST_MISFIT: Final = 0.2
 """Residual over motion above which the streams are not of one rigid hull: delays and flexure stay far below."""
-FEWEST: Final = 10
+FEWEST: Final = 15
 """Readings that a forecast needs."""
 GATED_RESET: Final = 8
 """Successive readings that no state explains: start over."""

@@ -159,7 +159,7 @@ def test_the_record_holds_together() -> None:
     assert np.degrees([last.x_rad, last.y_rad, last.z_rad]) == pytest.approx([0.5, 0.8, 30.0], abs=0.03)
     floor = Params().coherent_floor_arcsec * ARCSEC
     assert np.square(last.std_rad) - floor**2 == pytest.approx(np.diag(last.covariance_rad2))
-    assert last.t_s == record.midships_t_s[-3]
+    assert 1.0 <= record.midships_t_s[-1] - last.t_s < 1.4
     assert abs(last.delay_s) < 4 * last.delay_std_s
     # Twice 0.005 deg/h at the most between the two gyros.
     assert np.max(np.abs(last.bias_radps)) < 3.0 * 0.1 * pi / 180 / 3600
