@@ -3,7 +3,8 @@
 Source: Xu, Wang & Shan 2017 (hull deformation by CKF); its method is ``ckf`` and ``ukf`` (``hull_euler``), ours ``so3``
 (``hull_so3``). Around the filter, the same for all of them: what is slow in either rate, free of vibration, spikes and
 holes (``hull_band``); an alignment that finds the rotation and the delay from the first seconds (``hull_start``), a
-record, and from it a fit of the flexure (``hull_markov``) with which the record is gone through again. Until then the flexure is taken to be broad, which costs little accuracy and no consistency.
+record, and from it a fit of the flexure (``hull_markov``) with which the record is gone through again. Until then the
+flexure is taken to be broad, which costs little accuracy and no consistency.
 
 What rates cannot tell: a deformation that is coherent with the waves on one common period is the same as a static
 misalignment, and an IMU pair that is swapped is the same as one mounted the other way round. The first is covered by

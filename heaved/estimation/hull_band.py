@@ -251,7 +251,7 @@ class Band:
     # --- what vibrates -----------------------------------------------------------------------------------------------
 
     def expect(self, rates: Array) -> None:
-        """Take a record (n, 3) of unknown vibration for slow motion and white noise, of its typical second difference."""
+        """Take a record (n, 3) of unknown vibration for slow motion and white noise: of its usual second difference."""
         bends = np.diff(rates, 2, axis=0)
         square = bends[np.isfinite(bends)] ** 2
         if len(square):

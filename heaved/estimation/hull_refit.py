@@ -91,7 +91,8 @@ def align_record(record: Sequence[Reading], rate_hz: float, longest_delay_s: flo
 
 def about_two_axes(record: Sequence[Reading]) -> bool:
     """The midships motion of a record alone would do for an alignment."""
-    rates = np.array([midships.motion[0] for _, midships, local in record if midships is not None and local is not None])
+    both = [midships for _, midships, local in record if midships is not None and local is not None]
+    rates = np.array([midships.motion[0] for midships in both])
     spread = np.linalg.eigvalsh(rates.T @ rates) if len(rates) else np.zeros(3)
     return bool(spread[1] > ONE_AXIS * spread[2] > 0.0)
 

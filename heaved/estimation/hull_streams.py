@@ -188,7 +188,7 @@ class Stream:
         if self._bent == 0:
             self._bends = here
         self._bent += 1
-        # A jump that is there to stay is let in by and by: each that is refused makes the scale more than twice as wide.
+        # A jump that is there to stay is let in by and by: each that is refused makes the scale twice as wide.
         usual = self._bends
         self._bends = usual + BENDS_MEMORY * (np.minimum(here, GATE_STD**2 * usual) - usual)
         is_far = (here > GATE_STD**2 * usual) & ~(here < np.maximum(square[0], square[2]))

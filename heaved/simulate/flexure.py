@@ -93,6 +93,7 @@ class Record(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """Readings and truth. Midships at ``midships_t_s`` (n,), local at its stamps ``local_t_s`` (m,)."""
 
     scene: Scene
+    seed: int
     midships_t_s: Array
     midships_radps: Array
     """(n, 3); nan: lost."""
@@ -139,6 +140,7 @@ def simulate(
     shaking = [GyroShaking(scene.shake, seed, local=local) for local in (False, True)]
     return Record(
         scene=scene,
+        seed=seed,
         midships_t_s=t1,
         midships_radps=shaking[0].readings(t1, _read(scene, midships, scene.midships_scale_ppm, t1, noise_rng)),
         local_t_s=stamps,

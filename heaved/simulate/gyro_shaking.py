@@ -1,7 +1,7 @@
 """What shakes the gyros of both IMUs of a hull, and what is wrong with their readings. Pure, seeded.
 
-A :class:`GyroShake` says what there is; :data:`GYRO_SHAKES` has those with a name. Engines turn the feet of both IMUs at
-one frequency, each by its own amount and with its own phases; a hum and slams are different at both places. A
+A :class:`GyroShake` says what there is; :data:`GYRO_SHAKES` has those with a name. Engines turn the feet of both IMUs
+at one frequency, each by its own amount and with its own phases; a hum and slams are different at both places. A
 realisation (:class:`GyroShaking`) is known at any instant, so polls of one hull at any rate see the same vibration, and
 what lies above half their rate folds as it does in a real register that is read too seldom.
 """
