@@ -44,6 +44,8 @@ MOTION_STD: Final = (2.0, 0.2)
 STANDS_OUT: Final = 5.0
 """Spectrum over its median above the waves from which on it is vibration: the mean of five overlapping periodograms is
 that by chance once in some ten thousand lines."""
+LEAST_POWER: Final = 0.1
+"""Variance of what vibrates over that of the white noise below which it is not worth a word."""
 NOISIER: Final = 1.5
 """Variance over the configured one from which on the learned one is used."""
 COHERENT_S: Final = 2.0
@@ -192,7 +194,7 @@ class CraftNoise:
         strength = lines * vibration * (rate_hz / n)
         total = float(strength.sum())
         count = int(np.clip(WINDOW_S * rate_hz, *WINDOW))
-        if total == 0.0:
+        if total < LEAST_POWER * white:
             return _Learned(white, np.zeros(1), np.zeros(1), None)
         lag_s = np.arange(max(count + 1, MOST_COMPLETED)) * self._step_s
         vibrates = np.cos(2.0 * pi * np.multiply.outer(lag_s, f)).dot(strength)
