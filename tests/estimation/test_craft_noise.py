@@ -20,7 +20,7 @@ def motion(t: np.ndarray) -> np.ndarray:
     return np.column_stack([heave, 0.06 * np.sin(2.5 * t + 0.5) + 0.01 * np.sin(4.8 * t)])
 
 
-def through(shake: str | CraftShake, rate_hz: float = 20.0, duration_s: float = 60.0, noisier: float = 1.0) -> np.ndarray:
+def through(shake: str, rate_hz: float = 20.0, duration_s: float = 60.0, noisier: float = 1.0) -> np.ndarray:
     """(n, 2, 2) errors of the readings as they are split, and the deviations that are said of them."""
     t = np.arange(1, round(rate_hz * duration_s) + 1) / rate_hz
     rng = np.random.default_rng(3)

@@ -94,7 +94,7 @@ def clean() -> Row:
 
 @pytest.mark.parametrize("shake", ["line-3.1 in phase", "line-1.3", "spikes", "line-3.1, spikes, losses"])
 def test_a_hull_that_shakes_is_known_nearly_as_well(clean, shake) -> None:
-    """150 s, refit after 120 s, 9 errors: 1.5 times the clean ones and 5 arcsec, and deviations that are true of them."""
+    """150 s, refit after 120 s, 9 errors: 1.5 times the clean ones and 5 arcsec, and true deviations."""
     shaken = shaken_row(shake)
     assert np.mean(shaken.rms_arcsec) < 1.5 * np.mean(clean.rms_arcsec) + 5.0
     assert shaken.nees < 1.35 * 2.4
