@@ -67,6 +67,8 @@ SPIKE_STD: Final = 8.0
 """A reading further than this from the middle of its neighbours, in the usual distances, is not learned from either."""
 MEDIAN_OF_SQUARE: Final = 0.4549
 """Of a standard normal value."""
+SHORTEST_STEP_S: Final = 0.004
+"""No sensor of a craft is read more often."""
 STEP_MEMORY: Final = 0.02
 """Weight of an interval in the mean one."""
 
@@ -121,14 +123,18 @@ class CraftNoise:
             return readings, self._configured
         if self._ring is None or not 0.3 < since_s / self._step_s < 50.0:
             # The rate is that of the first interval, and another one when it changes.
-            self._step_s = since_s
-            self._ring = Ring(int(RECORD_S / since_s) + 1, 3)
+            self._step_s = max(since_s, SHORTEST_STEP_S)
+            self._ring = Ring(int(RECORD_S / self._step_s) + 1, 3)
             self._learned, self._learned_s = [None, None], t_s - LEARN_EVERY_S + FIRST_S
         steps = max(1, round(since_s / self._step_s))
         if steps == 1:
             self._step_s += STEP_MEMORY * (since_s - self._step_s)
+        before_s = t_s - since_s
         for k in range(1, steps):
-            self._ring.push((t_s - since_s * (1.0 - k / steps), nan, nan))
+            between_s = t_s - since_s * (1.0 - k / steps)
+            if before_s < between_s < t_s:
+                self._ring.push((between_s, nan, nan))
+                before_s = between_s
         (heave, heave_variance, kept), (pitch, pitch_variance, kept_pitch) = (
             self._split(channel, readings[channel]) for channel in (0, 1)
         )

@@ -207,8 +207,7 @@ class HullDeformation:
         due = len(rows) > ahead + SHORTEST and self._pair.is_due(float(rows[-2 - ahead, 0]), float(rows[-1 - ahead, 0]))
         if due:
             self._at(rows)
-        if due or self.latest is None or self._filter is None:
-            self.latest = self._publish()
+        self.latest = self._publish(float(rows[-1 - ahead, 0]) if len(rows) > ahead else -inf)
         return self.latest
 
     def _break_record(self) -> None:
@@ -379,10 +378,13 @@ class HullDeformation:
             return HullState.CONVERGED
         return HullState.WEAK if weak else HullState.CONVERGING
 
-    def _publish(self) -> HullEstimate:
+    def _publish(self, t_s: float = -inf) -> HullEstimate:
+        """The estimate as the filter stands, or as it will stand at ``t_s``, between two slow readings."""
         t = self._filtered_s if isfinite(self._filtered_s) else self._t_s
         resets = self.resets.total()
         f = self._filter
+        if f is not None and t_s > t:
+            f, t = f.ahead(t_s - t), t_s
         if f is None:
             return HullEstimate(
                 t_s=t,
