@@ -77,7 +77,7 @@ def test_the_deformation_of_a_scene_is_found(record: Record, frames: list[Motion
     # The flexure's 3 arcsec and five times what is published: a wrong order of rotations would be off by half a degree.
     assert np.all(np.abs(off) < 3.0 * 3.0 * ARCSEC + 5.0 * np.array(found.std_rad))
     assert all(0.0 < std < 30.0 * ARCSEC for std in found.std_rad)
-    assert 0.2 <= frames[-1].t_s - found.t_s < 1.0
+    assert 0.2 <= frames[-1].t_s - found.t_s < 1.7
     assert sum(a is not b for a, b in zip([f.hull for f in frames], [f.hull for f in frames[1:]], strict=False)) > 900
 
 

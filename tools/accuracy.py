@@ -13,8 +13,8 @@
     tools/accuracy.py closed-loop [S6 T3] [--replay]    a hook under a winch that the stream drives, in real time
     tools/accuracy.py faults [DISASTER ...] [--seas S6] [--rates 20]    what is published while things go wrong
     tools/accuracy.py shake [line-3.1 slams] [--seas S6] [--rates 20]    heave while something shakes the sensor
-    tools/accuracy.py hull [--runs 50]        deformation between two IMUs, 600 s a run
-    tools/accuracy.py attitude [--runs 50]    heave and pitch of a foil-assisted catamaran
+    tools/accuracy.py hull [--runs 50] [--shake]    deformation between two IMUs, 600 s a run
+    tools/accuracy.py attitude [--runs 50] [--shake]    heave and pitch of a foil-assisted catamaran
     tools/accuracy.py all         headline and rock
 
 Beside the tables, OUT/results.jsonl gets one more line per result, with what made it, and OUT the figures. Of two lines
@@ -235,10 +235,10 @@ def run_rock(options: argparse.Namespace, output: Output) -> None:
 
 def run_hull(options: argparse.Namespace, output: Output) -> None:
     duration_s = 600.0 if options.duration is None else options.duration
-    rows = hull.table(range(options.runs), duration_s, options.jobs)
+    rows = hull.table(range(options.runs), duration_s, options.jobs, options.shake)
     output.write("hull", rows)
     print(hull.report(rows))
-    if output.figures:
+    if output.figures and not options.shake:
         hull.figure(output.folder / "hull.png", rows, duration_s=duration_s)
 
 
@@ -247,15 +247,16 @@ def run_attitude(options: argparse.Namespace, output: Output) -> None:
     Raises:
         ValueError: the duration ends before the last change of sea.
     """
-    passage = attitude.PASSAGE
+    passage = attitude.SHAKEN_PASSAGE if options.shake else attitude.PASSAGE
     if options.duration is not None:
         if options.duration <= passage.stages[-1][0]:
             raise ValueError(f"the last change of sea is at {passage.stages[-1][0]:g} s: give a longer --duration")
         passage = msgspec.structs.replace(passage, duration_s=options.duration)
-    rows = attitude.table(range(1, options.runs + 1), options.jobs, passage=passage)
+    methods = attitude.SHAKEN if options.shake else attitude.METHODS
+    rows = attitude.table(range(1, options.runs + 1), options.jobs, methods, passage)
     output.write("attitude", rows)
     print(attitude.report(rows))
-    if output.figures:
+    if output.figures and not options.shake:
         attitude.figure(output.folder / "attitude.png", passage=passage)
 
 
@@ -479,6 +480,7 @@ def _shake(parser: argparse.ArgumentParser) -> None:
 
 def _runs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--runs", type=_count, default=50, metavar="N", help="Monte-Carlo runs (default 50)")
+    parser.add_argument("--shake", action="store_true", help="on a hull that shakes, beside one that does not")
     parser.add_argument("--jobs", type=_count, default=1, metavar="N", help="processes (default 1)")
     for add in (_duration, _common):
         add(parser)

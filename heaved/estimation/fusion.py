@@ -37,6 +37,7 @@ from heaved.estimation.choice import Choice
 from heaved.estimation.craft import Vessel
 from heaved.estimation.craft_inputs import REJECTED, Caution, Channel, CraftInputs
 from heaved.estimation.craft_model import CraftModel, State
+from heaved.estimation.craft_noise import CraftNoise
 from heaved.estimation.wave_force import Sea, WaveShape
 
 Array = NDArray[np.float64]
@@ -151,6 +152,7 @@ class AttitudeFusion:
         white = (p.heave_model_noise_mps2_rthz, p.pitch_model_noise_radps2_rthz)
         self._model = CraftModel(p.vessel, p.wave, seas, white)
         self._R = (p.heave_noise_m**2, p.pitch_noise_rad**2)
+        self._noise = CraftNoise(self._R)
         averaged = p.mode == "ewma"
         self._choice = Choice(self._count, p.average_s if averaged else 0.0, p.margin if averaged else 0.0)
         self._inputs = CraftInputs(p.vessel, p.stuck_after_s)
@@ -188,6 +190,7 @@ class AttitudeFusion:
             return None
         cautions: list[Caution] = []
         readings = self._inputs.readings(t_s, heave_m, pitch_rad, cautions)
+        readings, self._R = self._noise.take(t_s, readings)
         self._inputs.drive(speed_mps, flap_fore_rad, flap_aft_rad, cautions)
         dt_s, self._t_s = t_s - self._t_s, t_s
         if self._bank is not None and dt_s > self._params.max_gap_s:

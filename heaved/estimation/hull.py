@@ -1,9 +1,10 @@
 """Hull deformation between two IMUs, one amidships and one at the crane base, from their angular rates alone.
 
 Source: Xu, Wang & Shan 2017 (hull deformation by CKF); its method is ``ckf`` and ``ukf`` (``hull_euler``), ours ``so3``
-(``hull_so3``). Around the filter, the same for all of them: an alignment that finds the rotation and the delay from the
-first seconds (``hull_start``), a record, and from it a fit of the flexure (``hull_markov``) with which the record is
-gone through again. Until then the flexure is taken to be broad, which costs little accuracy and no consistency.
+(``hull_so3``). Around the filter, the same for all of them: what is slow in either rate, free of vibration, spikes and
+holes (``hull_band``); an alignment that finds the rotation and the delay from the first seconds (``hull_start``), a
+record, and from it a fit of the flexure (``hull_markov``) with which the record is gone through again. Until then the
+flexure is taken to be broad, which costs little accuracy and no consistency.
 
 What rates cannot tell: a deformation that is coherent with the waves on one common period is the same as a static
 misalignment, and an IMU pair that is swapped is the same as one mounted the other way round. The first is covered by
@@ -23,11 +24,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.estimation.hull_band import COLUMNS, SHORTEST, Band, Pair, Reading
 from heaved.estimation.hull_estimate import HullEstimate, HullState, HullWarning, Params
 from heaved.estimation.hull_health import Health
 from heaved.estimation.hull_markov import Flexure
 from heaved.estimation.hull_refit import (
-    CENTRE,
     Filter,
     RefitJob,
     RefitResult,
@@ -35,13 +36,11 @@ from heaved.estimation.hull_refit import (
     advance,
     align_record,
     make_filter,
-    polynomial_at,
     refit,
     run,
     start,
 )
 from heaved.estimation.hull_so3 import Noise
-from heaved.estimation.hull_start import WINDOW
 from heaved.estimation.hull_streams import Stream, TwoStreams
 from heaved.estimation.hull_watch import FORECAST_EVERY_S, FORECAST_WINDOW_S, WORST_MISFIT, Watch
 from heaved.estimation.ring import Ring
@@ -76,6 +75,8 @@ LONGEST_DELAY: Final = 1.5
 DRIFTING_S_RTS: Final = 1e-4
 """Random walk of the delay once it is seen to drift: 50 ppm are then followed within half a millisecond."""
 HOLDING_S: Final = 2.0
+IDENTIFIED_S: Final = 26.0
+"""Record that what vibrates is learned from, again and again."""
 GAP_S: Final = 1.0
 """A longer gap ends the record: it is no longer evenly sampled."""
 
@@ -102,8 +103,12 @@ class HullDeformation:
             np.full(3, p.flexure_mu_radps),
             np.full(3, 2.0 * pi * p.flexure_hz),
         )
-        self._least_noise = sqrt(2.0 * p.rate_hz) * p.gyro_noise_deg_rth * DEG_RTH
         self._ring = Ring(int((max(p.refit_after_s, FORECAST_WINDOW_S) + 2.0 * LONGEST_START_S) * p.rate_hz), 7)
+        self._pair = self._new_pair()
+        self._out_hz = self._pair.out_hz
+        self._least_noise = sqrt(2.0 * self._out_hz) * p.gyro_noise_deg_rth * DEG_RTH
+        self._slow = Ring(int(FORECAST_WINDOW_S * self._out_hz), 4)
+        """Slow rates midships."""
         self._streams: TwoStreams | None = None
         self._health = (Health(p.rate_hz), Health(p.rate_hz))
         self._watch = Watch(p)
@@ -116,11 +121,14 @@ class HullDeformation:
     def _start_over(self) -> None:
         self._filter: Filter | None = None
         self._provisional = True
+        self._pair, self._learned = self._new_pair(), False
+        self._slow.clear()
         self._noise = self._noise_of(np.full(3, self._least_noise))
         self._flexure = self._prior
         self._record_s = self._began_s = self._filtered_s = nan
         self._whole = True
         self._next_try_s = FIRST_TRY_S
+        self._first_s = nan
         self._updated_s = nan
         self._refit_s = nan
         self._refits = 0
@@ -132,7 +140,13 @@ class HullDeformation:
         self.resets[reason] += 1
         self._generation += 1
         self._ring.clear()
+        self.latest = None
         self._start_over()
+
+    def _new_pair(self) -> Pair:
+        p = self._params
+        least = sqrt(p.rate_hz) * p.gyro_noise_deg_rth * DEG_RTH
+        return Pair(Band(p.rate_hz, least), Band(p.rate_hz, least))
 
     def _noise_of(self, sample_radps: Array) -> Noise:
         p = self._params
@@ -145,6 +159,8 @@ class HullDeformation:
             bias_walk_radps_rts=p.bias_walk_deg_h_rth * DEG_H / 60.0,
             delay_walk_s_rts=p.delay_walk_us_rts * 1e-6,
             sample_radps=np.maximum(sample_radps, self._least_noise),
+            left=np.ones(3),
+            ordinary=np.full(3, inf),
         )
 
     # --- input -------------------------------------------------------------------------------------------------------
@@ -186,36 +202,58 @@ class HullDeformation:
         row[1:4] = self._health[0].take(midships_radps)
         row[4:] = self._health[1].take(local_radps)
         self._ring.push(row)
-        if len(self._ring) >= WINDOW:
-            self._at_centre(self._ring.last(WINDOW))
-        self.latest = self._publish()
+        ahead = self._pair.ahead
+        rows = self._ring.last(self._pair.back + ahead + 1)
+        due = len(rows) > ahead + SHORTEST and self._pair.is_due(float(rows[-2 - ahead, 0]), float(rows[-1 - ahead, 0]))
+        if due:
+            self._at(rows)
+        self.latest = self._publish(float(rows[-1 - ahead, 0]) if len(rows) > ahead else -inf)
         return self.latest
 
     def _break_record(self) -> None:
         """Go on behind a gap: the filter stays, the record begins anew."""
         self._ring.clear()
+        self._slow.clear()
         self._record_s, self._whole = nan, False
         if self._filter is None or self._provisional:
             self._start_over()
 
-    def _at_centre(self, rows: Array) -> None:
-        t = float(rows[CENTRE, 0])
+    def _at(self, rows: Array) -> None:
+        t = float(rows[-1 - self._pair.ahead, 0])
         if isnan(self._record_s):
             self._record_s = t
         if isnan(self._began_s):
-            self._began_s = self._filtered_s = t
+            self._began_s, self._first_s = t, float(rows[0, 0])
+            self._filtered_s = t
             if self._params.start == "zero":
+                self._learned = True
                 self._begin(make_filter(self._params.method, np.eye(3), 0.0, self._prior, self._noise), t)
-        if self._filter is not None:
-            motion, dt = polynomial_at(rows, self._params.rate_hz), t - self._filtered_s
-            self._judge(advance(self._filter, dt, motion, rows[CENTRE, 4:], t - self._began_s), t)
-        self._filtered_s = t
-        if self._provisional and t - self._began_s >= self._next_try_s - 1e-6:
+        if self._learned:
+            reading = self._pair.at(rows, self._pair.ahead)
+            self._strike(rows, reading)
+            slow = reading[1]
+            self._slow.push((t, *(slow.motion[0] if slow is not None else (nan, nan, nan))))
+            if self._filter is not None and t > self._filtered_s:
+                self._judge(advance(self._filter, t - self._filtered_s, reading, t - self._began_s), t)
+        self._filtered_s = max(t, self._filtered_s)
+        if self._provisional and self._t_s - self._first_s >= self._next_try_s - 1e-6:
             self._try_to_start(t)
         if t - self._forecast_s >= FORECAST_EVERY_S and t - self._began_s >= RETRY_S:
             self._look_ahead(t)
         if self._params.refit_after_s > 0.0 and not self._provisional:
             self._refit_when_due(t)
+
+    def _strike(self, rows: Array, reading: Reading) -> None:
+        """Readings that are none are not to be met again."""
+        for slow, columns in zip(reading[1:], COLUMNS, strict=True):
+            if slow is not None:
+                for row in slow.wrong:
+                    self._ring.strike(float(rows[row, 0]), columns)
+
+    def _learn(self, rows: Array, to_end: bool) -> list[Reading]:
+        """Learn from a record of which nothing is known yet what vibrates."""
+        self._pair, self._learned = self._new_pair(), True
+        return self._pair.learn(rows.copy(), to_end)
 
     def _judge(self, nis: float | None, t: float) -> None:
         """Does the filter still explain what is measured?"""
@@ -230,8 +268,10 @@ class HullDeformation:
 
     def _look_ahead(self, t: float) -> None:
         self._forecast_s = t
+        if self._learned:
+            self._pair.identify(self._ring.since(t - IDENTIFIED_S))
         noise = self._noise if self._filter is None else self._filter.noise
-        self._watch.forecast(self._ring.since(t - FORECAST_WINDOW_S), self._flexure, noise.sample_radps)
+        self._watch.forecast(self._slow.last(len(self._slow))[:, 1:], self._out_hz, self._flexure, noise.sample_radps)
         if self._filter is not None and not self._provisional:
             drifts = self._watch.delay(t, self._filter.delay_s, self._filter.delay_std_s)
             if drifts and noise.delay_walk_s_rts < DRIFTING_S_RTS:
@@ -242,31 +282,33 @@ class HullDeformation:
     def _try_to_start(self, t: float) -> None:
         """Align on the record so far; from ``start_s`` on a good alignment is the start, before, a provisional one."""
         p = self._params
-        elapsed = t - self._began_s
+        elapsed = self._t_s - self._first_s
         final = elapsed >= p.start_s - 1e-6
         self._next_try_s = elapsed + RETRY_S if final else min(elapsed + FIRST_TRY_S, p.start_s)
         if not final and self._filter is not None:
             return
-        rows = self._ring.since(t - LONGEST_START_S)
+        record = self._learn(self._ring.since(t - LONGEST_START_S), to_end=not final)
+        if not record:
+            return
         # Only so3 knows of a delay; and a second of record does not tell it from a rotation.
         search_s = LONGEST_DELAY / p.rate_hz if final and p.method == "so3" else 0.0
-        found = align_record(rows, p.rate_hz, search_s)
+        found = align_record(record, self._out_hz, search_s)
         if found is None:
             return
-        self._watch.misfit = found.misfit if about_two_axes(rows) else 0.0
+        self._watch.misfit = found.misfit if about_two_axes(record) else 0.0
         if found.misfit > WORST_MISFIT:
             self._filter = None  # what a provisional one makes of it is worth nothing
             return
         if found.std_rad > GOOD_ALIGNMENT_RAD:
             return
         self._noise = self._noise_of(found.noise_radps)
-        filter = start(p.method, found, rows, p.rate_hz, self._prior, self._noise, passes=2 if final else 1)
+        filter = start(p.method, found, record, self._prior, self._noise, passes=2 if final else 1)
         if filter is None:
             return
         self._filter = filter
-        self._updated_s = t
+        self._updated_s = self._filtered_s = record[-1][0]
         if final:
-            self._begin(filter, float(rows[CENTRE, 0]))
+            self._begin(filter, record[0][0])
 
     def _begin(self, filter: Filter, began_s: float) -> None:
         self._filter, self._provisional = filter, False
@@ -283,11 +325,12 @@ class HullDeformation:
         if waiting or short or self.due_refit is not None or self._filter is None:
             return
         first = isnan(self._refit_s) and self._whole
-        rows = self._ring.since((self._record_s if first else t - p.refit_after_s) - (CENTRE + 0.5) / p.rate_hz)
+        reach_s = (self._pair.ahead + 0.5) / p.rate_hz
+        rows = self._ring.since((self._record_s if first else t - p.refit_after_s) - reach_s)
         self._refit_s = t
         job = RefitJob(
             rows=rows.copy(),
-            rate_hz=p.rate_hz,
+            pair=self._pair.copy(),
             method=p.method,
             filter=self._filter.copy(),
             whole=first,
@@ -305,13 +348,19 @@ class HullDeformation:
         self.due_refit = None
         if result is None or result.generation != self._generation or self._filter is None:
             return False
+        self._pair = pair = result.pair.copy()
         if result.filter is not None and self._whole:
             filter = result.filter.copy()
-            rows = self._ring.since(result.filtered_s - (CENTRE + 0.5) / self._params.rate_hz)
-            if run(filter, rows, self._params.rate_hz, self._began_s, result.filtered_s):
+            rows = self._ring.since(result.filtered_s - (pair.back + 0.5) / self._params.rate_hz)
+            if run(filter, pair.along(rows.copy(), result.filtered_s), self._began_s, result.filtered_s):
                 self._filter = filter
         self._filter.set_flexure(result.flexure)
-        self._filter.set_noise(msgspec.structs.replace(self._filter.noise, sample_radps=result.noise_radps))
+        new = result.noise
+        self._filter.set_noise(
+            msgspec.structs.replace(
+                self._filter.noise, sample_radps=new.sample_radps, left=new.left, ordinary=new.ordinary
+            )
+        )
         self._flexure = result.flexure
         self._refits += 1
         self._watch.began()
@@ -329,10 +378,13 @@ class HullDeformation:
             return HullState.CONVERGED
         return HullState.WEAK if weak else HullState.CONVERGING
 
-    def _publish(self) -> HullEstimate:
+    def _publish(self, t_s: float = -inf) -> HullEstimate:
+        """The estimate as the filter stands, or as it will stand at ``t_s``, between two slow readings."""
         t = self._filtered_s if isfinite(self._filtered_s) else self._t_s
         resets = self.resets.total()
         f = self._filter
+        if f is not None and t_s > t:
+            f, t = f.ahead(t_s - t), t_s
         if f is None:
             return HullEstimate(
                 t_s=t,

@@ -102,7 +102,7 @@ class HullEstimate(msgspec.Struct, frozen=True, eq=False, gc=False, kw_only=True
     """The deformation at ``t_s``. nan: not known (yet)."""
 
     t_s: float
-    """Moment of validity: two samples before the newest pair (so3 needs both neighbours)."""
+    """Moment of validity: a good second before the newest pair, for what is slow is known from both sides."""
     state: HullState
     warnings: tuple[HullWarning, ...] = ()
     local_from_midships: Array

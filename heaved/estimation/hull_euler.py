@@ -15,6 +15,7 @@ the angles degenerate.
 
 from __future__ import annotations
 
+from copy import copy
 from math import isfinite, nan
 from typing import Final, Literal
 
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 
 from heaved.estimation import sigma
 from heaved.estimation.hull_markov import Flexure
-from heaved.estimation.hull_so3 import GATE, Noise
+from heaved.estimation.hull_so3 import GATE, MOST_STEPS, Noise
 from heaved.estimation.rotations import from_euler
 
 Array = NDArray[np.float64]
@@ -51,11 +52,11 @@ class EulerFilter:
 
     def set_flexure(self, flexure: Flexure) -> None:
         self.flexure = flexure
-        self._step_s = -1.0
+        self._steps: dict[int, tuple[Array, Array]] = {}
 
     def set_noise(self, noise: Noise) -> None:
         self.noise = noise
-        self._step_s = -1.0
+        self._steps = {}
 
     def copy(self) -> EulerFilter:
         twin = EulerFilter(self.kind, (0.0, 0.0, 0.0), self.flexure, self.noise)
@@ -64,24 +65,36 @@ class EulerFilter:
 
     def predict(self, dt_s: float) -> None:
         """Time update; linear, hence without sigma points, which would give the same."""
-        if abs(dt_s - self._step_s) > 1e-7:
-            F, Q = self.flexure.transition(dt_s)
-            self._F, self._Q = np.eye(N), np.zeros((N, N))
-            self._F[3:9, 3:9], self._Q[3:9, 3:9] = F, Q
-            walk = np.zeros(N)
-            walk[PHI], walk[BIAS] = self.noise.static_walk_rad_rts**2, self.noise.bias_walk_radps_rts**2
-            self._Q[np.diag_indices(N)] += walk * dt_s
-            self._step_s = dt_s
-        self.x = self._F.dot(self.x)
-        self.P = self._F.dot(self.P).dot(self._F.T) + self._Q
+        key = round(dt_s * 1e7)
+        if key not in self._steps:
+            if len(self._steps) >= MOST_STEPS:
+                self._steps.clear()
+            self._steps[key] = self._discretised(dt_s)
+        F, Q = self._steps[key]
+        self.x = F.dot(self.x)
+        self.P = F.dot(self.P).dot(F.T) + Q
 
-    def update(self, motion: Array, local_radps: Array) -> float:
+    def ahead(self, dt_s: float) -> EulerFilter:
+        """As ``So3Filter.ahead``."""
+        twin = copy(self)
+        twin.predict(dt_s)
+        return twin
+
+    def _discretised(self, dt_s: float) -> tuple[Array, Array]:
+        F, Q = np.eye(N), np.zeros((N, N))
+        F[3:9, 3:9], Q[3:9, 3:9] = self.flexure.transition(dt_s)
+        walk = np.zeros(N)
+        walk[PHI], walk[BIAS] = self.noise.static_walk_rad_rts**2, self.noise.bias_walk_radps_rts**2
+        Q[np.diag_indices(N)] += walk * dt_s
+        return F, Q
+
+    def update(self, motion: Array, local_radps: Array, variance: Array) -> float:
         """As ``So3Filter.update``; only the constant term of ``motion`` is used: the model knows no delay.
 
         The gate stays open: from a start at zero the first innovations are as large as the motion.
         """
         rates = motion[0]
-        R = np.diag(self.noise.sample_radps**2)
+        R = np.diag(self.noise.of(variance))
         updated = sigma.update(self._points, self.x, self.P, local_radps, lambda points: _measured(points, rates), R)
         if updated is None or not isfinite(updated.nis):
             return nan
@@ -131,6 +144,10 @@ class EulerFilter:
         x = self.x.copy()
         x[THETA] = x[RATE] = 0.0
         return np.asarray(self.static.T.dot(local_radps - _measured(x[None], motion[0])[0]))
+
+    def variance(self, midships: Array, local: Array) -> Array:
+        """As ``So3Filter.variance``."""
+        return np.asarray(midships + (self.static**2).T.dot(local))
 
 
 def euler_rate_matrix(angles: Array) -> Array:

@@ -109,7 +109,7 @@ def fit(residual_radps: Array, rate_hz: float, prior: Flexure, noise_radps: floa
     centred = residual_radps - np.mean(residual_radps, axis=0)
     power = np.abs(np.fft.rfft(centred * taper[:, None], axis=0)) ** 2 / (rate_hz * np.sum(taper**2))
     f = np.fft.rfftfreq(n, 1.0 / rate_hz)
-    used = (f > LOWEST_CYCLES * rate_hz / n) & (f < 0.48 * rate_hz)
+    used = (f > LOWEST_CYCLES * rate_hz / n) & (f < 0.5 * rate_hz)
     f, power = f[used], power[used]
     fine = f < FINE_HZ
     groups = np.concatenate([np.arange(np.sum(fine)), np.sum(fine) + np.arange(np.sum(~fine)) // TOGETHER])

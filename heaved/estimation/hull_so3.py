@@ -14,6 +14,7 @@ no rates tell them apart better than that.
 
 from __future__ import annotations
 
+from copy import copy
 from enum import IntEnum
 from math import isfinite, sqrt
 from typing import Final
@@ -31,6 +32,8 @@ Array = NDArray[np.float64]
 
 GATE: Final = 60.0
 """A normalised innovation squared (3 degrees of freedom) beyond this is no reading of this hull."""
+MOST_STEPS: Final = 50
+"""Steps of time, each of its own length, that are remembered."""
 FOLD_RAD: Final = 1e-4
 """psi is folded into C0 when it is longer than this: the square of it is what linearising costs."""
 _EYE = np.eye(16)
@@ -59,7 +62,17 @@ class Noise(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     bias_walk_radps_rts: float
     delay_walk_s_rts: float
     sample_radps: Array
-    """(3,) white noise of one sample of the rate difference, in hull axes."""
+    """(3,) white noise of one slow reading of the rate difference, in hull axes, beyond what holes and vibration leave.
+    """
+    left: Array
+    """(3,) how much of the variance that these are reckoned to leave is there, in hull axes ..."""
+    ordinary: Array
+    """... up to this variance (3,). What is beyond counts in full: none of it was there when ``left`` was found."""
+
+    def of(self, variance: Array) -> Array:
+        """(3,) variance of a slow reading in which holes and vibration are reckoned to leave ``variance`` (3,)."""
+        beyond = np.maximum(variance - self.ordinary, 0.0)
+        return np.asarray(self.sample_radps**2 + self.left * (variance - beyond) + beyond)
 
 
 class So3Filter:
@@ -85,11 +98,11 @@ class So3Filter:
 
     def set_flexure(self, flexure: Flexure) -> None:
         self.flexure = flexure
-        self._step_s = -1.0
+        self._steps: dict[int, tuple[Array, Array]] = {}
 
     def set_noise(self, noise: Noise) -> None:
         self.noise = noise
-        self._step_s = -1.0
+        self._steps = {}
 
     def copy(self) -> So3Filter:
         twin = So3Filter(self.C0.copy(), 0.0, self.flexure, self.noise)
@@ -100,38 +113,47 @@ class So3Filter:
 
     def predict(self, dt_s: float) -> None:
         """Move on by ``dt_s`` (any positive step: the discretisation is exact)."""
-        if abs(dt_s - self._step_s) > 1e-7:
-            self._discretise(dt_s)
-        F = self._F
+        key = round(dt_s * 1e7)
+        if key not in self._steps:
+            if len(self._steps) >= MOST_STEPS:
+                self._steps.clear()
+            self._steps[key] = self._discretised(dt_s)
+        F, Q = self._steps[key]
         self.x = F.dot(self.x)
         P = F.dot(self.P).dot(F.T)
-        P += self._Q
+        P += Q
         self.P = P
 
-    def _discretise(self, dt_s: float) -> None:
+    def ahead(self, dt_s: float) -> So3Filter:
+        """Another filter, as this one will be after ``dt_s`` without a reading."""
+        twin = copy(self)
+        twin.predict(dt_s)
+        return twin
+
+    def _discretised(self, dt_s: float) -> tuple[Array, Array]:
         n = self.noise
-        self._F, self._Q = np.eye(16), np.zeros((16, 16))
-        self._F[At.THETA : At.BIAS, At.THETA : At.BIAS], self._Q[At.THETA : At.BIAS, At.THETA : At.BIAS] = (
-            self.flexure.transition(dt_s)
-        )
+        F, Q = np.eye(16), np.zeros((16, 16))
+        flexure = slice(At.THETA, At.BIAS)
+        F[flexure, flexure], Q[flexure, flexure] = self.flexure.transition(dt_s)
         walk = np.zeros(16)
         walk[At.PSI : At.THETA] = n.static_walk_rad_rts**2
         walk[At.BIAS : At.SCALE] = n.bias_walk_radps_rts**2
         walk[At.DELAY] = n.delay_walk_s_rts**2
-        self._Q[np.diag_indices(16)] += walk * dt_s
-        self._step_s = dt_s
+        Q[np.diag_indices(16)] += walk * dt_s
+        return F, Q
 
     # --- measurement --------------------------------------------------------------------------------------------------
 
-    def update(self, motion: Array, local_radps: Array) -> float:
+    def update(self, motion: Array, local_radps: Array, variance: Array) -> float:
         """Take a local reading (3,); ``motion`` (k, 3): midships rates as a polynomial in time about its stamp.
 
-        Returns the normalised innovation squared; beyond ``GATE`` nothing has changed. nan: the covariance is no longer
-        one or something is not finite; the caller starts over and counts.
+        ``variance`` (3,): what holes and vibration leave of both, in hull axes. Returns the normalised innovation
+        squared; beyond ``GATE`` nothing has changed. nan: the covariance is no longer one or something is not finite;
+        the caller starts over and counts.
         """
         x0, P = self.x, self.P
         z = self.C0.T.dot(local_radps)
-        R = self.noise.sample_radps**2
+        R = self.noise.of(variance)
         x, nis = x0, float("nan")
         for iteration in range(self.iterations):
             expected, H = self._measured(x, motion)
@@ -229,3 +251,7 @@ class So3Filter:
         x = self.x.copy()
         x[At.THETA : At.BIAS] = 0.0
         return np.asarray(self.C0.T.dot(local_radps) - self._measured(x, motion)[0])
+
+    def variance(self, midships: Array, local: Array) -> Array:
+        """(3,) of the rate difference, hull axes: variances (3,) of both rates, each in its own axes."""
+        return np.asarray(midships + (self.C0**2).T.dot(local))

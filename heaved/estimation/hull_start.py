@@ -17,10 +17,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-WINDOW: Final = 5
-"""Samples that the midships rate is interpolated through: a quartic, two neighbours on either side."""
-CORRELATED_SAMPLES: Final = 10.0
-"""Flexure makes this many successive residuals alike; the standard deviation is taken for that many fewer."""
+CORRELATED_S: Final = 1.0
+"""Flexure makes successive residuals alike for so long; the standard deviation is taken for that many fewer."""
 
 
 class Alignment(msgspec.Struct, frozen=True, eq=False, kw_only=True):
@@ -35,34 +33,10 @@ class Alignment(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """(3,) white part of the residual, in hull axes."""
 
 
-def motion_polynomial(rows: Array, longest_step_s: float) -> Array | None:
-    """Midships rates about the middle of five rows as a quartic in seconds: (5, 3), constant term first.
-
-    rows (5, 4 or more): t, midships rates. None: a rate is missing or two samples lie too far apart.
-    """
-    if len(rows) < WINDOW or not np.isfinite(rows[:, 1:4]).all():
-        return None
-    t0, t1, t2, t3, t4 = rows[:, 0].tolist()
-    step = (t4 - t0) / 4.0
-    a, b, c, d = t0 - t2, t1 - t2, t3 - t2, t4 - t2
-    if max(t1 - t0, -b, c, t4 - t3) > longest_step_s:
-        return None
-    if max(abs(a + 2.0 * step), abs(b + step), abs(c - step), abs(d - 2.0 * step)) < 1e-6 * step:
-        scaled = _EVEN.dot(rows[:, 1:4])
-    else:
-        scaled = np.linalg.solve((np.array([a, b, 0.0, c, d]) / step)[:, None] ** _POWERS, rows[:, 1:4])
-    return np.asarray(scaled / (step**_POWERS)[:, None])
-
-
-_POWERS: Final = np.arange(WINDOW)
-_EVEN: Final = np.linalg.inv(np.arange(-2.0, 3.0)[:, None] ** _POWERS)
-"""Samples at -2 .. 2 steps to the coefficients of the quartic through them."""
-
-
-def align(motions: Array, local: Array, longest_delay_s: float) -> Alignment:
+def align(motions: Array, local: Array, rate_hz: float, longest_delay_s: float) -> Alignment:
     """Rotation and delay from polynomials (n, 5, 3) of the midships rate and local rates (n, 3) at the same stamps.
 
-    ``longest_delay_s`` bounds the search; 0: no search.
+    ``rate_hz``: of these. ``longest_delay_s`` bounds the search; 0: no search.
     """
     delay = 0.0
     if longest_delay_s > 0.0:
@@ -79,7 +53,7 @@ def align(motions: Array, local: Array, longest_delay_s: float) -> Alignment:
     moment = rates.T @ rates
     information = np.linalg.eigvalsh(np.trace(moment) * np.eye(3) - moment)
     power = float(np.trace(moment))
-    variance = square / (3.0 * len(local)) * CORRELATED_SAMPLES
+    variance = square / (3.0 * len(local)) * max(1.0, CORRELATED_S * rate_hz)
     bends = np.diff(residual, 2, axis=0)
     return Alignment(
         C=C,

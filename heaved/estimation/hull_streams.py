@@ -1,10 +1,13 @@
 """Two gyro streams on one time base: each with its own rate, jitter, latency and gaps.
 
-At every instant of a common grid a cubic is fitted by least squares to the readings around it. Through a slow IMU that
-is interpolation; of a fast one it averages what lies within a grid step and a half on either side, which keeps
-vibration from folding into the wave band; and in the wave band it is flat to some parts in a million, so that two IMUs
-of unlike rates still agree. Repeated readings, which a slave gives when it is asked faster than it samples, are
-dropped: they would look like a delay.
+At every instant of a common grid a cubic is fitted by least squares to the readings around it. A slow IMU, of about the
+grid's own rate, is interpolated; where its readings fall on the grid they are taken as they are, and one that is lost
+is missing. Of a fast IMU what lies within three grid steps on either side is averaged under a taper, each reading with
+the time that it stands for, so that a lost one makes no wrong mean: what vibrates at or above the grid's rate and would
+fold into the wave band is weakened a thousandfold, and in the wave band the fit is flat to some parts in a million,
+so that two IMUs of unlike rates still agree. A reading far from what the others around it say is left out of the mean.
+Repeated readings, which a slave gives when it is asked faster than it samples, are dropped: they would look like a
+delay.
 """
 
 from __future__ import annotations
@@ -21,7 +24,27 @@ from heaved.estimation.ring import Ring
 Array = NDArray[np.float64]
 
 REACH_STEPS: Final = 1.5
-"""Half width of the fit in grid steps."""
+"""Half width of the fit in grid steps, to a slow stream ..."""
+AVERAGED_STEPS: Final = 3.0
+"""... and to a fast one."""
+FAST: Final = 0.75
+"""Grid steps between readings below which a stream is one."""
+TAPER: Final = 4
+"""(1 - u^2) to this power: with the cubic, at least 60 dB down from the grid's rate on."""
+ON_GRID: Final = 1e-5
+"""Part of a grid step by which a reading may be off it."""
+FEWEST: Final = 6
+"""Readings that an average is made of."""
+GATE_STD: Final = 8.0
+"""A reading of a fast stream further than this from the middle of its neighbours, in its usual distances, is none."""
+BENDS: Final = 30
+"""Readings that these are taken from at the least, and ..."""
+BENDS_MEMORY: Final = 0.02
+"""... the weight of one."""
+SHORTER: Final = 0.1
+"""Weight of an interval in the period when it is shorter, and ..."""
+LONGER: Final = 0.01
+"""... when it is longer: one with a lost reading in it is no period."""
 NEIGHBOURS: Final = 2
 """Readings on either side that it takes at the least."""
 HOLE: Final = 2.5
@@ -55,10 +78,11 @@ class Stream:
         self.t_s = -inf
         """Stamp of the newest reading, repeated ones included."""
         self.period_s = nan
-        """Slow mean of the time between different readings; nan before there are two."""
+        """Usual time between different readings; nan before there are two."""
         self.repeated = 0
         """Successive readings that were exactly the one before."""
         self._fresh_t_s = -inf
+        self._bends, self._bent = np.zeros(3), 0
 
     def give(self, t_s: float, rates_radps: Array) -> None:
         """Take a reading (3,); out of order or not finite ones are dropped, and those above the largest rate.
@@ -82,13 +106,19 @@ class Stream:
         if since < 0.5 / self._max_rate_hz:
             return
         if since < 1.0:
-            self.period_s = since if not isfinite(self.period_s) else self.period_s + 0.05 * (since - self.period_s)
+            longer = since - self.period_s if isfinite(self.period_s) else since
+            if longer == since:
+                self.period_s = since
+            self.period_s += (SHORTER if longer < 0.0 else LONGER) * (since - self.period_s)
         self._fresh_t_s = t_s
         self._ring.push((t_s, x, y, z))
+        if self._is_fast:
+            self._gate()
 
     def clear(self) -> None:
         self._ring.clear()
         self._last, self.t_s, self._fresh_t_s, self.period_s, self.repeated = None, -inf, -inf, nan, 0
+        self._bent = 0
 
     @property
     def stuck(self) -> bool:
@@ -96,31 +126,74 @@ class Stream:
         return self.repeated > 0 and self.t_s - self._fresh_t_s >= STUCK_S
 
     @property
+    def _is_fast(self) -> bool:
+        return self.period_s < FAST * self._grid_step_s
+
+    @property
+    def _reach_s(self) -> float:
+        return (AVERAGED_STEPS if self._is_fast else REACH_STEPS) * self._grid_step_s
+
+    @property
     def covered_s(self) -> float:
         """Up to here :meth:`at` has all that it wants: two readings later, and half the width of the fit."""
         if len(self._ring) < 2:
             return -inf
         before, newest = self._ring.last(2)[:, 0].tolist()
-        return float(min(before, newest - REACH_STEPS * self._grid_step_s))
+        return float(min(before, newest - self._reach_s))
 
     def at(self, t_s: float) -> Array:
         """(3,) the fitted rate; nan without two readings on either side, or where they lie too far apart."""
         rows = self._ring.last(len(self._ring))
-        times = rows[:, 0]
-        reach = REACH_STEPS * self._grid_step_s
+        times, reach = rows[:, 0], self._reach_s
         middle = int(np.searchsorted(times, t_s))
         first = min(int(np.searchsorted(times, t_s - reach)), middle - NEIGHBOURS)
         end = max(int(np.searchsorted(times, t_s + reach, side="right")), middle + NEIGHBOURS)
         if first < 0 or end > len(times):
             return np.full(3, nan)
         own = self.period_s if isfinite(self.period_s) else self._grid_step_s
+        longest = HOLE * min(max(own, self._grid_step_s), SLOWEST * self._grid_step_s)
+        if self._is_fast:
+            rows = rows[first:end]
+            rows = rows[np.isfinite(rows[:, 1])]
+            if len(rows) < FEWEST or float(np.max(np.diff(rows[:, 0]))) > longest:
+                return np.full(3, nan)
+            u = (rows[:, 0] - t_s) / reach
+            # Each with the time that it stands for, half the way to either neighbour.
+            weights = np.maximum(1.0 - u * u, 0.0) ** TAPER * np.gradient(u)
+            V = u[:, None] ** np.arange(4)
+            return np.asarray(np.linalg.solve(V.T @ (weights[:, None] * V), V.T @ (weights[:, None] * rows[:, 1:]))[0])
+        off = (times[middle - 1 : middle + 1] - t_s) / self._grid_step_s
+        if np.min(np.abs(off)) < ON_GRID:
+            return np.array(rows[middle - 1 + int(np.argmin(np.abs(off))), 1:])
         rows = rows[first:end]
-        if float(np.max(np.diff(rows[:, 0]))) > HOLE * min(max(own, self._grid_step_s), SLOWEST * self._grid_step_s):
+        is_lost = own < 1.5 * self._grid_step_s and float(np.max(np.abs(off - np.round(off)))) < ON_GRID
+        if is_lost or float(np.max(np.diff(rows[:, 0]))) > longest:
             return np.full(3, nan)
         V = ((rows[:, 0] - t_s) / reach)[:, None] ** np.arange(4)
         # The normal equations: four columns of order one, and several times faster than a decomposition.
-        fitted = np.linalg.solve(V.T @ V, V.T @ rows[:, 1:])
-        return np.asarray(fitted[0])
+        return np.asarray(np.linalg.solve(V.T @ V, V.T @ rows[:, 1:])[0])
+
+    def _gate(self) -> None:
+        """Strike out the middle one of the last five readings when it is far from the middle of its neighbours.
+
+        So are both its neighbours then, but by half as much.
+        """
+        rates = self._ring.last(5)[:, 1:]
+        if len(rates) < 5:
+            return
+        square = (rates[1:-1] - 0.5 * (rates[:-2] + rates[2:])) ** 2
+        here = square[1]
+        if not np.isfinite(here).all():
+            return
+        if self._bent == 0:
+            self._bends = here
+        self._bent += 1
+        # A jump that is there to stay is let in by and by: each that is refused makes the scale twice as wide.
+        usual = self._bends
+        self._bends = usual + BENDS_MEMORY * (np.minimum(here, GATE_STD**2 * usual) - usual)
+        is_far = (here > GATE_STD**2 * usual) & ~(here < np.maximum(square[0], square[2]))
+        if self._bent > BENDS and bool(is_far.any()):
+            self._ring.strike(float(self._ring.last(3)[0, 0]), slice(1, 4))
 
 
 class TwoStreams:

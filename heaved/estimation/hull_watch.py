@@ -13,7 +13,6 @@ from heaved.estimation.hull_estimate import HullWarning, Params
 from heaved.estimation.hull_health import Health
 from heaved.estimation.hull_markov import Flexure, information
 from heaved.estimation.hull_so3 import GATE
-from heaved.estimation.hull_start import WINDOW
 from heaved.estimation.hull_streams import TwoStreams
 from heaved.estimation.rotations import ARCSEC, from_euler, rotation_vector
 
@@ -25,9 +24,11 @@ ONE_AXIS: Final = 0.02
 """Least over second least eigenvalue of the information below which the motion is about one axis."""
 WORST_MISFIT: Final = 0.2
 """Residual over motion above which the streams are not of one rigid hull: delays and flexure stay far below."""
-GATED_RESET: Final = 30
+FEWEST: Final = 15
+"""Readings that a forecast needs."""
+GATED_RESET: Final = 8
 """Successive readings that no state explains: start over."""
-NIS_MEMORY: Final = 0.01
+NIS_MEMORY: Final = 0.04
 WORST_NIS: Final = 4.0
 """Mean normalised innovation squared per degree of freedom that is still taken for the model's."""
 DRIFT_S: Final = 60.0
@@ -66,15 +67,17 @@ class Watch:
         self._gated = self._gated + 1 if nis > GATE else 0
         return self._gated < GATED_RESET
 
-    def forecast(self, rows: Array, flexure: Flexure, sample_radps: Array) -> None:
-        """What the motion of late allows (``hull_markov.information``), and whether it is too weak or one-sided."""
+    def forecast(self, rates: Array, rate_hz: float, flexure: Flexure, sample_radps: Array) -> None:
+        """What the motion of late allows (``hull_markov.information``), and whether it is too weak or one-sided.
+
+        rates (n, 3) at ``rate_hz``: the slow ones midships, nan where missing.
+        """
         p = self._params
-        rates = rows[:, 1:4]
         known: NDArray[np.bool_] = np.asarray(np.isfinite(rates).all(axis=1))
-        if len(rows) < WINDOW or known.mean() < 0.8:
+        if len(rates) < FEWEST or known.mean() < 0.8:
             return
         rates = np.where(known[:, None], rates, np.nanmean(rates, axis=0))
-        J = information(rates, p.rate_hz, flexure, sample_radps) * (p.forecast_s * p.rate_hz / len(rates))
+        J = information(rates, rate_hz, flexure, sample_radps) * (p.forecast_s * rate_hz / len(rates))
         values, vectors = np.linalg.eigh(J)
         values = np.maximum(values, 1e-30)
         x, y, z = np.hypot(np.sqrt((vectors**2 / values).sum(axis=1)), p.coherent_floor_arcsec * ARCSEC).tolist()

@@ -54,6 +54,14 @@ class Ring:
         if self._count < self._capacity:
             self._count += 1
 
+    def strike(self, t: float, columns: slice) -> None:
+        """What the row at time t says in these columns is not to be believed: nan from now on."""
+        view = self._rows[self._next + self._capacity - self._count : self._next + self._capacity]
+        at = bisect_left(view[:, 0], t)
+        if at < self._count and view[at, 0] == t:
+            row = (self._next - self._count + at) % self._capacity
+            self._rows[[row, row + self._capacity], columns] = nan
+
     def last(self, n: int) -> Array:
         """The newest n rows (fewer if there are fewer), oldest first: a read-only view, overwritten by later pushes."""
         end = self._next + self._capacity

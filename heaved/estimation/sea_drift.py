@@ -37,8 +37,8 @@ def drift_weights(count: int) -> Array:
 
 
 def drift_variances(weights: Array, dt_s: float, model: SeaModel) -> tuple[float, float]:
-    """Variance (m/s2)2 of a sum of beats every ``dt_s``, so weighed, by ``model`` without the walk of its bias, and what
-    a walk of 1 (m/s2)2/s adds."""
+    """Variance (m/s2)2 of a sum of beats every ``dt_s``, so weighed, by ``model`` but for the walk of its bias, and
+    what a walk of 1 (m/s2)2/s adds."""
     n = 4 * len(weights)
     f = np.fft.rfftfreq(n, dt_s)[1:].astype(np.float64)
     passed = np.abs(np.fft.rfft(weights, n)[1:]) ** 2 * f[0]

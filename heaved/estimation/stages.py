@@ -65,8 +65,9 @@ class HullStage:
         return known and max(estimate.std_rad) <= self._params.converged_arcsec * ARCSEC
 
     def crane_attitude(self, roll_rad: float, pitch_rad: float, yaw_rad: float) -> tuple[float, float, float]:
-        """Roll, pitch and yaw of the crane base: the midships ones composed with the newest deformation, which is half
-        a second older and changes by arcseconds in it. nan while that is not known; yaw is nan where it is midships."""
+        """Roll, pitch and yaw of the crane base: the midships ones composed with the newest deformation, which is a
+        good second older and changes by arcseconds in it. nan while that is not known; yaw is nan where it is
+        midships."""
         estimate = self._estimate
         if estimate is None or not self._is_known(estimate) or not isfinite(roll_rad + pitch_rad):
             return UNKNOWN

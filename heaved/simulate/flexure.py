@@ -20,6 +20,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
+from heaved.simulate.gyro_shaking import GyroShake, GyroShaking
 from heaved.simulate.vessel import Array, Motion, body_rates
 
 ARCSEC_RAD = math.radians(1.0 / 3600.0)
@@ -62,6 +63,9 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True):
     """A local reading stamped t was taken at t - delay_s."""
     clock_ppm: float = 0.0
     """The local clock gains this much."""
+    shake: str | GyroShake = ""
+    """What shakes the gyros, by itself or by its name in ``GYRO_SHAKES``, and what is wrong with their readings; "":
+    nothing."""
     latitude_deg: float = 45.7796
     speed_mps: float = 10.0
     """Towards north."""
@@ -89,9 +93,10 @@ class Record(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """Readings and truth. Midships at ``midships_t_s`` (n,), local at its stamps ``local_t_s`` (m,)."""
 
     scene: Scene
+    seed: int
     midships_t_s: Array
     midships_radps: Array
-    """(n, 3)"""
+    """(n, 3); nan: lost."""
     local_t_s: Array
     local_radps: Array
     """(m, 3)"""
@@ -132,12 +137,14 @@ def simulate(
     midships = _hull_rates(scene, waves, t1)
     bent = _hull_rates(scene, waves, t2)
     bent = local_rates(bent, theta[at2], theta_rate[at2])
+    shaking = [GyroShaking(scene.shake, seed, local=local) for local in (False, True)]
     return Record(
         scene=scene,
+        seed=seed,
         midships_t_s=t1,
-        midships_radps=_read(scene, midships, scene.midships_scale_ppm, t1, noise_rng),
+        midships_radps=shaking[0].readings(t1, _read(scene, midships, scene.midships_scale_ppm, t1, noise_rng)),
         local_t_s=stamps,
-        local_radps=_read(scene, bent @ static.T, scene.scale_ppm, stamps, noise_rng),
+        local_radps=shaking[1].readings(t2, _read(scene, bent @ static.T, scene.scale_ppm, stamps, noise_rng)),
         static=static,
         flexure_rad=theta[at1],
     )

@@ -58,6 +58,79 @@ class Hull(msgspec.Struct, frozen=True, kw_only=True):
     draught_m: float = 1.2
 
 
+class CraftLine(msgspec.Struct, frozen=True, kw_only=True):
+    """The feet of the heave and the pitch sensor vibrate: amplitudes of what they read too much."""
+
+    hz: float
+    heave_m: float
+    pitch_rad: float
+
+
+class CraftShake(msgspec.Struct, frozen=True, kw_only=True):
+    """What disturbs the readings of heave and pitch."""
+
+    lines: tuple[CraftLine, ...] = ()
+    spike_share: float = 0.0
+    """Readings of either channel that are wrong, each on its own."""
+    spikes: tuple[float, float] = (10.0, 100.0)
+    """By so many standard deviations of the noise, either way."""
+    lost_share: float = 0.0
+    """Readings of either channel that never arrive, each on its own."""
+
+
+_LINE: Final = CraftLine(hz=3.1, heave_m=0.1, pitch_rad=0.01)
+_STRONG: Final = CraftLine(hz=3.1, heave_m=0.2, pitch_rad=0.02)
+
+CRAFT_SHAKES: Final[dict[str, CraftShake]] = {
+    "line-3.1": CraftShake(lines=(_LINE,)),
+    "line-3.1-strong": CraftShake(lines=(_STRONG,)),
+    "lines": CraftShake(lines=(_LINE, CraftLine(hz=4.4, heave_m=0.1, pitch_rad=0.01))),
+    "line-8.7": CraftShake(lines=(CraftLine(hz=8.7, heave_m=0.1, pitch_rad=0.01),)),
+    "spikes": CraftShake(spike_share=0.005),
+    "losses": CraftShake(lost_share=0.3),
+    "line-3.1, spikes, losses": CraftShake(lines=(_LINE,), spike_share=0.005, lost_share=0.3),
+}
+
+
+def craft_shake(shake: str | CraftShake) -> CraftShake:
+    """The one of :data:`CRAFT_SHAKES` by name, nothing for ""; a :class:`CraftShake` stays what it is.
+
+    Raises:
+        ValueError: there is none of that name.
+    """
+    if isinstance(shake, CraftShake):
+        return shake
+    if shake and shake not in CRAFT_SHAKES:
+        raise ValueError(f"unknown shake of a craft {shake!r}: choose one of {', '.join(CRAFT_SHAKES)}")
+    return CRAFT_SHAKES[shake] if shake else CraftShake()
+
+
+class CraftShaking:
+    """One realisation, known at any instant."""
+
+    def __init__(self, shake: str | CraftShake, seed: int, noise: tuple[float, float]) -> None:
+        """``noise``: standard deviations of heave and pitch readings, which spikes are counted in.
+
+        Raises:
+            ValueError: as :func:`craft_shake`.
+        """
+        self._shake = craft_shake(shake)
+        self._rng = np.random.default_rng([seed, 0x5A4E])
+        self._noise = np.array(noise)
+        self._phases = 2.0 * np.pi * self._rng.random((len(self._shake.lines), 2))
+
+    def readings(self, t_s: Array, values: Array) -> Array:
+        """(n, 2) heave and pitch as they are read; nan: lost."""
+        shake, rng, read = self._shake, self._rng, np.array(values)
+        for line, phases in zip(shake.lines, self._phases, strict=True):
+            amplitude = np.array([line.heave_m, line.pitch_rad])
+            read += amplitude * np.sin(2.0 * np.pi * line.hz * t_s[:, None] + phases)
+        size = rng.uniform(*shake.spikes, read.shape) * rng.choice([-1.0, 1.0], read.shape) * self._noise
+        read += np.where(rng.random(read.shape) < shake.spike_share, size, 0.0)
+        read[rng.random(read.shape) < shake.lost_share] = np.nan
+        return read
+
+
 class Passage(msgspec.Struct, frozen=True, kw_only=True):
     """The sea met, the speed, the sensors."""
 
@@ -76,6 +149,8 @@ class Passage(msgspec.Struct, frozen=True, kw_only=True):
     flap_limit_rad: float = 0.2
     outlier_share: float = 0.0
     """Readings of either channel that are wrong, each on its own, by 5 to 20 standard deviations of the noise."""
+    shake: str | CraftShake = ""
+    """What else disturbs the readings, by itself or by its name in ``CRAFT_SHAKES``; "": nothing."""
 
 
 class Voyage(msgspec.Struct, frozen=True, kw_only=True):
@@ -192,18 +267,27 @@ def sail(
         # Held over the next sample interval, as the read-back says.
         flaps = flaps + followed * (np.stack([-asked, asked]) - flaps)
     at = slice(None, None, 2 * SUBSTEPS)
-    return [_voyage(passage, states[:, :, k], flown[:, :, k], met[k].force[:, at], rng) for k, rng in enumerate(rngs)]
+    noise = (passage.heave_noise_m, passage.pitch_noise_rad)
+    shaking = [CraftShaking(passage.shake, seed, noise) for seed in seeds]
+    return [
+        _voyage(passage, states[:, :, k], flown[:, :, k], met[k].force[:, at], rng, shaking[k])
+        for k, rng in enumerate(rngs)
+    ]
 
 
-def _voyage(passage: Passage, states: Array, flaps: Array, force: Array, rng: np.random.Generator) -> Voyage:
+def _voyage(
+    passage: Passage, states: Array, flaps: Array, force: Array, rng: np.random.Generator, shaking: CraftShaking
+) -> Voyage:
     """Add the sensors to states (n, 4) and flaps (n, 2)."""
     n = len(states)
     noise = np.array([passage.heave_noise_m, passage.pitch_noise_rad])
     measured = states[:, 0::2] + noise * rng.standard_normal((n, 2))
     wrong = rng.uniform(5.0, 20.0, (n, 2)) * np.sign(rng.standard_normal((n, 2))) * noise
     measured += wrong * (rng.random((n, 2)) < passage.outlier_share)
+    t = np.arange(n) / passage.rate_hz
+    measured = shaking.readings(t, measured)
     return Voyage(
-        t_s=np.arange(n) / passage.rate_hz,
+        t_s=t,
         heave_m=states[:, 0],
         heave_velocity_mps=states[:, 1],
         pitch_rad=states[:, 2],

@@ -15,6 +15,7 @@ import numpy as np
 
 from heaved.samples import RatesSample
 from heaved.simulate.flexure import ARCSEC_RAD, local_rates, static_rotation
+from heaved.simulate.gyro_shaking import GyroShake, GyroShaking
 from heaved.simulate.sensors import ImuModel, reading_std
 from heaved.simulate.vessel import Array, Motion, body_rates
 
@@ -66,12 +67,25 @@ class SecondImu:
     """The gyros at the crane base, read a poll at a time."""
 
     def __init__(
-        self, sea: MotionSource, model: ImuModel, base: CraneBase, *, rate_hz: float, seed: int, name: str = "imu2"
+        self,
+        sea: MotionSource,
+        model: ImuModel,
+        base: CraneBase,
+        *,
+        rate_hz: float,
+        seed: int,
+        name: str = "imu2",
+        shake: str | GyroShake = "",
     ) -> None:
-        """``model``: of its gyros, as of an :class:`~heaved.simulate.instruments.Imu`."""
+        """``model``: of its gyros, as of an :class:`~heaved.simulate.instruments.Imu`. ``shake``: what shakes them.
+
+        Raises:
+            ValueError: there is no shake of that name.
+        """
         self._sea, self._base = sea, base
         self._static = static_rotation(base.static_deg)
         self._bend = Bend(base, seed)
+        self._shaking = GyroShaking(shake, seed, local=True)
         self._rng = np.random.default_rng([seed, 5, zlib.crc32(name.encode())])
         self._std = reading_std(model, rate_hz)[6:]
 
@@ -88,5 +102,6 @@ class SecondImu:
         hull = body_rates(self._sea.at(then_s))
         theta, rate = self._bend.at(then_s)
         rates = self._static @ local_rates(np.array([hull.x, hull.y, hull.z]), theta, rate)
-        gx, gy, gz = (rates + self._std * self._rng.standard_normal(3)).tolist()
+        rates = rates + self._std * self._rng.standard_normal(3)
+        gx, gy, gz = self._shaking.readings(np.array([then_s]), rates[None])[0].tolist()
         return RatesSample(t_s=t_s, gx_radps=gx, gy_radps=gy, gz_radps=gz)

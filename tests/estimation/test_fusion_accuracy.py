@@ -6,6 +6,7 @@ Short voyages; the bands leave room for them. The figures of 50 full ones are th
 from __future__ import annotations
 
 import msgspec
+import numpy as np
 import pytest
 from evidence import attitude
 from evidence.attitude import FIVE, IMM, INSTANT, METHODS, OUTLIERS, POINT_SETS, Passage, Row
@@ -73,6 +74,17 @@ def test_outliers_cost_little(rows) -> None:
         assert ours < 1.05 * without
     assert wrong.gated > clean.gated + 0.015
     assert wrong.resets == 0
+
+
+def test_a_sensor_that_shakes_costs_little_and_is_said() -> None:
+    """Readings with a line of four deviations of their noise, or spikes: at most 1.5 times the clean error."""
+    calm = Passage(stages=((0.0, 1.5),), duration_s=70.0)
+    used = [m for m in attitude.SHAKEN if m.shake in ("", "line-3.1-strong", "spikes")]
+    rows = [r for r in attitude.table((1, 2), methods=used, passage=calm) if r.part == "whole"]
+    clean = next(r for r in rows if r.method == IMM)
+    for shaken in rows:
+        assert max(np.array(shaken.rms) / np.array(clean.rms)) < 1.5, shaken.method
+        assert 0.7 < shaken.nees < 1.4, shaken.method
 
 
 def test_report_figure_and_command_line(tmp_path, rows, capsys, monkeypatch) -> None:

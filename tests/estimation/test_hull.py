@@ -10,11 +10,12 @@ from math import pi, sqrt
 import msgspec
 import numpy as np
 import pytest
-from evidence.hull import CKF, LATE, SCENE, TOLD, UKF, Method, evaluate, run, summary
+from evidence.hull import CKF, LATE, SCENE, TOLD, UKF, Method, Row, evaluate, run, summary
 
 from heaved.estimation.hull import HullDeformation, HullEstimate, HullState, Params, crane_base_attitude, refit
 from heaved.estimation.rotations import ARCSEC, Attitude, from_euler, rotation_vector
 from heaved.simulate.flexure import SCENES, Record, Scene, simulate
+from heaved.simulate.gyro_shaking import GyroLine, GyroShake
 
 SEEDS = (1, 2, 3)
 SHORT = Params(refit_after_s=0.0)
@@ -54,9 +55,9 @@ def test_with_a_proper_start_all_methods_coincide(method) -> None:
 
 
 def test_from_zero_the_filter_of_the_source_does_not_come_back() -> None:
-    """30 degrees off, and told so: dozens of times the bound after a minute, where the default is on it."""
+    """30 degrees off, and told so: many times the bound after a minute, where the default is on it."""
     row = evaluate("A1", "ckf, told, zero ± 30°", (1, 2), 60.0)
-    assert row.ratio > 20.0
+    assert row.ratio > 8.0
 
 
 @pytest.mark.parametrize("scene", ["A3 heading", "A3 pitch", "A3 random"])
@@ -78,6 +79,43 @@ def test_deviations_are_consistent_from_the_first_minute_on() -> None:
     """Eight runs of 30 s on the broad prior, which errs towards caution: NEES / 3 of 24 squares."""
     row = summary("A2", "", [run(SCENES["A2"], Method(name="", params=SHORT), seed, 30.0) for seed in range(8)])
     assert 0.05 < row.nees < 1.6
+
+
+def shaken_row(shake: str) -> Row:
+    method, scene = Method(name="", params=Params(refit_after_s=120.0)), SCENES["A1"]
+    shaking = msgspec.structs.replace(scene, shake=shake)
+    return summary("A1", "", [run(shaking, method, seed, 150.0) for seed in SEEDS])
+
+
+@pytest.fixture(scope="module")
+def clean() -> Row:
+    return shaken_row("")
+
+
+@pytest.mark.parametrize("shake", ["line-3.1 in phase", "line-1.3", "spikes", "line-3.1, spikes, losses"])
+def test_a_hull_that_shakes_is_known_nearly_as_well(clean, shake) -> None:
+    """150 s, refit after 120 s, 9 errors: 1.5 times the clean ones and 5 arcsec, and true deviations."""
+    shaken = shaken_row(shake)
+    assert np.mean(shaken.rms_arcsec) < 1.5 * np.mean(clean.rms_arcsec) + 5.0
+    assert shaken.nees < 1.35 * 2.4
+    assert shaken.resets == 0
+
+
+@pytest.mark.parametrize("rate_hz", [20.0, 50.0])
+def test_polls_of_another_rate_do_not_fold_what_vibrates_into_the_waves(rate_hz) -> None:
+    """A line at twice the grid's rate, less a wave's: 4 mrad/s of it would be some arc-minutes."""
+    line = GyroLine(hz=19.9 if rate_hz > 40.0 else 9.9, midships_radps=2e-3, local_radps=4e-3)
+    t = np.arange(1, round(60.0 * rate_hz) + 1) / rate_hz
+    scene = msgspec.structs.replace(SCENES["A1"], shake=GyroShake(vibration=(line,), spike_share=0.005))
+    record = simulate(scene, 3, t, t)
+    estimator = HullDeformation(SHORT)
+    for i, stamp in enumerate(t.tolist()):
+        estimator.give_midships(stamp, record.midships_radps[i])
+        estimator.give_local(stamp, record.local_radps[i])
+    last = estimator.latest
+    assert last is not None
+    assert max(last.std_rad) < 60.0 * ARCSEC
+    assert np.max(np.abs(error_arcsec(record, last)) * ARCSEC / np.array(last.std_rad)) < 3.0
 
 
 # --- refit -----------------------------------------------------------------------------------------------------------
@@ -159,7 +197,7 @@ def test_the_record_holds_together() -> None:
     assert np.degrees([last.x_rad, last.y_rad, last.z_rad]) == pytest.approx([0.5, 0.8, 30.0], abs=0.03)
     floor = Params().coherent_floor_arcsec * ARCSEC
     assert np.square(last.std_rad) - floor**2 == pytest.approx(np.diag(last.covariance_rad2))
-    assert last.t_s == record.midships_t_s[-3]
+    assert 1.0 <= record.midships_t_s[-1] - last.t_s < 1.4
     assert abs(last.delay_s) < 4 * last.delay_std_s
     # Twice 0.005 deg/h at the most between the two gyros.
     assert np.max(np.abs(last.bias_radps)) < 3.0 * 0.1 * pi / 180 / 3600

@@ -28,7 +28,7 @@ from heaved.craft_at_sea import hull
 from heaved.estimation.craft import Craft, Vessel
 from heaved.estimation.fusion import AttitudeEstimate, AttitudeFusion, Params
 from heaved.estimation.wave_force import Sea
-from heaved.simulate.hydrofoil import Passage, Voyage, sail
+from heaved.simulate.hydrofoil import CRAFT_SHAKES, Passage, Voyage, sail
 
 Array = NDArray[np.float64]
 
@@ -56,6 +56,8 @@ class Method(msgspec.Struct, frozen=True, kw_only=True):
     name: str
     params: Params
     outlier_share: float = 0.0
+    shake: str = ""
+    """Of ``CRAFT_SHAKES``."""
 
 
 IMM: Final = "imm"
@@ -73,6 +75,15 @@ METHODS: Final = (
     Method(name="imm, craft 20 to 40 % wrong", params=Params(vessel=WRONG_VESSEL)),
     Method(name=FIVE, params=Params(mode="ewma", seas=FIVE_SEAS)),
 )
+
+
+SHAKEN: Final = (
+    Method(name=IMM, params=Params()),
+    *(Method(name=f"{IMM}, {shake}", params=Params(), shake=shake) for shake in CRAFT_SHAKES),
+)
+"""The default method, undisturbed and on readings that shake."""
+SHAKEN_PASSAGE: Final = Passage(stages=((0.0, 1.5),), duration_s=180.0)
+"""One sea: the disturbance is what differs."""
 
 
 class Run(msgspec.Struct, frozen=True, kw_only=True):
@@ -146,7 +157,7 @@ class Trace(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def follow(made: Voyage, trim: tuple[float, float], fusion: AttitudeFusion) -> Trace:
-    """Run a filter over a voyage."""
+    """Run a filter over a voyage; nan where the very first readings are lost."""
     truth = made.truth.T - np.array([trim[0], 0.0, 0.0, 0.0])
     measured = (made.measured_heave_m - trim[0], made.measured_pitch_rad)
     columns = (made.t_s, *measured, made.speed_mps, made.flap_fore_rad, made.flap_aft_rad)
@@ -154,29 +165,36 @@ def follow(made: Voyage, trim: tuple[float, float], fusion: AttitudeFusion) -> T
     for sample in zip(*(column.tolist() for column in columns), strict=True):
         estimate, now = fusion.step(*sample), fusion.filters
         if estimate is None or now is None:
-            raise ValueError(f"no estimate at {sample[0]:g} s")
+            if estimates:
+                raise ValueError(f"no estimate at {sample[0]:g} s")
+            continue
         x, P = fusion.moments()
         estimates.append(estimate)
         filters.append(now.x[:, :4])
         moments.append(x[:4])
         covariances.append(P[:4, :4])
-    error = np.array(moments) - truth
+    before = len(truth) - len(moments)
+    error = np.array(moments) - truth[before:]
+    filter_error = np.array(filters).swapaxes(0, 1) - truth[before:]
     solved = np.linalg.solve(np.array(covariances), error[:, :, None])[:, :, 0]
     return Trace(
         estimates=estimates,
-        error=error,
-        filter_error=np.array(filters).swapaxes(0, 1) - truth,
-        nees=np.sum(error * solved, axis=1) / 4.0,
+        error=np.pad(error, ((before, 0), (0, 0)), constant_values=np.nan),
+        filter_error=np.pad(filter_error, ((0, 0), (before, 0), (0, 0)), constant_values=np.nan),
+        nees=np.pad(np.sum(error * solved, axis=1) / 4.0, (before, 0), constant_values=np.nan),
     )
 
 
 def evaluate(seed: int, methods: Sequence[Method] = METHODS, passage: Passage = PASSAGE) -> list[Run]:
     """One voyage by every method; the same sea and the same noise for all."""
     runs = []
-    shares = {method.outlier_share for method in methods}
-    voyages = {share: voyage(seed, msgspec.structs.replace(passage, outlier_share=share)) for share in shares}
+    wrongs = {(method.outlier_share, method.shake) for method in methods}
+    voyages = {
+        (share, shake): voyage(seed, msgspec.structs.replace(passage, outlier_share=share, shake=shake))
+        for share, shake in wrongs
+    }
     for method in methods:
-        made, trim = voyages[method.outlier_share]
+        made, trim = voyages[method.outlier_share, method.shake]
         fusion = AttitudeFusion(method.params)
         trace = follow(made, trim, fusion)
         shown = [(made.t_s >= start) & (made.t_s <= end) for _, start, end in parts(passage)]
@@ -221,7 +239,7 @@ def table(
             by_seed = pool.map(work, seeds, chunksize=1)
     names = [name for name, _, _ in parts(passage)]
     # Filters that nothing is mixed into; five tunings include the three, so that the best is not one between them.
-    alone = [method.name for method in methods if method.params.mode != "imm" and method.outlier_share == 0.0]
+    alone = [m.name for m in methods if m.params.mode != "imm" and m.outlier_share == 0.0] or [methods[0].name]
     best = methods[[m.name for m in methods].index(FIVE if FIVE in alone else alone[0])]
     singles = [runs[methods.index(best)] for runs in by_seed]
     return [

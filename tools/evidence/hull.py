@@ -31,6 +31,7 @@ from scipy.linalg import expm
 from heaved.estimation.hull import HullDeformation, Params
 from heaved.estimation.rotations import ARCSEC, rotation_vector
 from heaved.simulate.flexure import DEG_H_RADPS, SCENES, Record, Scene, simulate
+from heaved.simulate.gyro_shaking import GYRO_SHAKES
 
 Array = NDArray[np.float64]
 AXES = ("x", "y", "z")
@@ -43,7 +44,9 @@ LATE = Scene(name="A1, 10 ms late", delay_s=0.010)
 STEEP = tuple(Scene(name=f"A1, z {z:g}°", static_deg=(0.5, 0.8, z)) for z in (40.0, 50.0))
 BOTH = msgspec.structs.replace(SCENES["A4"], name="A4, both scaled", midships_scale_ppm=30.0)
 """Scale errors of gyros that stand 30 degrees apart couple the axes: not in the model, and not to be observed."""
-SCENE = {scene.name: scene for scene in (*SCENES.values(), LATE, *STEEP, BOTH)}
+SHAKEN = tuple(msgspec.structs.replace(SCENES["A1"], name=f"A1, {shake}", shake=shake) for shake in GYRO_SHAKES)
+"""Seed conditions on a hull that shakes."""
+SCENE = {scene.name: scene for scene in (*SCENES.values(), LATE, *STEEP, BOTH, *SHAKEN)}
 
 
 class Method(msgspec.Struct, frozen=True, kw_only=True):
@@ -69,6 +72,11 @@ def from_zero(kind: Literal["ckf", "ukf"], std_deg: float) -> Method:
 ZERO = tuple(from_zero(kind, std) for std in ZERO_STD_DEG for kind in ("ckf", "ukf"))
 METHODS = {method.name: method for method in (DEFAULT, TOLD, CKF, UKF, *ZERO)}
 
+SHAKE_PLAN: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("A1", ("so3",)),
+    *((scene.name, ("so3",)) for scene in SHAKEN),
+)
+"""The default method on a hull that shakes, and on the same hull at rest."""
 PLAN: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("A1", ("so3", "so3, told", "ckf, told", "ukf, told", *(method.name for method in ZERO))),
     ("A1, z 40°", ("so3", "ckf, told", "ckf, told, zero ± 10°")),
@@ -196,7 +204,11 @@ def bound(record: Record) -> Array:
     prior = [np.radians(2.0)] * 3 + [std] * 3 + [np.sqrt(b2) * std] * 3 + [bias] * 3
     prior += [1e-6 * scene.scale_ppm] * 3 + [0.02] if errors else []
     P = np.diag(np.square(prior))
+    # The bound is that of the hull at rest, whatever shakes it.
     rates = record.midships_radps
+    if scene.shake:
+        still = msgspec.structs.replace(scene, shake="")
+        rates = simulate(still, record.seed, record.midships_t_s, record.local_t_s).midships_radps
     slopes = np.gradient(rates, step, axis=0)
     H = np.zeros((3, n))
     H[:, 6:9] = H[:, 9:12] = np.eye(3)
@@ -286,9 +298,12 @@ def summary(scene: str, method: str, runs: Sequence[Run]) -> Row:
     )
 
 
-def table(seeds: Sequence[int] = tuple(range(50)), duration_s: float = 600.0, jobs: int = 1) -> list[Row]:
-    """Every scene by the methods that say something about it."""
-    return [evaluate(scene, method, seeds, duration_s, jobs) for scene, methods in PLAN for method in methods]
+def table(
+    seeds: Sequence[int] = tuple(range(50)), duration_s: float = 600.0, jobs: int = 1, shake: bool = False
+) -> list[Row]:
+    """Every scene by the methods that say something about it; ``shake``: those of a hull that shakes."""
+    plan = SHAKE_PLAN if shake else PLAN
+    return [evaluate(scene, method, seeds, duration_s, jobs) for scene, methods in plan for method in methods]
 
 
 def report(rows: Sequence[Row]) -> str:
@@ -383,10 +398,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=1, help="processes (default 1)")
     parser.add_argument("--scenes", nargs="+", choices=sorted(SCENE), help="only these")
     parser.add_argument("--methods", nargs="+", choices=sorted(METHODS), help="only these")
+    parser.add_argument("--shake", action="store_true", help="on a hull that shakes")
     parser.add_argument("--figure", type=Path, metavar="PNG", help="draw seed conditions into this file")
     arguments = parser.parse_args(argv)
     rows = []
-    for scene, methods in PLAN:
+    plan = SHAKE_PLAN if arguments.shake else PLAN
+    for scene, methods in plan:
         for method in methods:
             if scene in (arguments.scenes or SCENE) and method in (arguments.methods or METHODS):
                 rows.append(evaluate(scene, method, range(arguments.runs), arguments.duration, arguments.jobs))
