@@ -6,7 +6,7 @@ blow stands far out of it within one beat, and out of the ringing of the one bef
 
 from __future__ import annotations
 
-from math import exp, sqrt
+from math import exp, inf, sqrt
 from typing import Final
 
 USUAL_S: Final = 30.0
@@ -19,6 +19,8 @@ LOUDER: Final = 1.5
 """Times what is left of the last blow."""
 RINGS_S: Final = 1.0
 """In which ringing falls to a third; the hulls' is shorter, and then nothing is missed but the smaller of two blows."""
+RISES_S: Final = 0.3
+"""In which a blow reaches its height."""
 LEAST_MPS2: Final = 0.05
 """A smaller one costs nothing."""
 
@@ -34,6 +36,7 @@ class Blows:
         self._last: tuple[float, float] | None = None
         self._before: tuple[float, float] | None = None
         self._usual2 = self._seconds = self._ringing = 0.0
+        self._struck_s = -inf
 
     def take(self, t_s: float, a_mps2: float) -> float:
         """Size (m/s2) of the blow that has struck just before this beat, or while it was measured; 0: there was
@@ -52,7 +55,10 @@ class Blows:
             self._seconds > 0.5 * USUAL_S
             and size > max(STANDS_OUT * sqrt(self._usual2), LEAST_MPS2)
             and size > LOUDER * self._ringing
+            and t_s - self._struck_s > RISES_S
         )
+        if is_blow:
+            self._struck_s = t_s
         self._ringing = max(self._ringing, size)
         self._seconds = min(self._seconds + dt, USUAL_S)
         counted = size * size if self._seconds < 0.1 * USUAL_S else min(size * size, COUNTED**2 * self._usual2)

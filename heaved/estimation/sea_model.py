@@ -74,16 +74,13 @@ class Resonance(msgspec.Struct, frozen=True, kw_only=True):
     """Spectrum of the acceleration at that frequency, one-sided, (m/s2)2/Hz."""
     is_heave: bool = False
     """Short waves: its displacement is part of the heave."""
+    variance: float = 0.0
+    """Of the acceleration that the record shows, (m/s2)2."""
 
     def spectrum(self, f_hz: Array, dt_s: float) -> Array:
         """One-sided spectrum of the acceleration, (m/s2)2/Hz, at ``f_hz`` (n,), of samples every ``dt_s``."""
         peak = resonance_shape(np.array([self.frequency_hz]), self.frequency_hz, self.damping, dt_s)
         return np.asarray(self.level / peak * resonance_shape(f_hz, self.frequency_hz, self.damping, dt_s))
-
-    @property
-    def variance(self) -> float:
-        """Of the acceleration, (m/s2)2: exact for a line, about that for a broad band."""
-        return 0.5 * pi * self.damping * self.frequency_hz * self.level
 
 
 class SeaModel(msgspec.Struct, frozen=True, kw_only=True):

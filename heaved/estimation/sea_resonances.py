@@ -83,10 +83,7 @@ def resonances(above: Above, waves: SeaModel | None, noise_psd: float) -> tuple[
         if not more < cost - SIGNIFICANT:
             break
         cost, theta = more, better
-    found = [
-        Resonance(frequency_hz=f0, damping=zeta, level=level * scored.level(f0, zeta))
-        for f0, zeta, level in np.exp(theta[1:].reshape(-1, 3)).tolist()
-    ]
+    found = scored.resonances(theta, np.gradient(f))
     found.sort(key=lambda one: -one.variance)
     return _told_apart(tuple(found), above.dt_s), float(np.exp(theta[0]))
 
@@ -154,6 +151,19 @@ class _Whittle:
             slopes[j + 2] = part
             S = S + part
         return S, slopes / S
+
+    def resonances(self, theta: Array, width_hz: Array) -> list[Resonance]:
+        """Of ``theta``, each with the power that the periodogram shows where it is what stands out; ``width_hz`` (n,)
+        of the pooled ordinates. The likelihood asks for the same relative fit everywhere: a line that is narrower than
+        a resonance may be would be left with too little."""
+        S, slopes = self.spectrum(theta)
+        found = []
+        for j, (f0, zeta, level) in enumerate(np.exp(theta[1:].reshape(-1, 3)).tolist()):
+            share = slopes[3 * j + 3]
+            seen, modelled = (float(np.sum(values * share * width_hz)) for values in (self._power, S))
+            scale = max(seen / modelled, 1.0) * self.level(f0, zeta) if modelled > 0.0 else 0.0
+            found.append(Resonance(frequency_hz=f0, damping=zeta, level=level * scale, variance=seen))
+        return found
 
     def level(self, f0: float, zeta: float) -> float:
         """Of the spectrum at ``f0`` for a level of 1 in ``theta``."""

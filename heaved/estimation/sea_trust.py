@@ -6,7 +6,7 @@ from math import inf, sqrt
 from typing import Final
 
 from heaved.estimation.smoother import Divergence
-from heaved.samples import SeaState
+from heaved.samples import SeaState, vibration_in_words
 
 CHANGED: Final = 3.0
 """Whiteness of the innovations above which the sea is changing: the next fit comes sooner."""
@@ -54,6 +54,7 @@ class SeaTrust:
         self._is_stubborn = False
         self.youth = inf
         self._sea: SeaState | None = None
+        self._shaken: tuple[str, ...] = ()
         self._is_recovering = False
         self._standing: tuple[str, ...] = ()
 
@@ -72,6 +73,10 @@ class SeaTrust:
         shown = min(max(1.0, sqrt(0.5 * self.surprise), ratio), FACTOR_LIMIT)
         self.factor = max(shown, self.youth) if self.youth < inf else shown
         self._is_recovering = is_recovering
+        if sea is not self._sea:
+            self._sea = sea
+            words = "" if sea is None else vibration_in_words(sea.vibration)
+            self._shaken = (words,) if words else ()
         found = []
         if self._whiteness > CHANGED or self.surprise > CHANGED_NOW:
             found.append("the sea or the sensor is changing")
@@ -105,4 +110,5 @@ class SeaTrust:
     @property
     def notes(self) -> tuple[str, ...]:
         """What people should know, and no reason to trust the output less."""
-        return ("still: no motion above the noise of the sensor",) if self._is_still else ()
+        still = ("still: no motion above the noise of the sensor",) if self._is_still else ()
+        return (*still, *self._shaken)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from heaved.estimation.beat import Beat
+from heaved.estimation.beat import Beat, passed
 
 
 def beats(times: list[float], values: list[float]) -> list[tuple[float, float]]:
@@ -49,3 +49,20 @@ def test_what_was_begun_before_a_gap_is_dropped() -> None:
 def test_the_usual_interval_may_be_known_from_before() -> None:
     beat = Beat(0.01)
     assert [beat.take(0.01 * k, 1.0) for k in range(5)][:4] == [None] * 4
+
+
+@pytest.mark.parametrize(("rate_hz", "f_hz"), [(100.0, 20.03), (100.0, 39.9), (200.0, 20.1), (50.0, 25.05)])
+def test_what_would_fold_into_the_waves_is_left_out(rate_hz: float, f_hz: float) -> None:
+    """A generator near a multiple of the beats' rate: a plain mean of each beat lets 0.1 to 0.5 % through."""
+    times = np.arange(round(60.0 * rate_hz)) / rate_hz
+    done = beats(times.tolist(), np.sin(2 * np.pi * f_hz * times).tolist())[3:]
+    assert max(abs(a) for _, a in done) < 6e-5
+
+
+@pytest.mark.parametrize(("rate_hz", "averaged"), [(50.0, 2), (100.0, 5), (200.0, 10)])
+def test_share_of_a_frequency_that_is_let_through(rate_hz: float, averaged: int) -> None:
+    times = np.arange(round(60.0 * rate_hz)) / rate_hz
+    for f_hz in (0.5, 3.0, 7.0):
+        done = np.array(beats(times.tolist(), np.sin(2 * np.pi * f_hz * times).tolist())[3:])
+        level = np.sqrt(2.0 * np.mean(done[:, 1] ** 2))
+        assert level**2 == pytest.approx(float(passed(np.array([f_hz]), 1.0 / rate_hz, averaged)[0]), rel=0.02)
