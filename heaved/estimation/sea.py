@@ -63,7 +63,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     refresh_s: Annotated[float, msgspec.Meta(ge=5, le=300)] = 30.0
     """Interval of the fits."""
     bias_walk_mps2_rts: Annotated[float, msgspec.Meta(gt=0, le=1)] = 3e-5
-    """Random walk of the accelerometer's bias, m/s2 per root second (data sheet: bias instability)."""
+    """Random walk of the accelerometer's bias, m/s2 per root second, where learning begins (data sheet: bias
+    instability)."""
     delay_s: Annotated[float, msgspec.Meta(ge=10, le=300)] = 60.0
     """Age of the delayed heave."""
     max_gap_s: Annotated[float, msgspec.Meta(gt=0, le=600)] = 60.0
