@@ -14,7 +14,7 @@ of the sensor, and every sample gets its own output, moved from the last beat.
 from __future__ import annotations
 
 from collections import Counter, deque
-from math import hypot, isfinite, nan, pi, sqrt
+from math import hypot, inf, isfinite, nan, pi, sqrt
 from typing import Annotated, Final
 
 import msgspec
@@ -184,7 +184,9 @@ class SeaObserver:
         if not self._is_sound(f):
             return
         if self._drift is not None and self._drift.is_due(t_s):
-            self._drift.look(t_s, self._record.since(t_s - max(DRIFTS_S) - 1.0))
+            cuts_s = self._record.cuts_s
+            from_s = max(t_s - max(DRIFTS_S) - 1.0, cuts_s[-1][1] if cuts_s else -inf)
+            self._drift.look(t_s, self._record.since(from_s))
         if self._smoother is not None:
             self._smooth(self._heave, self._smoother, t_s, missed, predicted_m, innovation)
         self._moved(self._heave)

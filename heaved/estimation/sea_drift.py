@@ -24,8 +24,8 @@ TOO_FAR: Final = 4.0
 """Standard deviations of a drift that is not expected."""
 SEEMS_FAR: Final = 1.5
 """The same, above one more of which errors are said to be as many times larger."""
-MISSING: Final = 0.02
-"""Share of the beats that may be missing."""
+ALL_THERE: Final = 2.0
+"""Beats by which the last ones may span more than they do when none is missing: elsewhere weights see the waves."""
 
 
 def drift_weights(count: int) -> Array:
@@ -73,7 +73,7 @@ class DriftWatch:
         self.ratio = 0.0
         for seconds, weights, variance in self._sums:
             part = beats[-len(weights) :]
-            is_whole = len(part) == len(weights) and part[-1, 0] - part[0, 0] < (1.0 + MISSING) * seconds
+            is_whole = len(part) == len(weights) and part[-1, 0] - part[0, 0] < seconds * (1.0 + ALL_THERE / len(part))
             if is_whole:
                 self.ratio = max(self.ratio, abs(float(weights @ part[:, 1])) / sqrt(variance))
 

@@ -66,7 +66,7 @@ RINGS_STILL: Final = 60
 RINGING_LEFT: Final = 0.2
 """Share of what the readings after a blow have left that their two predecessors do not explain, of a ringing."""
 LIKELIER: Final = 0.5
-"""A step has to leave that share of the squares at most of what a blow leaves."""
+"""A blow has to leave that share of the squares at most of what a step leaves."""
 RETRIED: Final = 10
 RETRY_S: Final = 0.5
 """In a burst, so many readings are tried as those after a step, so often."""
@@ -268,7 +268,7 @@ class Guard:
         if self._is_struck and count <= RINGS_STILL:
             blow = self._explanation(f, count, "blow") if f.system.model.resonances else None
             step = self._explanation(f, count - 1, "step")
-            if blow is not None and (step is None or step.square > LIKELIER * blow.square):
+            if blow is not None and (step is None or blow.square < LIKELIER * step.square):
                 self.blow_s = self._past[0][0]  # What stands there is in part of after it.
                 self._go_on(f, blow)
                 return
