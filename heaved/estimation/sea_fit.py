@@ -2,10 +2,10 @@
 
     minimise  sum_f  (log S(f) + P(f) / S(f)) (f_1 / f)^0.7,      S = w^4 sum_k S_k + V + N + 2 B / w^2,
 
-over log f0, log zeta and log L of each component and log N, V being what shakes the sensor
-(:mod:`sea_resonances`) and P being the periodogram. The ordinates of a periodogram are
-nearly independent exponential variables, so Fisher scoring applies: each step is the weighted least-squares fit of
-P / S - 1 by the slopes of log S, and a handful of steps do what a general minimiser needs hundreds of evaluations for.
+over log f0, log zeta and log L of each component and log N, P being the periodogram and V what shakes the sensor
+(:mod:`sea_resonances`). The ordinates of a periodogram are nearly independent exponential variables, so Fisher scoring
+applies: each step is the weighted least-squares fit of P / S - 1 by the slopes of log S, and a handful of steps do what
+a general minimiser needs hundreds of evaluations for.
 All starts, of all spectra that are to be fitted, run side by side, all of them to the end (one that is behind three
 others after eight steps may be better than they by far); the best of each spectrum is taken.
 
@@ -13,8 +13,9 @@ What the error of the heave lives on is the low-frequency skirt of the spectrum,
 dozen ordinates, and the tail above the peak has hundreds: were they weighed alike, a skirt that is far off would be
 paid for by a slightly better tail; were every octave weighed alike, the tail would be left to chance, and with it the
 forecasts of a second. The weight is between the two. A window function spills the peak into the skirt: the segments are
-therefore as long as they can be, and ordinates within the main lobe of zero frequency are left out. N soaks up what the
-components cannot follow above the waves; the noise that the filter is given is taken from above the wave band instead.
+therefore as long as they can be, and ordinates within the main lobe of zero frequency are left out. N is the noise
+above the waves, unless there is clearly more within their band; as long as it is not known what shakes the sensor, and
+in a record that is bridged, N soaks up what the components cannot follow, and the filter is given the noise above.
 """
 
 from __future__ import annotations

@@ -84,10 +84,6 @@ class SeaRecord:
         """Something has struck the hull since the last beat; that at ``t_s`` is in part of before."""
         self._blows = [blow for blow in self._blows if blow > t_s - self._length_s] + [t_s]
 
-    def unstrike(self, t_s: float) -> None:
-        """That was no blow."""
-        self._blows = [blow for blow in self._blows if blow != t_s]
-
     @property
     def blows_s(self) -> tuple[float, ...]:
         """First beats after something struck the hull."""
