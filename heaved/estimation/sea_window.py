@@ -9,6 +9,7 @@ model is used.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from functools import partial
 from math import isfinite, nan, sqrt
 from typing import Final
@@ -428,10 +429,11 @@ def _fit_all(
     # What shakes the sensor now is in the newest past: all lengths are told of it.
     if not earlier:
         earlier = {length: one.model for length, one in fit({}).items()}
-    above = spectra[0].above
-    if not record.blows and (alike_s := _shaken_alike_s(record, is_measured)) < lengths[0]:
-        above = sea_fit.spectrum(unbroken(record, round(alike_s * rate)), rate, passed).above
-    shaking, noise_psd = sea_resonances.resonances(above, earlier.get(lengths[0]), min(sp.noise_psd for sp in spectra))
+    shaking, noise_psd = sea_resonances.resonances(
+        _newest_above(record, is_measured, spectra[0], passed),
+        earlier.get(lengths[0]),
+        min(sp.noise_psd for sp in spectra),
+    )
     # A blow has power within the waves' band, too, which is no noise to a filter that knows of it.
     is_whole = bool(np.all(is_measured | ~record.is_known)) and not record.blows
     spectra = [
@@ -444,17 +446,11 @@ def _fit_all(
         for sp, most in zip(spectra, longest, strict=True)
     ]
     fitted = fit(earlier)
-    # Neither what bridges a hole nor a blow is noise of the sensor.
-    measured = msgspec.structs.replace(record, is_known=is_measured)
-    stretch = max(unbroken(measured, len(is_measured)), key=len, default=np.empty(0))
-    if len(stretch) >= WALK_SEEN_S * rate and not record.blows:
-        model = fitted[lengths[-1]].model
-        expected_psd = max(window.bias_walk_psd, WALK_OF_NOISE**2 * model.noise_psd)
-        walk = sea_fit.bias_walk(stretch, rate, model, expected_psd)
-        fitted = {
-            length: msgspec.structs.replace(one, model=msgspec.structs.replace(one.model, bias_walk_psd=walk))
-            for length, one in fitted.items()
-        }
+    walk = _walk(window, record, is_measured, fitted[lengths[-1]].model)
+    fitted = {
+        length: msgspec.structs.replace(one, model=msgspec.structs.replace(one.model, bias_walk_psd=walk))
+        for length, one in fitted.items()
+    }
     # A length that is new starts as well as the longest one before it.
     unknown = scores[known[-1]] if known else 0.0
     candidates = tuple(
@@ -462,6 +458,33 @@ def _fit_all(
     )
     shares = [sea_fit.measured_share(sp, fitted[length].model) for sp, length in zip(spectra, lengths, strict=True)]
     return candidates, shares, [sum(map(len, parts)) / rate for parts in stretches], fitted[lengths[0]].waves
+
+
+def _walk(
+    window: SeaWindow, record: sea_run.Record, is_measured: NDArray[np.bool_], model: SeaModel
+) -> float:
+    """The walk of the bias (m/s2)2/s that the record shows beside the waves of ``model``, or the one that this has."""
+    measured = msgspec.structs.replace(record, is_known=is_measured)
+    stretch = max(unbroken(measured, len(is_measured)), key=len, default=np.empty(0))
+    # Neither what bridges a hole nor a blow is noise of the sensor.
+    if len(stretch) * record.dt_s < WALK_SEEN_S or record.blows:
+        return model.bias_walk_psd
+    expected_psd = max(window.bias_walk_psd, WALK_OF_NOISE**2 * model.noise_psd)
+    return sea_fit.bias_walk(stretch, 1.0 / record.dt_s, model, expected_psd)
+
+
+def _newest_above(
+    record: sea_run.Record,
+    is_measured: NDArray[np.bool_],
+    shortest: sea_fit.Spectrum,
+    passed: Callable[[Array], Array],
+) -> sea_resonances.Above:
+    """The periodogram above the waves of what is shaken as now: that of the ``shortest`` length, or of less of it."""
+    alike_s = SHAKEN_ALIKE_S[0] if record.blows else _shaken_alike_s(record, is_measured)
+    parts = unbroken(record, round(alike_s / record.dt_s))
+    if alike_s == SHAKEN_ALIKE_S[0] or max(map(len, parts), default=0) * record.dt_s < 0.5 * SHAKEN_ALIKE_S[-1]:
+        return shortest.above
+    return sea_fit.spectrum(parts, 1.0 / record.dt_s, passed).above
 
 
 def _shaken_alike_s(record: sea_run.Record, is_measured: NDArray[np.bool_]) -> float:
