@@ -63,6 +63,9 @@ SHAKEN_ALIKE_S: Final = (120.0, 60.0, 30.0, 15.0, 10.0)
 """Lengths of the past that may show what shakes the sensor."""
 SHAKEN_OTHERWISE: Final = 2.0
 """Ratio of variances."""
+NOISE_MOST_PSD: Final = 1e-4
+"""Of the white noise of an accelerometer that is worth its cable, (m/s2)2/Hz: what there is more of above the waves is
+vibration, as long as there is not clearly more below them, too."""
 NOISE_SEEN_S: Final = 200.0
 """One that long shows the noise below the waves."""
 WALK_OF_NOISE: Final = 0.03
@@ -432,7 +435,7 @@ def _fit_all(
     shaking, noise_psd = sea_resonances.resonances(
         _newest_above(record, is_measured, spectra[0], passed),
         earlier.get(lengths[0]),
-        min(sp.noise_psd for sp in spectra),
+        min([NOISE_MOST_PSD, *(sp.noise_psd for sp in spectra)]),
     )
     # A blow has power within the waves' band, too, which is no noise to a filter that knows of it.
     is_whole = bool(np.all(is_measured | ~record.is_known)) and not record.blows
@@ -466,10 +469,13 @@ def _walk(
     """The walk of the bias (m/s2)2/s that the record shows beside the waves of ``model``, or the one that this has."""
     measured = msgspec.structs.replace(record, is_known=is_measured)
     stretch = max(unbroken(measured, len(is_measured)), key=len, default=np.empty(0))
+    noise_psd = model.noise_psd if model.noise_psd < 0.5 * NOISE_MOST_PSD else 0.0
+    expected_psd = max(window.bias_walk_psd, WALK_OF_NOISE**2 * noise_psd)
     # Neither what bridges a hole nor a blow is noise of the sensor.
+    if len(record.a_mps2) * record.dt_s < WALK_SEEN_S:
+        return expected_psd
     if len(stretch) * record.dt_s < WALK_SEEN_S or record.blows:
         return model.bias_walk_psd
-    expected_psd = max(window.bias_walk_psd, WALK_OF_NOISE**2 * model.noise_psd)
     return sea_fit.bias_walk(stretch, 1.0 / record.dt_s, model, expected_psd)
 
 
