@@ -195,7 +195,7 @@ DISASTERS = [
     Disaster("stuck for 2 min", 120.0, to(ImuSample, az_mps2=G + 0.37), "imu: stuck", BAD, 2.0),
     Disaster("zero for 2 min", 120.0, to(ImuSample, az_mps2=0.0), "imu: out_of_range", BAD, 2.0),
     Disaster("clipped for 30 s", 30.0, clipped, "imu: stuck" + EXTRAPOLATED, D, 5.0, 30.0),
-    Disaster("a docking bump", 0.5, bumped, "error above a fifth of the heave", D, 5.0),
+    Disaster("a docking bump", 0.5, bumped, "", V, 3.0, 0.0),
     Disaster("a list of 5 degrees", 600.0, listing, "", V, 600.0, 0.0),
     Disaster("no attitude for 30 s", 30.0, to(ImuSample, roll_rad=nan, pitch_rad=nan, yaw_rad=nan), TILT, D, 4.0),
     Disaster("three of five lost", 60.0, holed, "imu: # % of the samples missing", D, 60.0),

@@ -21,6 +21,8 @@ RINGS_S: Final = 1.0
 """In which ringing falls to a third; the hulls' is shorter, and then nothing is missed but the smaller of two blows."""
 RISES_S: Final = 0.3
 """In which a blow reaches its height."""
+MISSED: Final = 4.5
+"""Readings of a blow may be withheld at first, as spikes: after so many intervals it still shows."""
 LEAST_MPS2: Final = 0.05
 """A smaller one costs nothing."""
 
@@ -45,21 +47,26 @@ class Blows:
         self._last, self._before = (t_s, a_mps2), last
         if last is None or before is None:
             return 0.0
-        dt = t_s - last[0]
-        if not 0.0 < dt < 1.5 * (last[0] - before[0]) < 2.25 * dt:
+        dt, earlier = t_s - last[0], last[0] - before[0]
+        missed = dt / earlier
+        if not 1.0 / MISSED < missed < MISSED:
             self._ringing = 0.0
             return 0.0
-        size = abs(a_mps2 - 2.0 * last[1] + before[1])
+        # From where the two before it lead; what the waves do meanwhile grows with the square of the time.
+        size = abs(a_mps2 - last[1] - missed * (last[1] - before[1]))
+        limit = max(STANDS_OUT * sqrt(self._usual2), LEAST_MPS2) * max(missed, 1.0) ** 2
         self._ringing *= exp(-dt / RINGS_S)
         is_blow = (
             self._seconds > 0.5 * USUAL_S
-            and size > max(STANDS_OUT * sqrt(self._usual2), LEAST_MPS2)
+            and size > limit
             and size > LOUDER * self._ringing
             and t_s - self._struck_s > RISES_S
         )
         if is_blow:
             self._struck_s = t_s
         self._ringing = max(self._ringing, size)
+        if not 0.5 < missed < 1.5:
+            return size if is_blow else 0.0
         self._seconds = min(self._seconds + dt, USUAL_S)
         counted = size * size if self._seconds < 0.1 * USUAL_S else min(size * size, COUNTED**2 * self._usual2)
         self._usual2 += dt / self._seconds * (counted - self._usual2)

@@ -9,8 +9,8 @@ from heaved.estimation.bounds import HEAVE_ACCELERATION_MPS2
 
 WIDTH: Final = 8.0
 """Steps beyond this many RMS steps are suspect; a Gaussian gives one in 1e15."""
-FLOOR_MPS2: Final = 0.5
-"""Steps below this are never suspect: slams and engine vibration are real."""
+FLOOR_MPS2: Final = 4.0
+"""Steps below this are never suspect: slams and engine vibration are real, and what is not is found by what it does."""
 LASTING_S: Final = 0.15
 """A level that lasts is real; a spike is over after a reading or two."""
 MEMORY: Final = 0.005
