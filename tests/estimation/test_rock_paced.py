@@ -62,6 +62,18 @@ def test_a_copy_goes_on_as_the_original_does(every):
     assert np.isfinite(expected).mean() > 0.9
 
 
+@pytest.mark.parametrize("rate_hz", [50.0, 70.0, 100.0])
+def test_deviations_are_no_less_than_the_noise_of_one_reading(rate_hz):
+    """Also at horizons that lie between readings, where errors are those against a mean of some."""
+    noise = 3.5e-4
+    t = np.arange(round(90.0 * rate_hz)) / rate_hz
+    motion = np.stack([0.05 * np.sin(TURN * t / period_s) for period_s in (9.0, 11.0, 13.0)], axis=-1)
+    predictor = PacedPredictor(3)
+    predict(predictor, t, motion + noise * np.random.default_rng(2).standard_normal(motion.shape))
+    assert np.all(predictor.std[:3] > 0.92 * noise)
+    assert np.all(predictor.std[:3] < 1.25 * noise)
+
+
 @pytest.mark.parametrize("scene", ["under way", "under way, MEMS"])
 def test_as_good_as_with_every_sample_at_any_phase(scene):
     """Up to 150 ms within 5 % of the predictor that is fed every sample; at each of the five phases near it."""
