@@ -179,6 +179,25 @@ DISASTERS = [
 ]
 
 
+@pytest.mark.parametrize(("name", "rate_hz"), [("S6", 20.0), ("S5", 5.0)])
+def test_a_copy_goes_on_as_the_pipeline_does(name: str, rate_hz: float) -> None:
+    """What befalls copies of one that has run for long tells what would befall that one."""
+    made = sea(name, rate_hz)
+    hit = made.t_s >= BEGIN_S
+    t, readings = made.t_s[hit], made.readings[:, hit].copy()
+    shifted(t - BEGIN_S, readings, np.random.default_rng(5))
+    original = before.__wrapped__(name, rate_hz)
+    copied = copy.deepcopy(original)
+
+    def published(frame: MotionFrame) -> list[float]:
+        rock = [(p.roll_rad, p.pitch_rad, p.yaw_rad, p.roll_std_rad, p.pitch_std_rad) for p in frame.rock]
+        heave = [frame.heave_m, frame.heave_std_m, *(point.heave_m for point in frame.points)]
+        return [*heave, frame.roll_rad, frame.pitch_rad, *(value for values in rock for value in values)]
+
+    mine, other = ([published(f) for f in run(pipe, samples(t, readings))] for pipe in (copied, original))
+    np.testing.assert_allclose(mine, other, rtol=0.0, atol=1e-9)
+
+
 @pytest.mark.parametrize(("name", "rate_hz"), [("S6", 20.0), ("S5", 5.0), ("S4", 50.0)])
 @pytest.mark.parametrize("disaster", DISASTERS, ids=lambda d: d.name)
 def test_no_reading_makes_a_valid_value_wrong(disaster: Disaster, name: str, rate_hz: float) -> None:

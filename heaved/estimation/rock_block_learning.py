@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.block_outlook import Moment, worked_out
-from heaved.estimation.rock_carry import CORRECTED_S, Carry
+from heaved.estimation.rock_carry import CORRECTED_S, DEVIATION, SCALE_MEMORY_S, Carry
 from heaved.estimation.rock_experts import Switch
 
 Array = NDArray[np.float64]
@@ -26,6 +26,8 @@ SCORED: Final = 2
 """Every second block is scored, one place after the other: errors closer together are hardly different ones."""
 ROOM: Final = 1.25
 """Most samples there may be in a time over those that there were in the first one: beyond it is another rate."""
+NEIGHBOURS: Final = (-1.0 / 6.0, 4.0 / 6.0)
+"""Weights of the cubic through the two readings on either side of one, there: on the outer ones and the inner ones."""
 
 
 class _Closed:
@@ -54,6 +56,8 @@ class BlockLearner:
         self.aim(interval_s, weights)
         self._per_batch = SCORED * max(1, round(BATCH_S / block_s / SCORED))
         self._kept = self._per_batch + ceil(ROOM * self._delay[max(self.short - 1, 0)]) + SCORED
+        self._noise_square = np.full(channels, nan)
+        """Of single readings."""
         self._measured = np.full((self._kept, samples, channels), nan)
         self._innovations = np.full((self._kept, samples - 1, channels), nan)
         self._curves = np.full((self._kept, nodes, channels), nan)
@@ -120,7 +124,12 @@ class BlockLearner:
         error = self._due.of(flat, samples * (self._kept - 1 - back) + phase) - shown
         errors = np.repeat(error[:, :, None], 2, axis=2)  # the only expert is what is published
         self.switch.score(SCORED * block_s, errors, half_width)
-        self.switch.least_square[:] = shaking_square
+        found, before = _noise_square(flat[-count * samples :]), self._noise_square
+        share = min(count * block_s / SCALE_MEMORY_S, 1.0)
+        self._noise_square = np.where(
+            np.isfinite(found - before), before + share * (found - before), np.fmax(found, before)
+        )
+        self.switch.least_square[:] = np.fmax(shaking_square, self._noise_square)
         self.switch.choose(np.ones((1, self._n), dtype=bool))
 
     def _keep_closed(self) -> None:
@@ -140,6 +149,19 @@ class BlockLearner:
 def _latest(ring: Array, new: Array) -> Array:
     """As many rows as ``ring`` has, the last of them ``new``."""
     return np.concatenate((ring, new))[-len(ring) :]
+
+
+def _noise_square(readings: Array) -> Array:
+    """Of single readings (m, n), nan where there are none: what of each a cubic through its neighbours does not show.
+
+    Errors at horizons that lie between readings are those against a mean of some, which has less noise than one.
+    """
+    neighbours = NEIGHBOURS[0] * (readings[:-4] + readings[4:]) + NEIGHBOURS[1] * (readings[1:-3] + readings[3:-1])
+    off = np.sort(np.abs(readings[2:-2] - neighbours), axis=0)  # what is not known is last
+    half = np.maximum(np.isfinite(off).sum(axis=0) - 1, 0) // 2
+    middle = np.take_along_axis(off, half[None], axis=0)[0]
+    square: Array = (DEVIATION * middle) ** 2 / (1.0 + 2.0 * (NEIGHBOURS[0] ** 2 + NEIGHBOURS[1] ** 2))
+    return square
 
 
 class _Places:

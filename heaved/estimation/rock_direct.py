@@ -312,11 +312,10 @@ class DirectPredictor:
         self._one_step = gap_weights[:1]
         self._slopes = curve_weights(horizons, horizons, derivative=1)
         self._seen = np.zeros((n, count + 3, 1))
-        self._curves, self._near = self._seen[:, :-2, 0], self._seen[:, -2:, 0]
         self._map = self._mapped()
         self._levels: list[float] = []
         timing = Timing(interval_s=interval_s, settling=settling, longest_gap=self._longest_gap, judged=judged)
-        self._channels = [Channel(timing, gap_weights, curve) for curve in self._curves]
+        self._channels = [Channel(timing, gap_weights) for _ in range(n)]
         self._interval_s = interval_s
         self._row_index = 0
         self._out = 0
@@ -328,6 +327,12 @@ class DirectPredictor:
         self._missed_row = [0] * n
         """When that was."""
         self._until_learned = LEARNED_TOGETHER
+
+    @property
+    def _curves(self) -> Array:
+        """(n, H + 1) the latest sample and the predictions, without levels: a view, made when it is asked for; one that
+        is kept would stay with the original when a predictor is copied."""
+        return self._seen[:, :-2, 0]
 
     def _mapped(self) -> Array:
         """(n, H + 3, width) from the vectors to the latest sample, the predictions, one step on, the slope."""
@@ -342,13 +347,13 @@ class DirectPredictor:
         """One step of the grid: take the sample, predict, learn when it is time."""
         window, channels = self._window, self._channels
         taken, known, means = [], [], []
-        near = self._near.tolist()
+        curves, near = self._curves, self._seen[:, -2:, 0].tolist()
         self._row_index += 1
         for c, channel in enumerate(channels):
             if c in self.holed:
                 x, measured = self._take_holed(c, values[c], late_s)
             else:
-                x, measured = channel.take(values[c], late_s, *near[c])
+                x, measured = channel.take(values[c], late_s, curves[c], *near[c])
             if channel.since == 1:
                 window.flatten(c, x)
                 self._learner.forget(c)
@@ -374,17 +379,17 @@ class DirectPredictor:
         if not all(known):
             for c, channel in enumerate(channels):
                 if not isfinite(values[c]) and c not in self.holed and channel.since:
-                    self._curves[c] = channel.carried(self._curve_s)
+                    curves[c] = channel.carried(self._curve_s)
         for c in self.holed:
             hole = self.filters[c]
-            self._curves[c] = hole.mean + hole.curve(self._row_index, self._curve_s)
+            curves[c] = hole.mean + hole.curve(self._row_index, self._curve_s)
         self._bound(taken)
         self._be_surprised(known)
         self._until_row -= 1
         self._batch_due = False
         if self._until_row == 0:
             self._until_row = self._learner.every
-            if self._learner.keep(self._curves[:, 1:].T, channels):
+            if self._learner.keep(curves[:, 1:].T, channels):
                 if self._learner.batch(channels):
                     self._map = self._mapped()
                 self._batch_due = True
@@ -400,8 +405,8 @@ class DirectPredictor:
                 nan if c in self.holed and not self.filters[c].known else channel.level
                 for c, channel in enumerate(channels)
             ]
-            curves = self._curves.T + levels
-            self._out = self._out + 1 if self._limits.left_by(curves, (0.0, *self.horizons_s)).any() else 0
+            published = curves.T + levels
+            self._out = self._out + 1 if self._limits.left_by(published, (0.0, *self.horizons_s)).any() else 0
 
     def _bound(self, taken: Sequence[float]) -> None:
         """Predictions of channels with limits stay within reach of the motion."""
@@ -412,14 +417,15 @@ class DirectPredictor:
             means.append(channel.mean)
             reaches.append(channel.reach(x) if largest < inf else inf)
         mean, reach = np.array((means, reaches))[:, :, None]
-        np.maximum(self._curves, mean - reach, out=self._curves)
-        np.minimum(self._curves, mean + reach, out=self._curves)
+        curves = self._curves
+        np.maximum(curves, mean - reach, out=curves)
+        np.minimum(curves, mean + reach, out=curves)
 
     def _be_surprised(self, known: Sequence[bool]) -> None:
         """Hold what was predicted SURPRISED_S ago against what there is now."""
-        earlier, node = self._earlier, self._surprised_node
+        curves, earlier, node = self._curves, self._earlier, self._surprised_node
         if len(earlier) == earlier.maxlen:
-            now, stds = self._curves[:, 0].tolist(), self._switch.std[node].tolist()
+            now, stds = curves[:, 0].tolist(), self._switch.std[node].tolist()
             fade = exp(-self._interval_s / SURPRISED_FOR_S)
             for c, (is_known, x, expected, std) in enumerate(zip(known, now, earlier[0], stds, strict=True)):
                 surprise = fade * self._surprise[c]
@@ -428,7 +434,7 @@ class DirectPredictor:
                     surprise = off / std
                 self._surprise[c] = surprise
                 self.surplus[c] = max(0.0, surprise - SURPRISED - 1.0)
-        later = self._curves[:, node + 1].tolist()
+        later = curves[:, node + 1].tolist()
         for c, channel in enumerate(self._channels):
             if channel.unsettled > 0 or not channel.ready:
                 later[c] = nan
@@ -523,7 +529,8 @@ class DirectPredictor:
                 levels[c] = nan
         if levels != self._levels:
             self._levels, self._level = levels, np.array(levels)
-        self.curve = self._curves.T + self._level
+        curves = self._curves.T
+        self.curve = curves + self._level
         self.values = self.curve[1:]
         if abs(late_s) > 1e-5:
-            self.values += late_s * (self._slopes @ self._curves.T)
+            self.values += late_s * (self._slopes @ curves)

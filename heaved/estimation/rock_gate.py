@@ -55,16 +55,13 @@ class Timing(msgspec.Struct, frozen=True, kw_only=True):
 class Channel:
     """One channel; values are relative to ``level``."""
 
-    def __init__(self, timing: Timing, gap_weights: Array, curve: Array) -> None:
-        """``gap_weights`` (steps, H + 1): of a predicted curve, for the value 1, 2, ... samples on.
-
-        ``curve`` (H + 1,): a view of the latest value and predictions, whatever they are when a sample is taken.
-        """
+    def __init__(self, timing: Timing, gap_weights: Array) -> None:
+        """``gap_weights`` (steps, H + 1): of a predicted curve, for the value 1, 2, ... samples on."""
         self._timing = timing
         self._armed = ARMED_S / timing.interval_s
         self._step_share = 1.0 / (STEP_ERROR_MEMORY_S / timing.interval_s)
         self._mean_memory = MEAN_MEMORY_S / timing.interval_s
-        self._gap_weights, self._curve = gap_weights, curve
+        self._gap_weights = gap_weights
         self._anchor = np.zeros(gap_weights.shape[1])
         self.level = 0.0
         self.since = 0
@@ -120,11 +117,12 @@ class Channel:
         """What stands for the variance of the sensor's noise."""
         return max(self.step_square, self.quantum**2 if self.quantum < inf else 0.0)
 
-    def take(self, value: float, late_s: float, one_step: float, slope: float) -> tuple[float, bool]:
+    def take(self, value: float, late_s: float, curve: Array, one_step: float, slope: float) -> tuple[float, bool]:
         """What goes into the lags, and whether it was measured.
 
-        ``late_s``: how long after its grid time the sample was read; ``one_step``, ``slope``: the value expected and
-        how it changes. After the first sample ``since`` is 1.
+        ``late_s``: how long after its grid time the sample was read; ``curve`` (H + 1,): the value before it and what
+        was predicted from there; ``one_step``, ``slope``: the value expected and how it changes. After the first sample
+        ``since`` is 1.
         """
         change = abs(value - self._reading)
         if self._steady and change >= self.quantum:
@@ -168,7 +166,7 @@ class Channel:
         elif self._held:
             self._held.append((nan, one_step))
         if not absent:
-            self._anchor[:] = self._curve
+            self._anchor[:] = curve
         self._absent = absent + 1
         if absent >= self._timing.longest_gap and not self._held:
             self.since = 0

@@ -135,8 +135,6 @@ class SampleWindow:
         # Row k: sample k, the sum of those before it, the sum of the sums before that. So the last two of a row are
         # those of the row before plus the first two of it.
         self._rows = np.zeros((capacity + 1, self.width))
-        self._flat = self._rows.ravel()
-        self.x = self._rows[:capacity, :columns]
         self.known = np.zeros((capacity, columns), dtype=bool)
         self.known[keep:] = True  # until one comes that is not
         self._knots = knots
@@ -157,11 +155,17 @@ class SampleWindow:
         self.moved = 0
         """How far rows have been moved to the front in all: row + moved never changes."""
 
+    @property
+    def x(self) -> Array:
+        """The samples, (capacity, columns): a view, made when it is asked for; one that is kept would stay with the
+        original when a window is copied."""
+        return self._rows[:-1, : self._columns]
+
     def append(self, values: list[float], known: list[bool]) -> None:
         """A sample of all columns; ``known``: of the first ones, whether it was measured."""
-        if self.end == len(self.x):
-            start = self.end - self._keep
-            self.x[: self._keep] = self.x[start:]
+        if self.end == len(self.known):
+            start, x = self.end - self._keep, self.x
+            x[: self._keep] = x[start:]
             self.known[: self._keep] = self.known[start:]
             self.known[self._keep :] = True
             self.moved += start
@@ -208,11 +212,11 @@ class SampleWindow:
 
     def gather(self, places: Indices, ends: int | Indices) -> Array:
         """What is at ``places``, as seen from before the rows ``ends``, which broadcast."""
-        return self._flat.take(places + self.width * ends)
+        return self._rows.take(places + self.width * ends)
 
     def latest(self, places: Indices, reach: int) -> Array:
         """What is at ``places``, counted from ``reach`` rows before the end of the window."""
-        return self._flat[self.width * (self.end - reach) :].take(places)
+        return self._rows[self.end - reach :].take(places)
 
     def means(self) -> Array:
         """Means about the knots but the last, latest first, (knots - 1, n)."""

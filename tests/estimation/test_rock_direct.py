@@ -212,13 +212,13 @@ def test_a_steady_channel_takes_what_any_channel_takes():
     late = 0.005 * rng.standard_normal(n)
     timing = Timing(interval_s=0.05, settling=40, longest_gap=40, judged=10)
     gap_weights = np.ones((60, 1))
-    channels = [Channel(timing, gap_weights, np.zeros(1)) for _ in range(2)]
+    channels = [Channel(timing, gap_weights) for _ in range(2)]
     steady = 0
     for k in range(n):
         channels[1]._steady = False
         steady += channels[0]._steady
         expected = x[max(k - 1, 0)] - channels[0].level if np.isfinite(x[max(k - 1, 0)]) else 0.0
-        taken = [channel.take(x[k], late[k], expected, 0.01) for channel in channels]
+        taken = [channel.take(x[k], late[k], np.zeros(1), expected, 0.01) for channel in channels]
         assert taken[0] == taken[1], k
         judged = [channel.judge() for channel in channels]
         assert (judged[0] is None) == (judged[1] is None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from math import inf, nan, pi
 
 import msgspec
@@ -40,6 +41,37 @@ def rms(x, predicted, horizon, start, every=1, truth=None):
     shift = round(HORIZONS[horizon] * RATE_HZ)
     error = (x if truth is None else truth)[shift:] - predicted[:-shift, horizon]
     return np.sqrt(np.nanmean(error[start::every] ** 2, axis=0))
+
+
+@pytest.mark.parametrize("every", [1, 5, 20])
+def test_a_copy_goes_on_as_the_original_does(every):
+    """At 100, 20 and 5 Hz, with readings missing and spikes; neither moves the other."""
+    x = measured("under way, MEMS", 120.0)[::every]
+    rng = np.random.default_rng(3)
+    x[rng.random(x.shape) < 0.05] = nan
+    x[rng.random(len(x)) < 0.01] += 0.5
+    t = np.arange(len(x)) * every / RATE_HZ
+    half = len(x) // 2
+    original = PacedPredictor(3)
+    expected = predict(PacedPredictor(3), t, x)[half:]
+    predict(original, t[:half], x[:half])
+    copied = copy.deepcopy(original)
+    # Arrays lie in memory otherwise than those they were copied from, and sums may be rounded otherwise.
+    np.testing.assert_allclose(predict(copied, t[half:], x[half:]), expected, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(predict(original, t[half:], x[half:]), expected, rtol=0.0, atol=1e-9)
+    assert np.isfinite(expected).mean() > 0.9
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 70.0, 100.0])
+def test_deviations_are_no_less_than_the_noise_of_one_reading(rate_hz):
+    """Also at horizons that lie between readings, where errors are those against a mean of some."""
+    noise = 3.5e-4
+    t = np.arange(round(90.0 * rate_hz)) / rate_hz
+    motion = np.stack([0.05 * np.sin(TURN * t / period_s) for period_s in (9.0, 11.0, 13.0)], axis=-1)
+    predictor = PacedPredictor(3)
+    predict(predictor, t, motion + noise * np.random.default_rng(2).standard_normal(motion.shape))
+    assert np.all(predictor.std[:3] > 0.92 * noise)
+    assert np.all(predictor.std[:3] < 1.25 * noise)
 
 
 @pytest.mark.parametrize("scene", ["under way", "under way, MEMS"])
