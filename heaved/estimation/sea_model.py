@@ -55,8 +55,8 @@ RICCATI_TOLERANCE: Final = 1e-8
 """Relative change of P at which the doubling has converged; it is quadratic, so the next one would change nothing."""
 BIAS_SPREAD_MPS2: Final = 0.5
 """What is known of the accelerometer's bias at the start, with what a wrong tilt adds."""
-BLOW_MPS2: Final = 5.0
-"""What may have set a resonance ringing at once: a slam."""
+BLOW: Final = 30.0
+"""Times that what rings may ring more after a slam than it does on the whole."""
 
 
 PAIR: Final = 4
@@ -241,8 +241,8 @@ class SeaSystem:
         if bias:
             P[-1, -1] += BIAS_SPREAD_MPS2**2
         if resonances:
-            ringing = np.arange(self._shaken, len(P) - 1)
-            P[ringing, ringing] += BLOW_MPS2**2
+            ringing = slice(self._shaken, len(P) - 1)
+            P[ringing, ringing] += BLOW**2 * self.stationary[ringing, ringing]
         return P
 
     @cached_property
