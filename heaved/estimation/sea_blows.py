@@ -31,10 +31,6 @@ class Blows:
     """Give it every beat."""
 
     def __init__(self) -> None:
-        self.restart()
-
-    def restart(self) -> None:
-        """After a gap, or with another interval."""
         self._last: tuple[float, float] | None = None
         self._before: tuple[float, float] | None = None
         self._usual2 = self._seconds = self._ringing = 0.0
@@ -48,10 +44,10 @@ class Blows:
         if last is None or before is None:
             return 0.0
         dt, earlier = t_s - last[0], last[0] - before[0]
-        missed = dt / earlier
-        if not 1.0 / MISSED < missed < MISSED:
+        if not earlier < MISSED * dt < MISSED**2 * earlier:
             self._ringing = 0.0
             return 0.0
+        missed = dt / earlier
         # From where the two before it lead; what the waves do meanwhile grows with the square of the time.
         size = abs(a_mps2 - last[1] - missed * (last[1] - before[1]))
         limit = max(STANDS_OUT * sqrt(self._usual2), LEAST_MPS2) * max(missed, 1.0) ** 2

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from heaved.estimation.sea_drift import DRIFTS_S, drift_variances, drift_weights
 from heaved.estimation.sea_model import Resonance, SeaModel, shaking_spectrum
-from heaved.estimation.sea_resonances import Above
+from heaved.estimation.sea_resonances import Above, groups
 
 Array = NDArray[np.float64]
 
@@ -194,10 +194,7 @@ def _welch(stretches: Sequence[Array], rate_hz: float, n: int) -> tuple[Array, A
 
 def _pooled(sp: Spectrum) -> tuple[Spectrum, Array]:
     """Means of neighbouring ordinates, and the weight of each in the likelihood: the sum of theirs."""
-    width = np.maximum(np.floor(POOLED * sp.f_hz / (sp.f_hz[1] - sp.f_hz[0])), 1.0)
-    # Of a group of m, each takes up 1 / m.
-    first = np.flatnonzero(np.diff(np.floor(np.cumsum(1.0 / width) - 1.0 / width + 1e-9), prepend=-1.0))
-    count = np.diff(first, append=len(sp.f_hz))
+    first, count = groups(sp.f_hz, POOLED)
     f, power = (np.add.reduceat(values, first) / count for values in (sp.f_hz, sp.power))
     return msgspec.structs.replace(sp, f_hz=f, power=power), np.add.reduceat(sp.weight, first)
 

@@ -94,11 +94,18 @@ def _pooled(above: Above) -> tuple[Array, Array, Array, Array]:
     f = above.f_hz
     if len(f) < 2:
         return f, above.power, above.white, np.full(len(f), above.averages)
-    width = np.maximum(np.floor(POOLED * f / (f[1] - f[0])), 1.0)
-    first = np.flatnonzero(np.diff(np.floor(np.cumsum(1.0 / width) - 1.0 / width + 1e-9), prepend=-1.0))
-    count = np.diff(first, append=len(f))
+    first, count = groups(f, POOLED)
     f, power, white = (np.add.reduceat(values, first) / count for values in (f, above.power, above.white))
     return f, power, white, count * above.averages
+
+
+def groups(f_hz: Array, share: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Evenly spaced frequencies (n,), n >= 2, in groups that are no wider than ``share`` of their frequency: the first
+    of each, and how many there are in it."""
+    width = np.maximum(np.floor(share * f_hz / (f_hz[1] - f_hz[0])), 1.0)
+    # Of a group of m, each takes up 1 / m.
+    first = np.flatnonzero(np.diff(np.floor(np.cumsum(1.0 / width) - 1.0 / width + 1e-9), prepend=-1.0))
+    return first, np.diff(first, append=len(f_hz))
 
 
 def _told_apart(found: tuple[Resonance, ...], dt_s: float) -> tuple[Resonance, ...]:
