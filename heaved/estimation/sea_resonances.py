@@ -96,7 +96,7 @@ def _pooled(above: Above) -> tuple[Array, Array, Array, Array]:
         return f, above.power, above.white, np.full(len(f), above.averages)
     first, count = groups(f, POOLED)
     f, power, white = (np.add.reduceat(values, first) / count for values in (f, above.power, above.white))
-    return f, power, white, count * above.averages
+    return f, power, white, np.asarray(count * above.averages, dtype=np.float64)
 
 
 def groups(f_hz: Array, share: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
