@@ -413,21 +413,24 @@ class SeaObserver:
 
     def _catch_up(self, heave: SeaHeave, smoother: FixedLagSmoother, from_s: float) -> None:
         """Through the beats that came while the fit was under way."""
-        cuts = [cut[1] for cut in self._record.cuts_s if cut[1] > from_s]
-        blows = [blow_s for blow_s in self._record.blows_s if blow_s > from_s]
+        filters = [f for f in (heave.filter, self._aiding.unaided) if f is not None]
+        cuts = deque(cut[1] for cut in self._record.cuts_s if cut[1] > from_s)
+        blows = deque(blow_s for blow_s in self._record.blows_s if blow_s > from_s)
         for t_s, a_mps2 in self._record.since(from_s).tolist():
             if t_s > heave.filter.t_s:
                 while cuts and cuts[0] <= t_s:
-                    heave.filter.open_bias()
-                    del cuts[0]
+                    cuts.popleft()
+                    for f in filters:
+                        f.open_bias()
                 while blows and blows[0] <= t_s:
-                    heave.filter.open_resonances()
-                    del blows[0]
-                said = heave.filter.step(t_s, a_mps2)
-                unaided = self._aiding.unaided
-                smoother.push(t_s, *(said if unaided is None else unaided.step(t_s, a_mps2)))
+                    blows.popleft()
+                    for f in filters:
+                        f.open_resonances()
+                # The weights of the smoother are those without the laser.
+                smoother.push(t_s, *[f.step(t_s, a_mps2) for f in filters][-1])
         if cuts:
-            heave.filter.open_bias()
+            for f in filters:
+                f.open_bias()
         heave.moved()
 
     def _install(self, system: SeaSystem, steady: Steady, t_s: float, x: Array, P: Array | None) -> SeaHeave:
