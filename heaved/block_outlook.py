@@ -1,6 +1,6 @@
 """Predictions of the samples of a block, from what its beginning and its samples so far have shown.
 
-All samples of a block (:mod:`heaved.estimation.rock_blocks`) have the curve in common that was predicted when it began;
+All samples of a block (:mod:`heaved.estimation.rock.blocks`) have the curve in common that was predicted when it began;
 what is predicted from one of them is linear in that and in what was not expected of the samples up to it. So it is kept
 as that, and worked out for whoever asks: at once for a publisher, many blocks at a time for a replay.
 """

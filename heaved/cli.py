@@ -20,7 +20,7 @@ from heaved.text import printable, printable_lines
 if TYPE_CHECKING:
     from heaved.config import Config
     from heaved.devices.profile import DeviceSpec
-    from heaved.replay import Progress
+    from heaved.replay.replay import Progress
 
 EX_UNAVAILABLE = 69
 """The daemon cannot be reached (sysexits.h)."""
@@ -123,7 +123,7 @@ def run(
         )
     path = config or SYSTEM_CONFIG
     loaded = _load_to_run(path)
-    from heaved import daemon
+    from heaved.daemon import daemon
 
     raise typer.Exit(daemon.run(loaded, path, log_format=log_format.value))
 
@@ -183,8 +183,8 @@ def status(
     port: Port = PORT,
 ) -> None:
     """Say how a daemon is. Answers within a second; exit code 69 if there is none."""
-    from heaved.outputs import report
-    from heaved.outputs.client import Snapshot, Unreachable, fetch_status
+    from heaved.client import report
+    from heaved.client.stream_client import Snapshot, Unreachable, fetch_status
 
     if json and check:
         raise typer.BadParameter("--json and --check exclude each other")
@@ -214,7 +214,7 @@ def wait(
     port: Port = PORT,
 ) -> None:
     """Wait until a daemon gives a heave that can be used."""
-    from heaved.outputs.client import Unreachable, fetch_status, wait_until_ready
+    from heaved.client.stream_client import Unreachable, fetch_status, wait_until_ready
 
     if wait_until_ready(host, port, timeout):
         return
@@ -229,7 +229,7 @@ def wait(
 @app.command()
 def watch(host: Host = HOST, port: Port = PORT) -> None:
     """Show the motion live in the terminal, until Ctrl-C."""
-    from heaved.outputs.watch import watch
+    from heaved.client.screen import watch
 
     if not sys.stdout.isatty():
         _fail(f"watch draws on a terminal, and this is none; for the data itself read the stream: nc {host} {port}", 1)
@@ -253,7 +253,7 @@ def probe(
 
     from heaved.config.read import packaged_profiles
     from heaved.devices import probe as probing
-    from heaved.devices.line import parse_link
+    from heaved.devices.link import parse_link
 
     try:
         wanted, parsed = probing.parse_ids(ids), parse_link(link)
@@ -300,8 +300,8 @@ def replay(
 
     parameters = Config() if config is None else _load(config)
     from heaved.devices.recording import RecordingError
-    from heaved.replay import OutputError
-    from heaved.replay import replay as run_replay
+    from heaved.replay.replay import OutputError
+    from heaved.replay.replay import replay as run_replay
 
     target = recording.with_name(f"{recording.stem}.heaved.csv") if out is None else out
     to_stdout = target == Path("-")
@@ -348,7 +348,7 @@ def demo(
     log_format: Logs = LogFormat.human,
 ) -> None:
     """Run the daemon on simulated sensors, with a simulated winch on its stream: the whole chain on this machine."""
-    from heaved import demo as demonstration
+    from heaved.demo import demo as demonstration
 
     def announce(config: Config) -> None:
         for device in config.device:
@@ -391,7 +391,7 @@ def sim(
     """Serve simulated Modbus sensors until Ctrl-C."""
     import tempfile
 
-    from heaved import demo as demonstration
+    from heaved.demo import demo as demonstration
     from heaved.simulate.faults import parse_faults
     from heaved.simulate.play import Player, read_recording
 

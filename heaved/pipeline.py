@@ -17,24 +17,25 @@ from typing import Final
 
 import msgspec
 
-from heaved.estimation import quiescence, remembered
-from heaved.estimation.chain import HeaveChain
-from heaved.estimation.conditioning import Conditioned, Conditioner
-from heaved.estimation.correction import Params as CorrectionParams
-from heaved.estimation.correction import Saved
-from heaved.estimation.forecast_check import ForecastCheck
-from heaved.estimation.framing import Framer
-from heaved.estimation.heave import HarmonicObserver
-from heaved.estimation.heave import Params as HeaveParams
-from heaved.estimation.intake import Intake
-from heaved.estimation.points import Point
-from heaved.estimation.quiet_watch import QuietWatch
-from heaved.estimation.reference import Params as LaserParams
-from heaved.estimation.rock import Params as RockParams
-from heaved.estimation.rock_chain import RockChain
-from heaved.estimation.sea import SeaObserver
-from heaved.estimation.sea_model import SeaModel
-from heaved.estimation.sea_window import SeaFit, SeaWindow
+from heaved.estimation import quiescence
+from heaved.estimation.heave import saved_state as remembered
+from heaved.estimation.heave.estimator import HeaveChain
+from heaved.estimation.heave.forecast_check import ForecastCheck
+from heaved.estimation.heave.harmonic.observer import HarmonicObserver
+from heaved.estimation.heave.harmonic.observer import Params as HeaveParams
+from heaved.estimation.heave.laser.correction import Params as CorrectionParams
+from heaved.estimation.heave.laser.correction import Saved
+from heaved.estimation.heave.laser.reference import Params as LaserParams
+from heaved.estimation.heave.sea.model import SeaModel
+from heaved.estimation.heave.sea.observer import SeaObserver
+from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
+from heaved.estimation.imu.conditioning import Conditioned, Conditioner
+from heaved.estimation.imu.vertical import Intake
+from heaved.estimation.lever_arm import Point
+from heaved.estimation.motion_frame import Framer
+from heaved.estimation.quiet_windows import QuietWatch
+from heaved.estimation.rock.estimator import RockChain
+from heaved.estimation.rock.maximum_likelihood import Params as RockParams
 from heaved.estimation.stages import Stages
 from heaved.samples import (
     Fault,
@@ -188,9 +189,7 @@ class Pipeline:
         self._rock.step(msgspec.structs.replace(sample, t_s=attitude.t_s), good=True)
         return self._rock.at(sample.t_s)
 
-    def _step(
-        self, sample: Sample, first: tuple[Conditioned, Sequence[RockPrediction]] | None
-    ) -> MotionFrame | None:
+    def _step(self, sample: Sample, first: tuple[Conditioned, Sequence[RockPrediction]] | None) -> MotionFrame | None:
         """All the rest."""
         if isinstance(sample, LaserSample):
             self._chain.laser.give(sample)

@@ -18,10 +18,15 @@ settings.register_profile("heaved", deadline=None, derandomize=True)  # No clock
 settings.load_profile("heaved")
 
 LIVE = (
-    "devices", "outputs", "training", "simulate/test_hook.py", "simulate/test_plant.py", "test_acquisition.py",
-    "test_cli.py", "test_daemon.py", "test_daemon_faults.py", "test_end_to_end.py", "test_sdnotify.py",
-    "test_stages_live.py", "test_systemd.py",
-)  # fmt: skip
+    "daemon",
+    "devices",
+    "outputs",
+    "client",
+    "workers",
+    "demo",
+    "simulate/test_plant.py",
+    "test_cli.py",
+)
 """Ports, serial lines, processes that answer in time: one after another, as on a machine of their own."""
 
 

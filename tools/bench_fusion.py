@@ -19,11 +19,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from heaved.estimation import sigma
-from heaved.estimation.craft import Craft, Vessel
-from heaved.estimation.craft_model import State
-from heaved.estimation.fusion import AttitudeFusion, Params
-from heaved.estimation.wave_force import WaveShape, propagation
+from heaved.estimation.common import sigma
+from heaved.estimation.craft.dynamics import Craft, Vessel
+from heaved.estimation.craft.fusion import AttitudeFusion, Params
+from heaved.estimation.craft.model import State
+from heaved.estimation.craft.wave_force import WaveShape, propagation
 
 TICK_S = 0.01
 RATE_HZ = 100.0

@@ -18,8 +18,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from heaved.estimation.hull import HullDeformation, Params, crane_base_attitude, refit
-from heaved.estimation.rotations import Attitude
+from heaved.estimation.common.rotations import Attitude
+from heaved.estimation.hull.stage import HullDeformation, Params, crane_base_attitude, refit
 from heaved.simulate.flexure import SCENES, Record, simulate
 
 STARTED_S = 30.0

@@ -19,7 +19,7 @@ from pathlib import Path
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 from heaved.config import Config
-from heaved.replay import Summary, replay
+from heaved.replay.replay import Summary, replay
 from heaved.simulate.play import write_recording
 from heaved.simulate.seaway import SEAS, seaway
 from heaved.simulate.sensors import record

@@ -19,7 +19,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from heaved.estimation import rock, rock_chain, rock_direct
+from heaved.estimation.rock import direct as rock_direct
+from heaved.estimation.rock import estimator as rock_chain
+from heaved.estimation.rock import maximum_likelihood as rock
 
 WARM_S, BLOCK_S = 150.0, 30.0
 RATES_HZ = (5.0, 20.0, 100.0, 200.0)

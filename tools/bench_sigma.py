@@ -19,7 +19,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from heaved.estimation import sigma
+from heaved.estimation.common import sigma
 
 TICK_S = 0.01
 CACHE_BYTES = 32 * 1024 * 1024

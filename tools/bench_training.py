@@ -22,7 +22,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from heaved.samples import TrainedNetwork, TrainingWindow
-from heaved.training.process import TRAINER, Worker
+from heaved.workers.process import TRAINER, Worker
 
 TICK_NS = 10_000_000
 CLOCK_MONOTONIC = 1
@@ -107,7 +107,7 @@ async def thread(window: TrainingWindow, seconds: float) -> tuple[np.ndarray, in
 
     def train() -> None:
         nonlocal trained
-        from heaved.training.fit import fit  # the import is part of what is measured
+        from heaved.workers.train_correction import fit  # the import is part of what is measured
 
         while not stopping:
             fit(window)

@@ -11,8 +11,13 @@ from typing import Annotated
 import msgspec
 
 from heaved.devices.profile import DeviceSpec
-from heaved.estimation import correction, fusion, heave, hull, quiescence, reference, rock
-from heaved.estimation.points import Point
+from heaved.estimation import quiescence
+from heaved.estimation.craft import fusion
+from heaved.estimation.heave.harmonic import observer as heave
+from heaved.estimation.heave.laser import correction, reference
+from heaved.estimation.hull import stage as hull
+from heaved.estimation.lever_arm import Point
+from heaved.estimation.rock import maximum_likelihood as rock
 
 Port = Annotated[int, msgspec.Meta(ge=0, le=65535)]
 

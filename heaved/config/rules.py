@@ -14,10 +14,10 @@ import msgspec
 from heaved.config import Config
 from heaved.config.typed import sound_keys, table_of
 from heaved.devices.bandwidth import bandwidth_hz, folding, remedy
-from heaved.devices.line import RtuLink, bus_load_faults, buses, line_faults, most_rate_hz, parse_link
+from heaved.devices.link import RtuLink, bus_load_faults, buses, line_faults, most_rate_hz, parse_link
 from heaved.devices.profile import DeviceSpec, Role, profile_faults, role_needs, role_quantities
-from heaved.estimation import fusion
-from heaved.estimation.sea_fit import BAND_HZ
+from heaved.estimation.craft import fusion
+from heaved.estimation.heave.sea.whittle_fit import BAND_HZ
 
 LEAST_IMU_RATE_HZ: Final = 2.0 * BAND_HZ[1]
 """Nyquist: of the highest frequency at which the sea is fitted."""
@@ -172,9 +172,7 @@ def _stage_faults(config: Config, carried: Mapping[str, Collection[str]], *, is_
         if "imu" not in carried and is_complete:
             faults.append('hull.enabled: needs the body rates of a device of role "imu"')
         elif lacking := rates.difference(carried.get("imu", rates)):
-            faults.append(
-                f'hull.enabled: the profile of the device of role "imu" has no {", ".join(sorted(lacking))}'
-            )
+            faults.append(f'hull.enabled: the profile of the device of role "imu" has no {", ".join(sorted(lacking))}')
     if config.attitude.enabled and config.attitude.source == "sensors" and is_complete:
         sensors: set[str] = set().union(*(carried.get(role, ()) for role in ("craft", "heave_sensor", "pitch_sensor")))
         if sensors.isdisjoint(("heave_m", "pitch_rad")):

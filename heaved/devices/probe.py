@@ -18,10 +18,10 @@ from typing import Final, Protocol, get_args
 
 import msgspec
 
-from heaved.devices.answers import explain_exception
 from heaved.devices.bandwidth import PASSES, folding, remedy
-from heaved.devices.line import Link, TcpLink, most_rate_hz
-from heaved.devices.modbus import Answer, Connection
+from heaved.devices.bus import Answer, Connection
+from heaved.devices.frames import explain_exception
+from heaved.devices.link import Link, TcpLink, most_rate_hz
 from heaved.devices.profile import Block, ByteOrder, Field, Profile, Quantity, block_registers, decode
 from heaved.devices.timer import DeadlineTimer
 from heaved.samples import GRAVITY_MPS2, Fault
@@ -50,7 +50,7 @@ Progress = Callable[[int], None]
 
 
 class Reader(Protocol):
-    """An open line; see :class:`heaved.devices.modbus.Connection`."""
+    """An open line; see :class:`heaved.devices.bus.Connection`."""
 
     async def read(self, device_id: int, block: Block, count: int, timeout_s: float) -> Answer: ...
 
@@ -287,9 +287,7 @@ def _device_lines(device_id: int, findings: Sequence[Finding]) -> Iterator[str]:
             yield f"        {finding.doubt}"
 
 
-async def _bandwidth_lines(
-    line: Reader, device_id: int, variant: Variant, link: Link, timeout_s: float
-) -> list[str]:
+async def _bandwidth_lines(line: Reader, device_id: int, variant: Variant, link: Link, timeout_s: float) -> list[str]:
     """To what the sensor's low-pass is set, how fast that wants to be polled, and what to do if the line cannot."""
     profile, hertz, source = variant.profile, variant.profile.bandwidth_hz, "as delivered"
     register = profile.bandwidth_register
@@ -362,9 +360,7 @@ async def examine(
                 series.append(finding)
     return sorted(
         (
-            msgspec.structs.replace(
-                series[-1], score=min(finding.score for finding in series), doubt=doubt(series)
-            )
+            msgspec.structs.replace(series[-1], score=min(finding.score for finding in series), doubt=doubt(series))
             for series in kept
         ),
         key=lambda finding: (

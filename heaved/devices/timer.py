@@ -152,7 +152,6 @@ if sys.version_info >= (3, 13):
         os.timerfd_settime(fd, flags=os.TFD_TIMER_ABSTIME, initial=max(deadline_s, 1e-9))
 
 else:
-
     _TFD_TIMER_ABSTIME = 1
     _itimerspec = struct.Struct("@4l").pack
     """Interval and first expiry, in seconds and nanoseconds each."""

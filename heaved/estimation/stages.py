@@ -14,11 +14,12 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from heaved.estimation import fusion, hull
-from heaved.estimation.fusion import AttitudeEstimate, AttitudeFusion
-from heaved.estimation.hull import HullDeformation, HullEstimate, HullState, RefitJob, RefitResult
-from heaved.estimation.points import Crane
-from heaved.estimation.rotations import ARCSEC, Attitude, crane_base_attitude, from_euler
+from heaved.estimation.common.rotations import ARCSEC, Attitude, crane_base_attitude, from_euler
+from heaved.estimation.craft import fusion
+from heaved.estimation.craft.fusion import AttitudeEstimate, AttitudeFusion
+from heaved.estimation.hull import stage as hull
+from heaved.estimation.hull.stage import HullDeformation, HullEstimate, HullState, RefitJob, RefitResult
+from heaved.estimation.lever_arm import Crane
 from heaved.samples import CraftMotion, CraftSample, Fault, HullAngles, ImuSample, MotionFrame, RatesSample
 
 Result = TypeVar("Result")

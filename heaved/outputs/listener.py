@@ -49,9 +49,7 @@ class Listener:
         """
         loop = asyncio.get_running_loop()
         try:
-            found = await loop.getaddrinfo(
-                self._host, self._port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-            )
+            found = await loop.getaddrinfo(self._host, self._port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
             for family, _, _, _, address in dict.fromkeys(found):
                 self._sockets.append(_listening(family, address))
         except (OSError, UnicodeError) as error:  # The latter for what no host can be called.

@@ -151,9 +151,7 @@ class DelayedRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class"
     std_m: float
 
 
-class QuietRecord(
-    msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag_field="class", tag="QUIET"
-):
+class QuietRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag_field="class", tag="QUIET"):
     """The next quiet window, once a second; without one, ``is_expected`` is false and its fields are absent."""
 
     time: str

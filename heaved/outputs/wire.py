@@ -249,9 +249,7 @@ def rock_status(scores: tuple[RockScore, ...], horizons_s: tuple[float, ...]) ->
 
 
 def _forecast(forecast: HeaveForecast) -> ForecastRecord:
-    return ForecastRecord(
-        horizon_s=forecast.horizon_s, heave_m=finite(forecast.heave_m), std_m=finite(forecast.std_m)
-    )
+    return ForecastRecord(horizon_s=forecast.horizon_s, heave_m=finite(forecast.heave_m), std_m=finite(forecast.std_m))
 
 
 def decode(line: bytes) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from math import inf
 import msgspec
 import numpy as np
 
-from heaved.devices.line import Link, RtuLink, TcpLink, bus_key, parse_link
+from heaved.devices.link import Link, RtuLink, TcpLink, bus_key, parse_link
 from heaved.devices.profile import DeviceSpec
 from heaved.simulate.faults import FaultKind, PlannedFault
 from heaved.simulate.slave import Answer, RtuLine, Slave, Source, TcpLine

@@ -23,7 +23,7 @@ from pymodbus.constants import ExcCodes
 from pymodbus.framer import FramerRTU, FramerSocket
 from pymodbus.pdu import DecodePDU
 
-from heaved.devices.line import RtuLink, TcpLink, character_s, silence_s
+from heaved.devices.link import RtuLink, TcpLink, character_s, silence_s
 from heaved.devices.profile import DeviceSpec, Quantity, block_registers, encode, role_needs, role_quantities
 from heaved.samples import Sample
 from heaved.simulate.faults import FaultKind, PlannedFault

@@ -14,7 +14,7 @@ import pytest
 from modbus_slaves import RtuSlave, TcpSlave, mbap_answer, rtu, rtu_answer, tcp_answer
 
 from heaved.config.read import packaged_profiles
-from heaved.devices.line import parse_link
+from heaved.devices.link import parse_link
 from heaved.devices.probe import Report, parse_ids, plausibility, probe
 from heaved.devices.profile import DeviceSpec, Profile, Quantity
 from heaved.samples import ImuSample, LaserSample, Sample

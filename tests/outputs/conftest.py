@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from stream_peers import Clock, Connect, Counts, Peer, Serve, Served, make_status
 
-from heaved.outputs.publisher import Publisher
+from heaved.outputs.stream import Publisher
 
 
 @pytest.fixture

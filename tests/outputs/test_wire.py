@@ -305,8 +305,10 @@ def test_anything_else_is_told_what_was_wrong_and_what_is_accepted(line: bytes, 
         st.binary(max_size=500).map(lambda tail: b"?WATCH=" + tail),
         st.recursive(
             st.none() | st.booleans() | st.floats() | st.text(max_size=8) | st.sampled_from(STREAM_CLASSES),
-            lambda inner: st.lists(inner, max_size=3)
-            | st.dictionaries(st.sampled_from(["classes", "rate_hz", "x"]), inner, max_size=3),
+            lambda inner: (
+                st.lists(inner, max_size=3)
+                | st.dictionaries(st.sampled_from(["classes", "rate_hz", "x"]), inner, max_size=3)
+            ),
         ).map(lambda value: b"?WATCH=" + json.dumps(value).encode()),
     )
 )

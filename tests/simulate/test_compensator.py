@@ -8,10 +8,10 @@ import msgspec
 import numpy as np
 import pytest
 
+from heaved.demo.hook import HookMotion, Lift
 from heaved.outputs.wire import encode_motion
 from heaved.samples import CorrectionState, HeaveForecast, HeaveState, LaserState, MotionFrame, Quality
 from heaved.simulate.compensator import Ahead, CompensatorParams, Source, Trust, Update, curve
-from heaved.simulate.hook import HookMotion, Lift
 from heaved.simulate.seaway import seaway
 from heaved.simulate.winch import WinchParams
 

@@ -16,7 +16,7 @@ from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from pymodbus.exceptions import ModbusException
 from pymodbus.framer import FramerType
 
-from heaved.devices.line import RtuLink, TcpLink, parse_link
+from heaved.devices.link import RtuLink, TcpLink, parse_link
 from heaved.devices.profile import Block, DeviceSpec, Field, Profile
 from heaved.samples import GRAVITY_MPS2, ImuSample, LaserSample, Sample
 from heaved.simulate.faults import parse_faults

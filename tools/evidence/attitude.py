@@ -24,10 +24,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.craft_at_sea import hull
-from heaved.estimation.craft import Craft, Vessel
-from heaved.estimation.fusion import AttitudeEstimate, AttitudeFusion, Params
-from heaved.estimation.wave_force import Sea
+from heaved.demo.craft_at_sea import hull
+from heaved.estimation.craft.dynamics import Craft, Vessel
+from heaved.estimation.craft.fusion import AttitudeEstimate, AttitudeFusion, Params
+from heaved.estimation.craft.wave_force import Sea
 from heaved.simulate.hydrofoil import CRAFT_SHAKES, Passage, Voyage, sail
 
 Array = NDArray[np.float64]

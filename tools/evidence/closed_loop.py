@@ -27,12 +27,12 @@ from numpy.typing import NDArray
 
 from evidence.daemon import running_daemon
 from heaved.config.read import ConfigError, data_directory, load, parse
-from heaved.estimation.sea_window import look
+from heaved.demo.hook import Lift
+from heaved.estimation.heave.sea.refit import look
 from heaved.outputs.wire import encode_motion
 from heaved.pipeline import Pipeline
 from heaved.samples import HeaveState, ImuSample
 from heaved.simulate.compensator import Ahead, CompensatorParams, Source, Trust, Update
-from heaved.simulate.hook import Lift
 from heaved.simulate.instruments import Instruments
 from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.seaway import Seaway, seaway
@@ -218,7 +218,9 @@ def replay(name: str, setting: Setting) -> Trial:
             if (past := pipeline.fit_due()) is not None:
                 pipeline.accept_fit(look(past))
             if (window := pipeline.training_due()) is not None:
-                from heaved.training.fit import fit  # loads torch, which takes seconds: only when there is a laser
+                from heaved.workers.train_correction import (
+                    fit,
+                )  # loads torch, which takes seconds: only when there is a laser
 
                 pipeline.accept(fit(window))
             if frame is None:

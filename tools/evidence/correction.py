@@ -22,13 +22,15 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation import correction, heave, reference, rock
-from heaved.estimation.sea_window import look
+from heaved.estimation.heave.harmonic import observer as heave
+from heaved.estimation.heave.laser import correction, reference
+from heaved.estimation.heave.sea.refit import look
+from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.pipeline import Pipeline
 from heaved.samples import MotionFrame
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import SENSORS, laser_pattern, record
-from heaved.training.process import BlockingTrainer
+from heaved.workers.process import BlockingTrainer
 
 Array = NDArray[np.float64]
 

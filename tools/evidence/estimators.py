@@ -19,8 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evidence import baselines
-from heaved.estimation import correction, heave, reference, rock
-from heaved.estimation.sea_window import look
+from heaved.estimation.heave.harmonic import observer as heave
+from heaved.estimation.heave.laser import correction, reference
+from heaved.estimation.heave.sea.refit import look
+from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.pipeline import Pipeline
 from heaved.samples import HeaveState, ImuSample, MotionFrame, Sample
 
@@ -139,7 +141,9 @@ def frames(pipe: Pipeline, samples: Sequence[Sample]) -> list[MotionFrame]:
         if (past := pipe.fit_due()) is not None:
             pipe.accept_fit(look(past))
         if (window := pipe.training_due()) is not None:
-            from heaved.training.fit import fit  # loads torch, which takes seconds: only when there is a laser
+            from heaved.workers.train_correction import (
+                fit,
+            )  # loads torch, which takes seconds: only when there is a laser
 
             pipe.accept(fit(window))
         if frame is not None:

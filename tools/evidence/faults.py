@@ -28,9 +28,12 @@ from scipy.spatial.transform import Rotation
 
 from evidence.disasters import DISASTERS, HONEST_OF, IMU, Disaster, spoiled
 from evidence.scenarios import Setting, build, triplet
-from heaved.estimation import bounds, correction, heave, reference, rock
-from heaved.estimation.points import Point
-from heaved.estimation.sea_window import look
+from heaved.estimation.common import bounds
+from heaved.estimation.heave.harmonic import observer as heave
+from heaved.estimation.heave.laser import correction, reference
+from heaved.estimation.heave.sea.refit import look
+from heaved.estimation.lever_arm import Point
+from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.outputs.wire import motion_head
 from heaved.pipeline import Pipeline, PipelineState
 from heaved.samples import Fault, HeaveState, ImuSample, MotionFrame, Sample
@@ -218,7 +221,9 @@ def _through(pipe: Pipeline, block: Sequence[Sample]) -> Iterator[MotionFrame]:
         if (past := pipe.fit_due()) is not None:
             pipe.accept_fit(look(past))
         if (window := pipe.training_due()) is not None:
-            from heaved.training.fit import fit  # loads torch, which takes seconds: only when there is a laser
+            from heaved.workers.train_correction import (
+                fit,
+            )  # loads torch, which takes seconds: only when there is a laser
 
             pipe.accept(fit(window))
         if frame is not None:

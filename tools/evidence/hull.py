@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from heaved.estimation.hull import HullDeformation, Params
-from heaved.estimation.rotations import ARCSEC, rotation_vector
+from heaved.estimation.common.rotations import ARCSEC, rotation_vector
+from heaved.estimation.hull.stage import HullDeformation, Params
 from heaved.simulate.flexure import DEG_H_RADPS, SCENES, Record, Scene, simulate
 from heaved.simulate.gyro_shaking import GYRO_SHAKES
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evidence.rock_seas import DEGREE, RATE_HZ, Sea, Ship, motion
-from heaved.estimation import rock_direct
 from heaved.estimation.quiescence import MotionForecast, Params, Quiescence
+from heaved.estimation.rock import direct as rock_direct
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from evidence.limits import prediction_limit
-from heaved.estimation.rock import STANDARD_HORIZONS_S, STEP_S, Params, RockPredictor
+from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S, STEP_S, Params, RockPredictor
 
 Array = NDArray[np.float64]
 ARCSEC = pi / 180 / 3600

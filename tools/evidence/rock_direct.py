@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from evidence.limits import prediction_limit
 from evidence.rock_seas import F_HZ, RATE_HZ, SHIPS, Sea, Ship, gaussian, known_spectrum, motion, palmer, spectrum
-from heaved.estimation import rock
-from heaved.estimation.rock_direct import DirectPredictor, Params
-from heaved.estimation.rock_lags import fading_taps
+from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.estimation.rock.direct import DirectPredictor, Params
+from heaved.estimation.rock.lags import fading_taps
 
 Array = NDArray[np.float64]
 

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from heaved.estimation import rock
-from heaved.estimation.rock_chain import RockChain
+from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.estimation.rock.estimator import RockChain
 from heaved.predictions import RockPredictions
 from heaved.samples import ImuSample
 from heaved.simulate.seaway import seaway

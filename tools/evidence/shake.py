@@ -124,17 +124,13 @@ def setting(question: Question, rate_hz: float, duration_s: float | None = None)
     )
 
 
-def answer(
-    question: Question, sea: str, rate_hz: float, *, duration_s: float | None = None, record: int = 1
-) -> Result:
+def answer(question: Question, sea: str, rate_hz: float, *, duration_s: float | None = None, record: int = 1) -> Result:
     """The product's result on one record.
 
     Raises:
         ValueError: as :func:`evidence.heave.run`.
     """
-    task = Task(
-        scenario=sea, seeds=triplet(record), setting=setting(question, rate_hz, duration_s), estimators=(OURS,)
-    )
+    task = Task(scenario=sea, seeds=triplet(record), setting=setting(question, rate_hz, duration_s), estimators=(OURS,))
     return summary([run(task)])[0]
 
 

@@ -1,0 +1,1 @@
+"""The daemon: which parts there are, how they start and stop, what is said of them."""

@@ -1,0 +1,175 @@
+"""The daemon's state as the STATUS record of the stream and as the one line that ``systemctl status`` shows."""
+
+from __future__ import annotations
+
+from math import isfinite
+
+from heaved import __version__
+from heaved.config import Config
+from heaved.daemon.acquisition import Acquisition
+from heaved.daemon.utc_clock import UtcClock
+from heaved.outputs import wire
+from heaved.outputs.records import (
+    AttitudeStatus,
+    ClockStatus,
+    CorrectionStatus,
+    DeviceStatus,
+    HeaveStatus,
+    HullStatus,
+    ObserverStatus,
+    QualityRecord,
+    StatusRecord,
+)
+from heaved.samples import CorrectionState, Fault, HeaveState, LaserState, MotionFrame, SeaState
+
+_SHOWN_S = (0.15, 1.0)
+"""Horizons whose predictions the status judges."""
+_NO_QUALITY = QualityRecord(
+    heave=HeaveState.INVALID, laser=LaserState.OFF, correction=CorrectionState.OFF, reasons=("no frame yet",)
+)
+
+
+def status_record(
+    acquisition: Acquisition,
+    config: Config,
+    *,
+    now_s: float,
+    started_s: float,
+    utc: UtcClock,
+    clients: int,
+    dropped: int,
+    config_file: str | None,
+    state_file: str | None,
+) -> StatusRecord:
+    """All that is known of the daemon at ``now_s`` (monotonic, as ``started_s``)."""
+    frame = acquisition.last_frame
+    summary = acquisition.pipeline.summary()
+    return StatusRecord(
+        release=__version__,
+        uptime_s=round(now_s - started_s, 3),
+        frames=acquisition.frames,
+        rate_hz=wire.finite(acquisition.rate_hz(now_s)),
+        heave=_heave(frame, now_s),
+        quality=_quality(frame),
+        devices=_devices(acquisition, config, now_s),
+        clients=clients,
+        dropped=dropped,
+        lead_s=wire.finite(summary.lead_s),
+        observer=_observer(acquisition, config, frame.sea if frame is not None else None, now_s),
+        correction=_correction(acquisition, frame, now_s),
+        hull=_hull(frame) if config.hull.enabled else None,
+        attitude=_attitude(frame, now_s) if config.attitude.enabled else None,
+        rock=wire.rock_status(acquisition.rock_scores(), _SHOWN_S),
+        quiet=wire.quiet_status(frame.quiet) if frame is not None else None,
+        clock=ClockStatus(utc_offset_s=round(utc.offset_s, 6), steps=utc.steps),
+        config_file=config_file,
+        state_file=state_file,
+    )
+
+
+def status_line(record: StatusRecord) -> str:
+    """``heave valid +0.12 m ± 0.03 m, 100.0 Hz, 2 clients, imu up, laser down (timeout)``"""
+    parts = [f"heave {record.quality.heave.value}"]
+    if record.heave.heave_m is not None:
+        parts[0] += f" {record.heave.heave_m:+.2f} m"
+    if record.heave.heave_std_m is not None:
+        parts[0] += f" ± {record.heave.heave_std_m:.2f} m"
+    parts.append(f"{record.rate_hz or 0.0:.1f} Hz")
+    parts.append(f"{record.clients} client{'' if record.clients == 1 else 's'}")
+    parts += [
+        f"{device.name} up" if device.up else f"{device.name} down ({device.last_fault or 'not polled yet'})"
+        for device in record.devices
+    ]
+    return ", ".join(parts if record.devices else [*parts, "no devices configured"])
+
+
+def _heave(frame: MotionFrame | None, now_s: float) -> HeaveStatus:
+    if frame is None:
+        return HeaveStatus()
+    return HeaveStatus(
+        heave_m=wire.finite(frame.heave_m),
+        heave_std_m=wire.finite(frame.heave_std_m),
+        age_s=wire.finite(now_s - frame.t_s),
+    )
+
+
+def _quality(frame: MotionFrame | None) -> QualityRecord:
+    if frame is None:
+        return _NO_QUALITY
+    quality = frame.quality
+    return QualityRecord(
+        heave=quality.heave, laser=quality.laser, correction=quality.correction, reasons=quality.reasons
+    )
+
+
+def _observer(acquisition: Acquisition, config: Config, sea: SeaState | None, now_s: float) -> ObserverStatus:
+    """``sea``: as it was fitted last, with what the accelerometer has shown beside it."""
+    pipeline = acquisition.pipeline
+    return ObserverStatus(
+        name=config.heave.observer,
+        frequencies_hz=tuple(round(frequency_hz, 5) for frequency_hz in pipeline.summary().frequencies_hz),
+        fit_age_s=wire.finite(now_s - sea.t_s) if sea is not None else None,
+        resets=sum(count for (name, _), count in pipeline.resets.items() if name == "heave"),
+        vibration=wire.vibration_record(sea.vibration) if sea is not None else (),
+        noise_mps2_rthz=wire.density(sea.noise_mps2_rthz) if sea is not None else None,
+        bias_walk_mps2_rts=wire.density(sea.bias_walk_mps2_rts) if sea is not None else None,
+    )
+
+
+def _hull(frame: MotionFrame | None) -> HullStatus:
+    if frame is None or frame.hull is None:
+        return HullStatus(state="no rates of both IMUs yet")
+    hull = frame.hull
+    return HullStatus(
+        state=hull.state,
+        z_deg=wire.degrees(hull.total_rad[2]),
+        std_arcsec=wire.arcsec(max(hull.std_rad)),
+        warnings=hull.warnings,
+        resets=hull.resets,
+    )
+
+
+def _attitude(frame: MotionFrame | None, now_s: float) -> AttitudeStatus:
+    if frame is None or frame.attitude is None:
+        return AttitudeStatus()
+    motion = frame.attitude
+    return AttitudeStatus(
+        heave_m=wire.finite(motion.heave_m),
+        heave_std_m=wire.finite(motion.heave_std_m),
+        pitch_deg=wire.degrees(motion.pitch_rad),
+        pitch_std_deg=wire.degrees(motion.pitch_std_rad),
+        age_s=wire.finite(now_s - motion.t_s),
+        cautions=motion.cautions,
+        resets=motion.resets,
+    )
+
+
+def _devices(acquisition: Acquisition, config: Config, now_s: float) -> tuple[DeviceStatus, ...]:
+    devices = []
+    for spec in config.device:
+        health = acquisition.health[spec.name]
+        devices.append(
+            DeviceStatus(
+                name=spec.name,
+                role=spec.role,
+                up=health.up,
+                link=spec.link,
+                rate_hz=wire.finite(health.rate_hz(now_s)),
+                wanted_rate_hz=spec.rate_hz,
+                results={fault.value: health.results[fault] for fault in Fault if health.results[fault]},
+                last_fault=health.last_fault.value if health.last_fault else None,
+                last_fault_age_s=wire.finite(now_s - health.last_fault_s),
+                detail="" if health.up else health.detail,
+            )
+        )
+    return tuple(devices)
+
+
+def _correction(acquisition: Acquisition, frame: MotionFrame | None, now_s: float) -> CorrectionStatus:
+    age_s = now_s - acquisition.accepted_s
+    return CorrectionStatus(
+        state=frame.quality.correction if frame else CorrectionState.OFF,
+        runs=acquisition.trainings,
+        last_result=acquisition.last_training or None,
+        age_s=round(age_s, 3) if isfinite(age_s) else None,
+    )

@@ -1,0 +1,241 @@
+"""Simulated sensors for ``heaved sim``, and the whole chain on one machine for ``heaved demo``."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import multiprocessing
+import os
+import signal
+import socket
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from heaved.config import Config
+from heaved.config.read import data_directory, load
+from heaved.daemon import daemon
+from heaved.demo import hook
+from heaved.demo.craft_at_sea import voyages
+from heaved.devices.profile import DeviceSpec
+from heaved.estimation.craft.dynamics import Vessel
+from heaved.simulate.faults import PlannedFault
+from heaved.simulate.hydrofoil import Passage
+from heaved.simulate.instruments import Instruments
+from heaved.simulate.plant import SimulatedPlant
+from heaved.simulate.seaway import seaway
+from heaved.simulate.shaking import NONE
+from heaved.simulate.slave import Source
+
+SERIAL_BAUDRATE: Final = 230_400
+"""Of the simulated serial line: it carries the demo's IMU at 100 Hz and its laser at 20 Hz with a third to spare."""
+SEED: Final = 1
+"""Of the sea and of the sensors' errors."""
+_CHILD_STOPS_S: Final = 2.0
+
+
+class _Served(msgspec.Struct, frozen=True):
+    """What the process of the sensors says once it serves them."""
+
+    devices: tuple[DeviceSpec, ...]
+    """With the links at which they are reached."""
+    epoch_s: float
+    """Time 0 of the sea on the machine's monotonic clock."""
+
+
+class DemoError(Exception):
+    """The simulated sensors cannot be served; the message says why."""
+
+
+def demo_config() -> Config:
+    """The packaged ``demo.toml``."""
+    return load(data_directory() / "demo.toml")
+
+
+def on_serial_line(devices: Sequence[DeviceSpec], directory: Path) -> tuple[DeviceSpec, ...]:
+    """The devices on one simulated serial line, a pseudo-terminal that appears as ``directory/bus``."""
+    link = f"rtu://{directory}/bus?baudrate={SERIAL_BAUDRATE}"
+    return tuple(msgspec.structs.replace(device, link=link) for device in devices)
+
+
+def instruments(
+    sea: str,
+    devices: Sequence[DeviceSpec] = (),
+    *,
+    sensor: str = "A",
+    laser: str = "on",
+    shake: str = NONE,
+    seed: int = SEED,
+) -> Instruments:
+    """Sensors in a sea, shaken by what that name says. With sensors of a craft among the ``devices``, the default craft
+    makes a voyage of its own.
+
+    Raises:
+        ValueError: there is no such sea, sensor, laser pattern or shake; the message names those that there are.
+    """
+    at_sea = any(device.role in ("craft", "heave_sensor", "pitch_sensor") for device in devices)
+    voyage = voyages(Vessel(), [seed], Passage())[0] if at_sea else None
+    return Instruments(seaway(sea, seed), sensor=sensor, laser=laser, shake=shake, seed=seed, voyage=voyage)
+
+
+def serve(
+    devices: Sequence[DeviceSpec],
+    source: Source,
+    faults: Sequence[PlannedFault],
+    *,
+    seed: int,
+    ready: Callable[[tuple[DeviceSpec, ...]], None],
+) -> None:
+    """Serve simulated devices until SIGINT or SIGTERM; ``ready`` is told where.
+
+    Raises:
+        ValueError: the devices or faults do not go together.
+        OSError: a port or path cannot be had.
+    """
+
+    async def run() -> None:
+        stop = asyncio.Event()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            asyncio.get_running_loop().add_signal_handler(number, stop.set)
+        plant = SimulatedPlant(devices, source, faults=faults, seed=seed)
+        await plant.start()
+        ready(plant.devices)
+        await stop.wait()
+        await plant.stop()
+
+    asyncio.run(run())
+
+
+def run(
+    sea: str,
+    *,
+    serial: bool,
+    duration_s: float | None,
+    log_format: str,
+    announce: Callable[[Config], None],
+    config: Config | None = None,
+    shake: str = NONE,
+) -> int:
+    """Serve the sensors of ``config``, by default ``demo.toml``, in a process of their own and run the daemon on them;
+    returns its exit code. ``shake`` names what shakes them.
+
+    A third process is the consumer: a simulated winch on the stream, which says on standard output now and then how the
+    hook below it moves.
+
+    What is learned goes to a temporary directory. Ports of the default configuration that are taken are replaced by
+    free ones; ``announce`` is told the configuration just before the daemon starts.
+
+    Raises:
+        DemoError: the sensors cannot be simulated.
+    """
+    # Until the daemon has its own handler, and after it, a signal still leaves nothing behind.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    with tempfile.TemporaryDirectory(prefix="heaved-demo-") as name:
+        directory = Path(name)
+        config = config or demo_config()
+        wanted = on_serial_line(config.device, directory) if serial else config.device
+        with _sensors(wanted, sea, shake) as served:
+            config = msgspec.structs.replace(
+                config,
+                device=served.devices,
+                stream=msgspec.structs.replace(config.stream, port=_free_port(config.stream.host, config.stream.port)),
+                http=msgspec.structs.replace(config.http, port=_free_port(config.http.host, config.http.port)),
+                state=msgspec.structs.replace(config.state, directory=str(directory / "state")),
+            )
+            announce(config)
+            # The daemon ends by signal, whoever wants it to end.
+            end = threading.Timer(duration_s or 0.0, os.kill, (os.getpid(), signal.SIGTERM))
+            end.daemon = True
+            if duration_s is not None:
+                end.start()
+            try:
+                heaves = any(device.role == "imu" for device in config.device)
+                winch = _child(_winch_process, config.stream.host, config.stream.port, sea, served.epoch_s)
+                with winch if heaves else contextlib.nullcontext():
+                    return daemon.run(config, None, log_format=log_format)
+            finally:
+                end.cancel()
+
+
+@contextmanager
+def _child(target: Callable[..., None], *arguments: object) -> Iterator[Connection]:
+    """A process that runs ``target(far end of a connection, *arguments)``.
+
+    It shall end when the connection is closed, so also when this process is killed.
+    """
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    child = context.Process(target=target, args=(theirs, *arguments), daemon=True)
+    child.start()
+    theirs.close()
+    try:
+        yield ours
+    finally:
+        ours.close()
+        child.join(_CHILD_STOPS_S)
+        if child.is_alive():
+            child.kill()
+            child.join()
+
+
+@contextmanager
+def _sensors(devices: Sequence[DeviceSpec], sea: str, shake: str) -> Iterator[_Served]:
+    """The devices, served by another process as a real sensor is by another machine."""
+    with _child(_sensor_process, tuple(devices), sea, shake) as connection:
+        try:
+            answer = connection.recv()
+        except EOFError:
+            answer = "the process of the simulated sensors ended at once"
+        if isinstance(answer, str):
+            raise DemoError(answer)
+        yield answer
+
+
+def _sensor_process(connection: Connection, devices: tuple[DeviceSpec, ...], sea: str, shake: str) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both; the parent decides the order.
+
+    async def run() -> None:
+        closed = asyncio.Event()
+        asyncio.get_running_loop().add_reader(connection.fileno(), closed.set)
+        plant = SimulatedPlant(devices, instruments(sea, devices, shake=shake), any_port=True)
+        await plant.start()
+        connection.send(_Served(plant.devices, time.monotonic() - plant.time_s()))
+        await closed.wait()
+        await plant.stop()
+
+    try:
+        asyncio.run(run())
+    except (OSError, ValueError) as error:
+        connection.send(str(error))
+
+
+def _winch_process(connection: Connection, host: str, port: int, sea: str, epoch_s: float) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Whoever reads the demo's output may have gone: no reason to say more, nor to complain.
+    with contextlib.suppress(BrokenPipeError):
+        hook.follow(host, port, seaway(sea, SEED), epoch_s, _say, connection.poll)
+
+
+def _say(line: str) -> None:
+    os.write(sys.stdout.fileno(), f"{line}\n".encode())  # Whole or not at all, beside what the daemon prints.
+
+
+def _free_port(host: str, port: int) -> int:
+    """``port`` if it can be had, else one that can."""
+    for candidate in (port, 0):
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((host, candidate))
+            except OSError:
+                continue
+            return int(probe.getsockname()[1])
+    raise DemoError(f"no port can be had on {host}")

@@ -1,0 +1,1 @@
+"""Heave and pitch of a foil-assisted craft, from several sigma-point filters fused."""

@@ -1,0 +1,1 @@
+"""The heave: observers of the vertical acceleration, and what a laser teaches them."""

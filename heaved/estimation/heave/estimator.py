@@ -1,0 +1,158 @@
+"""The heave chain: vertical acceleration in, heave out, with what the laser has taught taken into account.
+
+acceleration ------------------ observer (F^m) --- gain ---(+)--- heave, velocity, standard deviation
+                                    ^      |                ^
+                           lead, gain      X* at laser      '--- residual network <--- trained outside, guarded
+                                    '---- laser ----'
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from math import hypot, isfinite, nan
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from heaved.estimation.heave.harmonic.observer import HarmonicObserver
+from heaved.estimation.heave.harmonic.observer import Params as HeaveParams
+from heaved.estimation.heave.laser import lead
+from heaved.estimation.heave.laser.correction import Params as CorrectionParams
+from heaved.estimation.heave.laser.correction import ResidualCorrection
+from heaved.estimation.heave.laser.learning import LaserTeacher
+from heaved.estimation.heave.laser.reference import Params as LaserParams
+from heaved.estimation.heave.sea.observer import SeaObserver
+from heaved.predictions import HeaveForecasts
+from heaved.samples import DelayedHeave
+
+Array = NDArray[np.float64]
+
+
+class Heave(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """What is known of the heave for one moment."""
+
+    heave_m: float
+    std_m: float
+    velocity_mps: float
+    acceleration_mps2: float
+    observer_m: float
+    correction_m: float
+    lead_s: float
+    forecast: HeaveForecasts
+
+
+class HeaveChain:
+    """Observer, laser and correction of one sensor.
+
+    Attributes:
+        observer: the harmonic or the sea observer, as configured.
+        laser: what the laser has taught.
+        correction: the residual network.
+    """
+
+    def __init__(
+        self,
+        heave: HeaveParams,
+        laser: LaserParams,
+        correction: CorrectionParams,
+        *,
+        has_laser: bool,
+        lead_s: float,
+        max_rate_hz: float,
+    ) -> None:
+        """``lead_s``: how long after the last sample the published heave is for."""
+        self._params, self._has_laser, self._lead_s = heave, has_laser, lead_s
+        self._max_rate_hz = max_rate_hz
+        self.observer: HarmonicObserver | SeaObserver = self._new_observer()
+        self.correction = ResidualCorrection(correction, max_rate_hz)
+        self.laser = LaserTeacher(laser, heave.lead, self.correction, max_rate_hz)
+        self.good_t_s = nan
+        self._resets_seen = 0
+
+    def _new_observer(self) -> HarmonicObserver | SeaObserver:
+        p = self._params
+        if p.observer == "harmonic":
+            return HarmonicObserver(p, self._max_rate_hz)
+        return SeaObserver(p.sea, p.forecast_horizons_s, self._lead_s)
+
+    def observe(self, t_s: float, up_mps2: float) -> None:
+        """Take the vertical acceleration."""
+        self.good_t_s = t_s
+        self.observer.step(t_s, up_mps2)
+        if (resets := self.observer.resets.total()) != self._resets_seen:
+            self._resets_seen = resets
+            self.laser.forget()
+        if self._has_laser:
+            self._note(t_s)
+
+    def interrupt(self) -> None:
+        """The vertical acceleration is made otherwise from now on: with the tilt removed, or without."""
+        if isinstance(self.observer, SeaObserver):
+            self.observer.cut()
+
+    def amend(self, t_s: Array, more_mps2: Array) -> None:
+        """The vertical accelerations of the past at ``t_s`` (n,) were too little by ``more_mps2`` (n,)."""
+        if isinstance(self.observer, SeaObserver):
+            self.observer.amend(t_s, more_mps2)
+
+    def disturb(self, f_hz: Array, psd: Array) -> None:
+        """The vertical acceleration has noise of one-sided density ``psd`` (n,), (m/s2)2/Hz, that it does not show."""
+        if isinstance(self.observer, SeaObserver):
+            self.observer.disturb(f_hz, psd)
+
+    def _note(self, t_s: float) -> None:
+        observer, taught = self.observer, self.laser.lead
+        now, unshifted = observer.at(0.0, taught.learned_s), observer.unshifted()
+        if not isfinite(now.heave_m):
+            return  # There is no model of the sea yet, and nothing to compare.
+        observer_m = taught.gain * now.heave_m
+        corrected_m = observer_m + self.correction.step(t_s, observer_m, observer.omega_radps)
+        self.laser.note(t_s, observer_m, corrected_m, unshifted)
+
+    def at(self, shift_s: float) -> Heave | None:
+        """What is known for ``shift_s`` after the last sample, the configured lead added; None: nothing yet."""
+        observer, taught = self.observer, self.laser.lead
+        scale = self.laser.std_scale(self.good_t_s + shift_s)
+        moment_s = shift_s + self._lead_s
+        gain, no_less = taught.gain, scale if scale > 1.0 else 1.0
+        std_m = gain * observer.error_std_m(moment_s, scale if self._lead_s == 0.0 else no_less)
+        if not isfinite(std_m):
+            return None
+        motion = observer.at(moment_s, taught.learned_s)
+        std_m = hypot(std_m, taught.error_std_m(motion.heave_m, motion.velocity_mps))
+        observer_m, correction_m = gain * motion.heave_m, self.correction.value_m
+        return Heave(
+            heave_m=observer_m + correction_m,
+            std_m=std_m,
+            velocity_mps=gain * motion.velocity_mps,
+            acceleration_mps2=gain * observer.acceleration_mps2 if shift_s == 0.0 else nan,
+            observer_m=observer_m,
+            correction_m=correction_m,
+            lead_s=observer.design_lead_s + taught.learned_s,
+            forecast=observer.forecast(shift_s, taught.learned_s, no_less, gain),
+        )
+
+    def delayed(self) -> DelayedHeave | None:
+        """The newest delayed heave, with what the laser has taught."""
+        taught = self.laser.lead
+        self.laser.delayed.take(self.observer.delayed, taught)
+        return self.laser.delayed.newest
+
+    def start_over(self) -> None:
+        """An observer that knows nothing, after a restoration that failed."""
+        self.observer = self._new_observer()
+        self._resets_seen = 0
+
+    @property
+    def resets(self) -> Counter[tuple[str, str]]:
+        """Of the observer, by (filter, reason), and steps of the level that it has found."""
+        observer = self.observer
+        found = Counter({("heave", reason): count for reason, count in observer.resets.items()})
+        if isinstance(observer, SeaObserver) and observer.steps:
+            found["heave", "step of the level"] = observer.steps
+        return found
+
+    @property
+    def lead(self) -> lead.LeadTracker:
+        return self.laser.lead

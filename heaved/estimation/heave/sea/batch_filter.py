@@ -1,0 +1,383 @@
+"""The filter of a fitted model run over stored samples: how a new model takes over without a start of its own.
+
+A model that was fitted a moment ago knows the sea but not the state. It is therefore run over all that is stored; the
+filter's memory of its start is the bias, half a minute, and the noise below the wave band, minutes long: after seven
+nothing of the start is left. Where it begins later than that, and after a hole, less is known for a minute than in the
+end: what the steady gain, which runs in blocks, makes of that minute is corrected (:func:`_corrected`).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from math import isnan, sqrt
+from typing import Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from heaved.estimation.heave.sea.filter import SeaFilter
+from heaved.estimation.heave.sea.model import SeaSystem, Steady
+
+Array = NDArray[np.float64]
+
+BLOCK: Final = 64
+"""Samples to a matrix product."""
+FULL_S: Final = 60.0
+"""Seconds for which the covariance is carried: twice the memory of the bias."""
+TELLING: Final = 1e-14
+"""Least variance, over the largest one, of a direction of the state in which less is known than in the end."""
+CHUNK: Final = 16
+"""Samples after a hole whose predictions are corrected together."""
+UNSURE: Final = 1.1
+"""Standard deviation of the predicted heave over that of the steady filter, from which its smoother's weights are not
+those of the moment any more (with 1.5 the delayed heave is off by 6 of its standard deviations after a gap of 1 s)."""
+HOLE: Final = 3.5
+"""Neighbours further apart than this many intervals have a hole between them; closer ones are interpolated."""
+BRIDGED_S: Final = 0.3
+"""So are those closer than this: a quarter of the shortest wave that is fitted."""
+ON_THE_GRID: Final = 1e-3
+"""Deviation, in intervals, up to which a sample is taken as it is."""
+LOSSY: Final = 0.1
+"""Share of neighbours more than an interval apart beyond which nothing is interpolated but at the samples."""
+SHORTEST_S: Final = 0.01
+"""The grid is never finer than this, whatever the stamps are."""
+NEAR_WHOLE: Final = 0.15
+"""Neighbours are whole intervals apart when they are off by less than that share of one,"""
+MOST: Final = 0.95
+"""and that many of them are."""
+QUANTILES: Final = (0.25, 0.1)
+"""Of the distances between neighbours, where the interval is looked for beside their median, which is several intervals
+with half the samples lost or more."""
+
+
+class Record(msgspec.Struct, frozen=True, eq=False):
+    """Vertical acceleration on an even grid that ends at the last sample."""
+
+    end_s: float
+    """Time of the last value."""
+    dt_s: float
+    a_mps2: Array
+    """(n,); in a hole, a straight line."""
+    is_known: NDArray[np.bool_]
+    """(n,); False in a hole."""
+    cuts: tuple[int, ...] = ()
+    """First samples after a step of the level: nothing is known of the bias there."""
+    blows: tuple[int, ...] = ()
+    """First samples after a blow: nothing is known of what rings."""
+
+    def last(self, count: int) -> Record:
+        """The newest ``count`` samples."""
+        left_out = max(len(self.a_mps2) - count, 0)
+        cuts, blows = (
+            tuple([place - left_out for place in places if place > left_out]) for places in (self.cuts, self.blows)
+        )
+        return Record(self.end_s, self.dt_s, self.a_mps2[left_out:], self.is_known[left_out:], cuts, blows)
+
+    def opened(self, system: SeaSystem, P: Array, place: int) -> Array:
+        """``P`` (n, n) before the sample at ``place``, by what is not known any more there."""
+        if place in self.cuts or place in self.blows:
+            return system.opened(P, bias=place in self.cuts, resonances=place in self.blows)
+        return P
+
+    def cut(
+        self,
+        cuts_s: Sequence[tuple[float, float]],
+        spoilt_s: Sequence[tuple[float, float]] = (),
+        blows_s: Sequence[float] = (),
+    ) -> Record:
+        """With a cut at the end of each of the spans ``cuts_s`` (s), nothing known within them and ``spoilt_s``, and a
+        blow before each of ``blows_s``."""
+        first_s = self.end_s - self.dt_s * (len(self.a_mps2) - 1)
+        is_known, places = self.is_known.copy(), set()
+        for i, span in enumerate((*cuts_s, *spoilt_s)):
+            begin, end = (min(max(round((t_s - first_s) / self.dt_s), 0), len(is_known)) for t_s in span)
+            is_known[begin:end] = False
+            if i < len(cuts_s) and 0 < end < len(is_known):
+                places.add(end)
+        blows = {round((t_s - first_s) / self.dt_s) for t_s in blows_s}
+        struck = tuple([place for place in sorted(blows) if 0 < place < len(is_known)])
+        return msgspec.structs.replace(self, is_known=is_known, cuts=tuple(sorted(places)), blows=struck)
+
+
+def even(t_s: Array, a_mps2: Array) -> Record:
+    """Samples at increasing, not quite even times (n,), n >= 8, on an even grid of their own usual interval.
+
+    A cubic spline through neighbours: at ten samples to a wave its error is 1e-4 of the wave.
+    """
+    gaps = np.diff(t_s)
+    usual = max(_usual(gaps), SHORTEST_S)
+    dt = max(float(np.mean(gaps[gaps < 1.5 * usual])), SHORTEST_S)
+    steps, longest = np.rint(gaps / dt), max(HOLE, BRIDGED_S / dt)
+    if np.mean(steps > 1.0) > LOSSY:
+        longest = 1.5  # Noise between so few samples would be made up by the spline, and told as measured.
+    is_even = bool(np.all(np.abs(gaps - dt * steps) < ON_THE_GRID * dt)) and bool(np.all(steps >= 1.0))
+    if is_even and abs((t_s[-1] - t_s[0]) / np.sum(steps) - dt) * np.sum(steps) < 0.1 * dt:
+        index = np.concatenate(([0.0], np.cumsum(steps))).astype(np.int64)
+        grid = np.arange(index[-1] + 1)
+        values, known = np.interp(grid, index, a_mps2), np.zeros(len(grid), dtype=np.bool_)
+        known[index] = True
+        near = np.repeat(steps <= longest, steps.astype(np.int64))
+        known[1:] |= near
+        if not known[index].all() or len(index) < len(grid):
+            values = _filled(grid.astype(np.float64), values, known, index.astype(np.float64), a_mps2)
+        return Record(float(t_s[-1]), dt, values, known)
+    count = int((t_s[-1] - t_s[0]) / dt) + 1
+    times = t_s[-1] - dt * np.arange(count - 1, -1, -1.0)
+    after = np.clip(np.searchsorted(t_s, times - 1e-9), 1, len(t_s) - 1)
+    at_sample = np.minimum(t_s[after] - times, times - t_s[after - 1]) <= 0.5 * dt
+    known = (gaps[after - 1] <= longest * dt) | at_sample
+    return Record(float(t_s[-1]), dt, _filled(times, np.interp(times, t_s, a_mps2), known, t_s, a_mps2), known)
+
+
+def _usual(gaps: Array) -> float:
+    """The longest distance (s) of which most of ``gaps`` (n,) are whole multiples; their median where there is none."""
+    found = [float(np.median(gaps)), *(float(np.quantile(gaps, q)) for q in QUANTILES)]
+    for usual in found:
+        steps = gaps / max(usual, SHORTEST_S)
+        whole = np.rint(steps)
+        if np.mean((whole >= 1.0) & (np.abs(steps - whole) < NEAR_WHOLE)) >= MOST:
+            return usual
+    return found[0]
+
+
+def _filled(times: Array, line: Array, known: NDArray[np.bool_], t_s: Array, a_mps2: Array) -> Array:
+    """The spline where it is ``known``, the straight ``line`` in the holes."""
+    return np.where(known, CubicSpline(t_s, a_mps2)(times), line)
+
+
+class Run(msgspec.Struct, frozen=True, eq=False):
+    """What the filter made of a record."""
+
+    x: Array
+    """(n,) state at the end, the last sample taken in."""
+    P: Array | None
+    """(n, n) its covariance; None: the steady one."""
+    predicted_m: Array
+    """(k,) heave before each sample was taken in; nan in a hole, and where it is less sure than in the end."""
+    innovation: Array
+    """(k,) m/s2, as large as in the steady filter where it is less sure; 0 in a hole, nan in the first minute of a full
+    start, and after a hole that is not ``kept``."""
+
+
+def run(
+    system: SeaSystem,
+    steady: Steady,
+    record: Record,
+    *,
+    full_start: bool = True,
+    full_holes: bool = True,
+    kept: int | None = None,
+) -> Run:
+    """Run the filter over a record, from the stationary state at its first sample.
+
+    full_start, full_holes: whether the covariance is carried there. Without, the run starts with the mean as bias and
+    keeps to the steady gain: good enough where nothing is left of the start, and where only innovations are wanted.
+    kept: how many of the last predictions and innovations are wanted after a hole too; None: all.
+    """
+    count, whole = len(record.a_mps2), round(FULL_S / record.dt_s)
+    told_from = whole if full_start else 0
+    if kept is not None:
+        told_from = max(told_from, count - kept)
+    predicted, innovation = np.full(count, np.nan), np.full(count, np.nan)
+    x = np.zeros(len(system.H))
+    P = system.stationary if full_start else None
+    if not full_start:
+        x[-1] = float(np.mean(record.a_mps2))
+    blocks = _Blocks(system, steady)
+    for first, end, is_known in stretches(record, record.blows):
+        if full_holes and (first in record.cuts or first in record.blows):
+            if P is None:
+                P = steady.P - np.outer(steady.K, steady.K) * steady.S
+            P = record.opened(system, P, first)
+        elif first in record.cuts:
+            x = x.copy()
+            x[-1] = float(np.mean(record.a_mps2[first:end]))
+        if not is_known:
+            innovation[first:end] = 0.0
+            if not full_holes:
+                x = system.moved((end - first) * record.dt_s) @ x
+                continue
+            if P is None:
+                P = steady.P - np.outer(steady.K, steady.K) * steady.S
+            F, Q = system.transition((end - first) * record.dt_s)
+            x, P = F @ x, _symmetric(F @ P @ F.T + Q)
+            continue
+        if P is not None:
+            settled = min(first + whole, end)
+            part = slice(first, settled)
+            said = (predicted[part], innovation[part])
+            x, P = _corrected(blocks, record.a_mps2[part], x, P, *said, is_told=settled > told_from)
+            if settled - first == whole:
+                P = None
+            first = settled
+        x = blocks.run(record.a_mps2[first:end], x, predicted[first:end], innovation[first:end])
+    if full_start:
+        predicted[:whole], innovation[:whole] = np.nan, np.nan
+    return Run(x, P, predicted, innovation)
+
+
+MEDIAN_OF_SQUARES: Final = 0.455
+"""Of squared standard normal numbers."""
+
+
+def one_by_one(f: SeaFilter, record: Record, judged: int) -> tuple[Run, float]:
+    """What :func:`run` gives, for a record of more holes than can be taken as exceptions: by the live filter ``f`` from
+    its start; and the variance of the last ``judged`` innovations over the model's, robustly.
+
+    Innovations are scaled to the variance of the steady filter.
+    """
+    count, steady, heave = len(record.a_mps2), f.steady, f.system.heave
+    predicted, innovation = np.full(count, np.nan), np.zeros(count)
+    limit_m2 = UNSURE**2 * float(heave @ f.steady_covariance @ heave)
+    changes = sorted({*record.cuts, *record.blows})
+    for i in np.flatnonzero(record.is_known).tolist():
+        if isnan(f.t_s):
+            f.t_s = (i - 1) * record.dt_s
+        while changes and changes[0] <= i:
+            f.P = record.opened(f.system, f.covariance, changes.pop(0))
+        predicted_m, y = f.step(i * record.dt_s, float(record.a_mps2[i]))
+        innovation[i] = y * sqrt(steady.S / f.innovation_variance)
+        if f.innovation_variance < UNSURE**2 * steady.S and (
+            f.is_steady or float(heave.dot(f.covariance).dot(heave)) < limit_m2
+        ):
+            predicted[i] = predicted_m
+    told = innovation[-judged:][record.is_known[-judged:]] ** 2 / steady.S
+    excess = float(np.median(told)) / MEDIAN_OF_SQUARES if len(told) else 1.0
+    return Run(f.x, None if f.P is None else f.P.copy(), predicted, innovation), excess
+
+
+def stretches(record: Record, places: Sequence[int] = ()) -> Iterator[tuple[int, int, bool]]:
+    """(first, end, is_known) of each stretch that is all known or all unknown, without a cut, or one of ``places``, in
+    it."""
+    is_known = record.is_known
+    changes = 1 + np.flatnonzero(np.diff(is_known.astype(np.int8)))
+    edges = {*changes.tolist(), *record.cuts, *places, 0, len(is_known)}
+    for first, end in itertools.pairwise(sorted(edges)):
+        yield first, end, bool(is_known[first])
+
+
+def _corrected(
+    blocks: _Blocks, a: Array, x: Array, P: Array, predicted: Array, innovation: Array, *, is_told: bool
+) -> tuple[Array, Array]:
+    """As :meth:`_Blocks.run`, from a state ``x`` (n,) of which less is known, ``P`` (n, n), than in the steady filter;
+    the state after ``a`` (k,) and its covariance.
+
+    With L L' the difference of the two covariances before the first sample, the true state is off by L u + e, u (r,) of
+    unit variance and e as large as in the steady filter. What that leaves of the samples is then H A^i L u + white
+    noise of its own variance S, so that u is a regression on it (Friedland 1969, the whole state being the bias).
+    Without ``is_told``, predictions and innovations are not corrected but left out.
+    """
+    steady = blocks.steady
+    values, vectors = np.linalg.eigh(_symmetric(steady.F @ P @ steady.F.T + steady.Q) - steady.P)
+    less = values > TELLING * max(float(values[-1]), 0.0)
+    L = vectors[:, less] * np.sqrt(values[less])
+    x = blocks.run(a, x, predicted, innovation)
+    seen, heave, L = blocks.ahead(L, len(a))
+    known = np.eye(L.shape[1]) + seen.T @ seen / steady.S
+    u = np.linalg.solve(known, np.column_stack((seen.T @ innovation / steady.S, L.T)))
+    if is_told:
+        _tell(steady.S, float(blocks.heave @ steady.P @ blocks.heave), seen, heave, predicted, innovation)
+    else:
+        predicted[:], innovation[:] = np.nan, np.nan
+    return x + L @ u[:, 0], _symmetric(steady.P - np.outer(steady.K, steady.K) * steady.S + L @ u[:, 1:])
+
+
+def _tell(S: float, variance_m2: float, seen: Array, heave: Array, predicted: Array, innovation: Array) -> None:
+    """Correct what the steady filter predicted and left (k,) by what of u (r,) is known before each sample.
+
+    seen, heave: (k, r) innovation and heave from u. variance_m2: of the heave that the steady filter predicts. What is
+    predicted while the heave is much less sure than that is left out: it would be smoothed as if it were as good.
+    """
+    count, r = seen.shape
+    pad = -count % CHUNK
+    told = [np.pad(values, ((0, pad), (0, 0))).reshape(-1, CHUNK, r) for values in (seen, heave)]
+    seen, heave = told
+    y = np.pad(innovation, (0, pad)).reshape(-1, CHUNK, 1)
+    # Before each chunk: u and its covariance, from all chunks before it.
+    sums = np.matmul(seen.transpose(0, 2, 1), np.concatenate((seen, y), axis=2)) / S
+    sums = np.concatenate((np.zeros_like(sums[:1]), np.cumsum(sums[:-1], axis=0)))
+    P = np.linalg.inv(np.eye(r) + sums[:, :, :r])
+    u = np.matmul(P, sums[:, :, r:])
+    # Within: the innovations are whitened by Cholesky's factor of their covariance, each by those before it.
+    PH = np.matmul(P, seen.transpose(0, 2, 1))
+    factor = np.linalg.cholesky(S * np.eye(CHUNK) + np.matmul(seen, PH))
+    right = np.concatenate((y - np.matmul(seen, u), np.matmul(heave, PH).transpose(0, 2, 1)), axis=2)
+    white = np.linalg.solve(factor, right)
+    learned = np.tril(white[:, :, 1:].transpose(0, 2, 1), -1)
+    stds = np.diagonal(factor, axis1=1, axis2=2)
+    innovation[:] = sqrt(S) * white[:, :, 0].ravel()[:count]
+    correction = np.matmul(heave, u) + np.matmul(learned, white[:, :, :1])
+    more_m2 = np.sum(np.matmul(heave, P) * heave, axis=2) - np.sum(learned**2, axis=2)
+    is_sure = variance_m2 + more_m2.ravel()[:count] < UNSURE**2 * variance_m2
+    is_sure &= stds.ravel()[:count] ** 2 < UNSURE**2 * S
+    predicted[:] = np.where(is_sure, predicted + correction.ravel()[:count], np.nan)
+
+
+class _Blocks:
+    """The steady filter, BLOCK samples at a time.
+
+    With x the state before a sample is taken in, x' = A x + F K z, A = F (I - K H): the predictions within a block are
+    linear in x at its start and in its samples.
+    """
+
+    def __init__(self, system: SeaSystem, steady: Steady) -> None:
+        self.steady, self.heave, self._H = steady, system.heave, system.H
+        FK = steady.F @ steady.K
+        rows = np.stack((system.H, system.heave))[:, None, :]  # (2, i, n): H and heave of x, i samples on
+        columns = FK[None, :]  # (i, n): of a sample, i + 1 samples on
+        self._powers = [steady.F - np.outer(FK, system.H)]
+        """A^(2^j), (n, n) each, up to that of a block."""
+        while len(columns) < BLOCK:
+            power = self._powers[-1]
+            rows = np.concatenate((rows, rows @ power), axis=1)
+            columns = np.concatenate((columns, columns @ power.T))
+            self._powers.append(power @ power)
+        gains = rows @ FK  # (2, BLOCK): of a sample, i + 1 samples on
+        lower = np.subtract.outer(np.arange(BLOCK), np.arange(BLOCK)) - 1
+        self._from_x = rows
+        self._from_z = np.where(lower >= 0, gains[:, np.maximum(lower, 0)], 0.0)
+        self._into_x = columns[::-1]  # (BLOCK, n)
+
+    def run(self, a: Array, x: Array, predicted: Array, innovation: Array) -> Array:
+        """Take ``a`` (k,) in after the state ``x``; fills ``predicted`` and ``innovation`` (k,)."""
+        if not len(a):
+            return x
+        x = self.steady.F @ x
+        count = (len(a) - 1) // BLOCK
+        rest = len(a) - count * BLOCK
+        Z, last = a[: count * BLOCK].reshape(count, BLOCK), a[count * BLOCK :]
+        into = Z @ self._into_x
+        starts = np.empty((count, len(x)))
+        for i in range(count):
+            starts[i] = x
+            x = self._powers[-1] @ x + into[i]
+        for made, from_x, from_z in zip((innovation, predicted), self._from_x, self._from_z, strict=True):
+            made[: count * BLOCK] = (starts @ from_x.T + Z @ from_z.T).ravel()
+            made[count * BLOCK :] = from_x[:rest] @ x + from_z[:rest, :rest] @ last
+        np.subtract(a, innovation, out=innovation)
+        x = self._moved(x, rest - 1) + last[:-1] @ self._into_x[BLOCK - rest + 1 :]
+        return np.asarray(x + self.steady.K * innovation[-1])
+
+    def ahead(self, L: Array, count: int) -> tuple[Array, Array, Array]:
+        """Where errors ``L`` (n, r) of the state before a sample lead to: in the innovation and the heave before it and
+        the samples after it, (count, r) each, and in the state after the last of them, (n, r)."""
+        each = [L]
+        for _ in range((count - 1) // BLOCK):
+            each.append(self._powers[-1] @ each[-1])
+        seen, heave = np.matmul(self._from_x[:, None], np.stack(each)).reshape(2, -1, L.shape[1])[:, :count]
+        last = self._moved(each[-1], (count - 1) % BLOCK)
+        return seen, heave, last - np.outer(self.steady.K, self._H @ last)
+
+    def _moved(self, x: Array, count: int) -> Array:
+        """A^count x, ``count`` < BLOCK; x is (n,) or (n, r)."""
+        for j, power in enumerate(self._powers):
+            if count >> j & 1:
+                x = power @ x
+        return x
+
+
+def _symmetric(P: Array) -> Array:
+    return np.asarray(0.5 * (P + P.T))

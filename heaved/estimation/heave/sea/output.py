@@ -1,0 +1,220 @@
+"""Heave near the last sample, as the filter in use has it, and how far that can be trusted.
+
+A sample's own heave, what it is for a compensator some tenths of a second later, and the forecasts are all the filter's
+state of the last beat moved in time (:mod:`outlook`). What does not change within a beat is made ready once: for each
+moment that is always asked for, the series that reaches from the beat to any sample before the next one, and the
+standard deviation, to the next half of a beat. A sample then costs the series at its own age. For any other moment all
+of it is worked out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import hypot, isfinite, nan, sqrt
+from typing import Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from heaved.estimation.heave.sea.batch_filter import UNSURE
+from heaved.estimation.heave.sea.bumpless_transfer import NO_SPLICE
+from heaved.estimation.heave.sea.filter import SeaFilter
+from heaved.estimation.heave.sea.forecasts import NOTHING_LEFT, Ahead, SeaForecasts
+from heaved.estimation.heave.sea.propagate import ORDER, Motion, Outlook, along
+from heaved.predictions import HeaveForecasts, PlainForecasts
+
+Array = NDArray[np.float64]
+
+STALE_BEAT_S: Final = 1.0
+"""Samples that come without a beat for this long are not in the heave any more."""
+MARGIN_S: Final = 3.0
+"""Beyond the longest horizon: how early a sensor may be, and the age of the last beat."""
+CONVERGED: Final = UNSURE
+"""The covariance has converged when the error of the heave is within this factor of that of the steady filter."""
+RECOVERING: Final = 0.1
+"""Share of the heave that its error is more than while the filter finds its way back after a gap."""
+
+
+class Stds(msgspec.Struct, frozen=True, eq=False):
+    """Standard deviations of the heave's error by the model, at some age of the beat."""
+
+    ahead_m: Array
+    """(H,) of the forecasts."""
+    near_m: list[float]
+    """Now, and after the lead."""
+
+
+class SeaHeave:
+    """Heave from one model's filter. Say :meth:`moved` whenever the state of that has changed.
+
+    Attributes:
+        filter: whose state it is.
+        scale: published over modelled standard deviation.
+        splice: what is left of the model before.
+        steady_std_m: standard deviation of the error of its heave once the filter is steady.
+        sea_std_m: standard deviation of the heave of the fitted sea.
+        omega_radps: mean frequency of the heave, standard deviation of its velocity over that of itself.
+    """
+
+    def __init__(self, f: SeaFilter, horizons_s: tuple[float, ...], lead_s: float) -> None:
+        """``horizons_s``, ``lead_s``: the moments after a sample that are always asked for."""
+        system = f.system
+        self.filter = f
+        self.scale = 1.0
+        self.splice = NO_SPLICE
+        self.sea_std_m = _std(system.heave, system.stationary)
+        self.omega_radps = _std(system.velocity, system.stationary) / self.sea_std_m
+        self._outlook = Outlook(system, max((*horizons_s, lead_s, 0.0)) + MARGIN_S)
+        self._steady_stds: list[float] = self._outlook.stds(f.steady_covariance).tolist()
+        self.steady_std_m = _std(system.heave, f.steady_covariance)
+        self._horizons_s, self._count = horizons_s, len(horizons_s)
+        self._unknown = PlainForecasts.unknown(horizons_s)
+        self._shifts_s = (*horizons_s, 0.0, lead_s)
+        self._places = {0.0: 0, lead_s: 1}
+        self._plain_row = self._outlook.derivatives((0.0,))[0]
+        self._steady_by_age: dict[int, Stds] = {}
+        self._learned_s = nan
+        self._disturbed_m2 = 0.0
+        self.moved()
+
+    def moved(self) -> None:
+        """The filter's state has changed, and with it all that was made ready."""
+        self._near: list[list[float]] = []
+        self._unshifted: list[float] = []
+        self._state_series: Array | None = None
+        self._by_age: dict[int, Stds] = {}
+        self._ahead: Ahead | None = None
+
+    def set_lead(self, learned_s: float) -> None:
+        """How early the sensor has been found to be, which is taken out of :meth:`at` and :meth:`forecast`."""
+        if learned_s != self._learned_s:
+            self._learned_s = learned_s
+            rows = self._outlook.derivatives([shift - learned_s for shift in self._shifts_s])
+            self._rows = rows.reshape(-1, rows.shape[2])
+            self._steady_by_age = {}
+            self.moved()
+
+    def disturb(self, f_hz: Array, psd: Array) -> None:
+        """The acceleration has noise that the model knows nothing of, of one-sided density ``psd`` (n,), (m/s2)2/Hz, at
+        ``f_hz`` (n,), evenly spaced: what the steady filter makes of it is in every standard deviation from now on."""
+        steady, system = self.filter.steady, self.filter.system
+        n = len(system.H)
+        loop = (np.eye(n) - np.outer(steady.K, system.H)) @ steady.F
+        turns = np.exp(-2j * np.pi * steady.dt_s * f_hz)[:, None, None]
+        states = np.linalg.solve(np.eye(n) - turns * loop, np.broadcast_to(steady.K[:, None], (len(f_hz), n, 1)))
+        self._disturbed_m2 = float((f_hz[1] - f_hz[0]) * psd @ np.abs(states[..., 0] @ system.heave) ** 2)
+        self._steady_by_age, self._by_age = {}, {}
+
+    # --- heave -------------------------------------------------------------------------------------------------------
+
+    def at(self, t_s: float, shift_s: float) -> Motion:
+        """Heave ``shift_s`` after a sample at ``t_s``; nan when there was no beat for too long."""
+        late = t_s - self.filter.t_s
+        if not late <= STALE_BEAT_S:
+            return Motion(nan, nan)
+        place = self._places.get(shift_s)
+        if place is not None:
+            motion = along((self._near or self._made_ready())[place], late)
+        else:
+            if self._state_series is None:
+                self._state_series = self._outlook.series(self.filter.x)
+            motion = self._outlook.along(self._state_series, shift_s - self._learned_s + late)
+        if t_s < self.splice.until_s:
+            heave_m, velocity_mps = self.splice.at(t_s + shift_s)
+            motion = Motion(motion.heave_m + heave_m, motion.velocity_mps + velocity_mps)
+        return motion
+
+    def unshifted(self, t_s: float) -> Motion:
+        """What the laser is compared with: nothing learned taken out, nothing left of another model."""
+        if not self._unshifted:
+            self._unshifted = self._plain_row.dot(self.filter.x).tolist()
+        return along(self._unshifted, t_s - self.filter.t_s)
+
+    def forecast(self, t_s: float, scale: float = 1.0, gain: float = 1.0) -> HeaveForecasts:
+        """:meth:`at` and ``scale`` times :meth:`std_m` for all the horizons, both times ``gain``."""
+        late_s = t_s - self.filter.t_s
+        if not late_s <= STALE_BEAT_S:
+            return self._unknown
+        if not self._near:
+            self._made_ready()
+        stds_m = self._stds(late_s).ahead_m
+        ahead = self._ahead
+        if ahead is None or ahead.stds_m is not stds_m:
+            ahead = self._ahead = Ahead(self._series, stds_m)
+        left = self.splice.state(t_s) if t_s < self.splice.until_s else NOTHING_LEFT
+        return SeaForecasts(self._horizons_s, ahead, (late_s, gain, self.scale, gain * scale, *left))
+
+    def _made_ready(self) -> list[list[float]]:
+        made = self._rows.dot(self.filter.x).reshape(-1, ORDER)
+        self._series, self._near = made[: self._count], made[self._count :].tolist()
+        return self._near
+
+    # --- how far it can be trusted -----------------------------------------------------------------------------------
+
+    def std_m(self, t_s: float, shift_s: float) -> float:
+        """Standard deviation of the error of :meth:`at`: from the covariance of the filter, times :attr:`scale`."""
+        late_s = t_s - self.filter.t_s
+        if not late_s <= STALE_BEAT_S:
+            return nan
+        place = self._places.get(shift_s)
+        if place is not None:
+            std_m = self._stds(late_s).near_m[place] * self.scale
+        else:
+            std_m = self._modelled_m(late_s, (shift_s,))[0] * self.scale
+        if t_s < self.splice.until_s:
+            std_m = hypot(std_m, self.splice.at(t_s + shift_s)[0])
+        return std_m
+
+    def _stds(self, late_s: float) -> Stds:
+        """For what is always asked for, to the next half of a beat: nearer than that they are not known."""
+        half_s = 0.5 * self.filter.steady.dt_s
+        age = round(late_s / half_s)
+        by_age = self._steady_by_age if self.filter.is_steady else self._by_age
+        found = by_age.get(age)
+        if found is None:
+            modelled_m = self._modelled_m(age * half_s, self._shifts_s)
+            found = by_age[age] = Stds(np.array(modelled_m[: self._count]), modelled_m[self._count :])
+        return found
+
+    def _modelled_m(self, late_s: float, shifts_s: Sequence[float]) -> list[float]:
+        """Standard deviation by the model, ``late_s`` after the beat and so much later."""
+        early_s = self._learned_s if isfinite(self._learned_s) else 0.0
+        taus = [shift + late_s - early_s for shift in shifts_s]
+        if self.filter.is_steady:
+            stds_m = self._outlook.between(self._steady_stds, taus)
+        else:
+            stds_m = self._outlook.stds_at(self.filter.published_covariance, taus)
+        return [sqrt(std_m * std_m + self._disturbed_m2) for std_m in stds_m] if self._disturbed_m2 else stds_m
+
+    @property
+    def disturbed_m(self) -> float:
+        """Standard deviation of what noise makes of the heave that the model knows nothing of."""
+        return sqrt(self._disturbed_m2)
+
+    @property
+    def state_std_m(self) -> float:
+        """Standard deviation of the heave of the state itself, at the last beat, by the covariance alone."""
+        return self.steady_std_m if self.filter.is_steady else _std(self.filter.system.heave, self.filter.covariance)
+
+    @property
+    def is_converged(self) -> bool:
+        """Whether the covariance of the heave is near what it will be, and was before the last sample was taken in."""
+        f = self.filter
+        if f.innovation_variance > CONVERGED**2 * f.steady.S:
+            return False
+        return f.is_steady or self.state_std_m < CONVERGED * self.steady_std_m
+
+    @property
+    def is_recovering(self) -> bool:
+        """Whether a gap has cost so much of what was known that people should be told."""
+        return not self.is_converged and self.state_std_m > RECOVERING * self.sea_std_m
+
+    def row(self, t_s: float) -> tuple[Array, float]:
+        """(n,) heave at ``t_s`` from the filter's state, and the variance (m2) that this misses of an earlier one."""
+        tau_s = t_s - self.filter.t_s
+        return self._outlook.row(tau_s), self._outlook.missed(tau_s)
+
+
+def _std(row: Array, P: Array) -> float:
+    return sqrt(max(float(row.dot(P).dot(row)), 0.0))

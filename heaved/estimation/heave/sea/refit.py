@@ -1,0 +1,529 @@
+"""One look at the recent past: which model the sea has now, and the state of its filter. Runs beside the event loop.
+
+Several lengths of the past are fitted side by side. Long ones are exact in a steady sea, short ones follow a change;
+which serves best is decided by what each *foretold*: the models of the last look are run over the samples that came
+since, and the likelihood of what they made of the wave band, with a memory of a few looks, picks the length whose new
+model is used.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from functools import partial
+from math import isfinite, nan, sqrt
+from typing import Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from heaved.estimation.common import down_sampler as beat
+from heaved.estimation.heave.sea import batch_filter as sea_run
+from heaved.estimation.heave.sea import gap_bridge as sea_bridge
+from heaved.estimation.heave.sea import noise as sea_resonances
+from heaved.estimation.heave.sea import whittle_fit as sea_fit
+from heaved.estimation.heave.sea.filter import SeaFilter
+from heaved.estimation.heave.sea.gap_smoother import smoothed
+from heaved.estimation.heave.sea.model import SeaModel, SeaSystem, Steady
+from heaved.estimation.heave.sea.sea_state import longest_period_s, sea_state
+from heaved.samples import SeaState
+
+Array = NDArray[np.float64]
+
+SCORE_MEMORY: Final = 0.7
+"""Share of the score of a length that is kept from look to look."""
+JUDGED_HZ: Final = 0.5
+"""Models are judged up to here: what the innovations are above is the end of the tail, and no matter to the heave."""
+PATIENCE: Final = 3.0
+"""Log-likelihood that a length must be ahead of the next longer one: differences of this size come by chance."""
+FEW_COMPONENTS_BELOW_S: Final = 30.0
+"""A shorter record does not bear more than two components."""
+SETTLE_S: Final = 400.0
+"""After this nothing of the start of a filter is left, in swell of 16 s either (after two minutes it is more than what
+models differ by): before the first sample whose innovation is looked at, a filter runs this long."""
+SAME_DT: Final = 1e-3
+"""Relative change of the usual interval up to which the gain of a steady filter stays as it was."""
+WHITENESS_S: Final = 2.0
+"""Innovations are averaged over this: engines and slams cancel, what a wrong sea leaves stays."""
+WHITENESS_OVER_S: Final = 60.0
+MIN_RECORD_S: Final = 20.0
+MIN_STRETCH_S: Final = 30.0
+"""A record with holes that are too long to be bridged is fitted between them, and not at all when that is shorter and
+there is a model already."""
+LONG_HOLE_S: Final = 1.0
+LONG_S: Final = 60.0
+MOSTLY: Final = 0.6
+"""Longer holes are bridged only where the stretches between them that are that long are a smaller share of the record:
+what is drawn into three seconds may raise the skirt of a spectrum tenfold."""
+FEW_IN_LONG_HOLES: Final = 0.1
+"""Share of the shortest window that may lie in longer holes than that, bridged, when there is a model already: more of
+it is better not learned from. (A sensor at the end of its range loses just the highest waves.)"""
+SLOWEST_S: Final = 0.8
+"""Samples further apart than this, in the mean, do not show the waves (up to 0.6 Hz) at all."""
+WALK_SEEN_S: Final = 300.0
+"""An unbroken stretch that long shows how the bias of the accelerometer walks."""
+SHAKEN_ALIKE_S: Final = (120.0, 60.0, 30.0, 15.0, 10.0)
+"""Lengths of the past that may show what shakes the sensor."""
+SHAKEN_OTHERWISE: Final = 2.0
+"""Ratio of variances."""
+NOISE_MOST_PSD: Final = 1e-4
+"""Of the white noise of an accelerometer that is worth its cable, (m/s2)2/Hz: what there is more of above the waves is
+vibration, as long as there is not clearly more below them, too."""
+NOISE_SEEN_S: Final = 200.0
+"""One that long shows the noise below the waves."""
+WALK_OF_NOISE: Final = 0.03
+"""Walk of the bias, per root second, over the density of the white noise, that is expected of a sensor at least:
+accelerometers that are noisier wander more (data sheets: 0.02 to 0.05)."""
+BRIDGE_SEED: Final = 1
+"""The same record gives the same answer."""
+ROUGH: Final = 2
+"""Times that a record is fitted and bridged anew when there was no model to bridge its holes with."""
+MANY_HOLES_S: Final = 5.0
+"""With a hole every so many seconds, or more, the filter takes the samples one by one."""
+START_S: Final = 100.0
+"""Then they are taken from so long before the first that is looked at."""
+NOISE_KNOWN: Final = 0.95
+"""Where less of the record is known than this share, its noise is taken from the innovations: what bridges the holes
+has that of an earlier model."""
+NOISE_FACTORS: Final = (0.1, 30.0)
+"""By which the noise changes at once,"""
+NOISE_IS_KNOWN: Final = (0.8, 1.25)
+"""and need not change."""
+
+
+class Candidate(msgspec.Struct, frozen=True, kw_only=True):
+    """The model of one length of the past."""
+
+    window_s: float
+    model: SeaModel
+    score: float = 0.0
+    """Log-likelihood of what came after its predecessors, less that of the best length; forgotten slowly."""
+    steady_dt_s: float = 0.0
+    """Interval of the samples that its steady filter is for; 0: that was not solved for, the model was not used."""
+    steady_P: bytes = b""
+    """(n, n) covariance of that filter before a sample is taken in."""
+
+
+class SeaWindow(msgspec.Struct, frozen=True, kw_only=True, tag="sea"):
+    """A request: the past, and what the last look made of it. Arrays travel as float64 bytes."""
+
+    number: int
+    t_s: bytes
+    """(n,) times of the samples, increasing."""
+    a_mps2: bytes
+    """(n,) vertical acceleration."""
+    stages: int
+    components: int
+    windows_s: tuple[float, ...]
+    bias_walk_psd: float
+    delay_s: float
+    """Lag of the smoother."""
+    looked_s: float
+    """End of the past at the last look; nan: there was none, or that past was forgotten."""
+    candidates: tuple[Candidate, ...] = ()
+    """Of the last look."""
+    period_s: float = nan
+    """Interval of the samples of which each of these is the mean,"""
+    averaged: int = 1
+    """and how many those are."""
+    cuts_s: tuple[tuple[float, float], ...] = ()
+    """Spans (s) after which it is measured otherwise than before, and in which it is neither: no spectrum is taken
+    across, and of the bias nothing is known."""
+    spoilt_s: tuple[tuple[float, float], ...] = ()
+    """Spans (s) that are not of the sea."""
+    blows_s: tuple[float, ...] = ()
+    """First moments (s) after something struck the hull."""
+
+
+class SeaFit(msgspec.Struct, frozen=True, kw_only=True):
+    """The answer. ``message`` is empty when well, and only then the rest is there."""
+
+    number: int
+    message: str = ""
+    candidates: tuple[Candidate, ...] = ()
+    window_s: float = 0.0
+    """Length of the past that the model in use was fitted to."""
+    record_s: float = 0.0
+    """Seconds of samples that there were."""
+    model: SeaModel | None = None
+    sea: SeaState | None = None
+    t_s: float = 0.0
+    """Time of the last sample, and of the state."""
+    dt_s: float = 0.0
+    """Usual interval of the samples."""
+    x: bytes = b""
+    """(n,) filtered state."""
+    P: bytes = b""
+    """(n, n) its covariance; empty: the steady one."""
+    steady_P: bytes = b""
+    """(n, n) of the steady filter, before a sample is taken in."""
+    predicted_m: bytes = b""
+    """(k,) heave before each of the last samples, for the smoother; one every ``dt_s`` up to ``t_s``."""
+    innovation: bytes = b""
+    """(k,) m/s2"""
+    delayed: bytes = b""
+    """(k, 3) time, heave and its standard deviation for times that are not yet as old as the delayed heave: where the
+    recent past has holes, and the smoother's weights are not those of its filter."""
+    whiteness: float = 1.0
+    """Variance of the averaged innovations over the last minute, over what the model has for it; 1 when it is right."""
+    waves_seen: float = 0.0
+    """How many of the longest waves the record of that model holds."""
+    heave_std_m: float = 0.0
+    """Of the heave that the model describes."""
+    waves: float = 0.0
+    """How much likelier the record is with waves than with noise alone (log-likelihood)."""
+
+
+def look(window: SeaWindow) -> SeaFit:
+    """Fit, judge, run. Never raises for what the samples may be: what is wrong is the message."""
+    t, a = np.frombuffer(window.t_s), np.frombuffer(window.a_mps2)
+    if len(t) < 8 or not t[-1] - t[0] >= MIN_RECORD_S:
+        return SeaFit(number=window.number, message="the record is too short")
+    if not (np.isfinite(a).all() and np.isfinite(t).all() and bool(np.all(np.diff(t) > 0.0))):
+        return SeaFit(number=window.number, message="the record has gaps in its numbers")
+    if float(np.ptp(a)) <= 0.0:
+        return SeaFit(number=window.number, message="the record is constant")
+    if (t[-1] - t[0]) > SLOWEST_S * (len(t) - 1) and float(np.median(np.diff(t))) > SLOWEST_S:
+        return SeaFit(number=window.number, message="the samples are too far apart to show waves")
+    try:
+        return _look(window, sea_run.even(t, a).cut(window.cuts_s, window.spoilt_s, window.blows_s))
+    except np.linalg.LinAlgError as error:
+        return SeaFit(number=window.number, message=f"the record has no spectrum that can be fitted: {error}")
+
+
+def _look(window: SeaWindow, record: sea_run.Record) -> SeaFit:
+    """
+    Raises:
+        LinAlgError: no model can be made of the record.
+    """
+    whole = _bridged(window, record, is_drawn=True)
+    recent = record.last(round(min(window.windows_s) / record.dt_s))
+    drawn = whole.last(len(recent.is_known)).is_known & ~sea_bridge.closed(recent.is_known, record.dt_s, LONG_HOLE_S)
+    if window.candidates and np.mean(drawn) > FEW_IN_LONG_HOLES:
+        return SeaFit(number=window.number, message="the record has too many holes")
+    parts = unbroken(whole, round(max(window.windows_s) / record.dt_s))
+    stretch_s = max(map(len, parts), default=0) * record.dt_s
+    if stretch_s < (MIN_STRETCH_S if window.candidates else MIN_RECORD_S) and not whole.is_known.all():
+        return SeaFit(number=window.number, message="the record has too many holes")
+    # What is drawn is no measurement: a filter would be surprised by the next sample, whatever its model.
+    told = _bridged(window, record, is_drawn=False) if window.candidates and _has_many_holes(record) else record
+    scores = _scores(window, told, record.is_known)
+    fitted, shares, seconds, waves = _fit_all(window, whole, scores, record.is_known)
+    # Candidates come shortest first: a longer past is exact where the sea is steady, a shorter one has to earn it.
+    chosen = max(range(len(fitted)), key=lambda rank: fitted[rank].score + PATIENCE * rank)
+    best, share = fitted[chosen], shares[chosen]
+    kept = round(window.delay_s / record.dt_s) + round(30.0 / record.dt_s)
+    judged, settle = max(kept, round(WHITENESS_OVER_S / record.dt_s)), round(SETTLE_S / record.dt_s)
+    recent = record.last(settle + judged)
+    ran = _settled(best, recent, settle, judged)
+    if isinstance(ran, str):
+        return SeaFit(number=window.number, message=ran)
+    best, system, steady, done = ran
+    used = msgspec.structs.replace(best, steady_dt_s=record.dt_s, steady_P=steady.P.tobytes())
+    return SeaFit(
+        number=window.number,
+        candidates=(*fitted[:chosen], used, *fitted[chosen + 1 :]),
+        window_s=best.window_s,
+        record_s=len(record.a_mps2) * record.dt_s,
+        model=best.model,
+        sea=sea_state(best.model, share),
+        t_s=record.end_s,
+        dt_s=record.dt_s,
+        x=done.x.tobytes(),
+        P=b"" if done.P is None else done.P.tobytes(),
+        steady_P=steady.P.tobytes(),
+        predicted_m=done.predicted_m[-kept:].tobytes(),
+        innovation=done.innovation[-kept:].tobytes(),
+        delayed=_delayed(window, system, steady, recent, settle).tobytes(),
+        whiteness=whiteness(done.innovation, steady),
+        waves_seen=seconds[chosen] / longest_period_s(best.model),
+        heave_std_m=sqrt(float(system.heave @ system.stationary @ system.heave)),
+        waves=waves,
+    )
+
+
+def _has_many_holes(record: sea_run.Record) -> bool:
+    """More than can be taken as exceptions."""
+    known = record.is_known
+    return int(np.count_nonzero(known[:-1] & ~known[1:])) * MANY_HOLES_S > len(known) * record.dt_s
+
+
+def _longest_bridge(record: sea_run.Record) -> float:
+    """Longest holes (s) that are bridged: as short as stretches without holes are there to be fitted."""
+    closed = sea_bridge.closed(record.is_known, record.dt_s, LONG_HOLE_S)
+    stretches = sea_run.stretches(msgspec.structs.replace(record, is_known=closed))
+    most = LONG_S / record.dt_s
+    fitted = sum([end - first for first, end, is_known in stretches if is_known and end - first > most])
+    return LONG_HOLE_S if fitted > MOSTLY * len(closed) else sea_bridge.LONGEST_S
+
+
+def _bridged(window: SeaWindow, record: sea_run.Record, *, is_drawn: bool) -> sea_run.Record:
+    """The record with its holes bridged, as far as they are short: what a spectrum can be had of when it ``is_drawn``.
+
+    The model that bridges them is the last one; without one it is found with the holes bridged by straight lines first.
+    """
+    if record.is_known.all():
+        return record
+    best = max(window.candidates, key=lambda candidate: candidate.score, default=None)
+    rng = np.random.default_rng(BRIDGE_SEED) if is_drawn else None
+    longest_s = _longest_bridge(record)
+    model, whole = (None if best is None else best.model), record
+    for _ in range(1 if model is not None else ROUGH):
+        if model is None:
+            lines = msgspec.structs.replace(whole, is_known=sea_bridge.closed(whole.is_known, whole.dt_s, longest_s))
+            model = _fit_all(window, lines, {}, record.is_known)[0][-1].model
+        # Not across a cut: the level is another one there.
+        parts = [
+            sea_bridge.bridged(record.a_mps2[first:end], record.is_known[first:end], record.dt_s, model, rng, longest_s)
+            for first, end in itertools.pairwise([0, *record.cuts, len(record.a_mps2)])
+        ]
+        a, is_known = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+        whole, model = msgspec.structs.replace(record, a_mps2=a, is_known=is_known), None
+    return whole
+
+
+def _settled(
+    candidate: Candidate, recent: sea_run.Record, settle: int, judged: int
+) -> tuple[Candidate, SeaSystem, Steady, sea_run.Run] | str:
+    """The candidate, with the noise that its innovations show, and what its filter makes of the recent past; or why
+    there is no such filter."""
+    found: tuple[Candidate, SeaSystem, Steady, sea_run.Run] | None = None
+    excess = 1.0
+    while found is None or not NOISE_IS_KNOWN[0] <= excess <= NOISE_IS_KNOWN[1]:
+        is_last, candidate = found is not None, _noisier(candidate, excess)
+        system = SeaSystem(candidate.model)
+        steady = system.steady(recent.dt_s)
+        if steady is None:
+            return "the filter of the fitted model does not converge"
+        done, excess = _run(system, steady, recent, settle, judged)
+        if not (np.isfinite(done.x).all() and isfinite(excess)):
+            return "the filter of the fitted model left the finite numbers"
+        found = candidate, system, steady, done
+        if is_last:
+            break
+    return found
+
+
+def _run(
+    system: SeaSystem, steady: Steady, recent: sea_run.Record, settle: int, judged: int
+) -> tuple[sea_run.Run, float]:
+    """The filter over the recent past; and variance of the innovations over the model's, where noise is known by that
+    alone, else 1."""
+    if not _has_many_holes(recent):
+        return sea_run.run(system, steady, recent, full_start=len(recent.a_mps2) < settle, kept=judged), 1.0
+    # It begins with all that is not known of the state: nothing has to settle.
+    recent = recent.last(judged + round(START_S / recent.dt_s))
+    f = SeaFilter(system, steady, nan, np.zeros(len(system.H)), system.stationary)
+    done, excess = sea_run.one_by_one(f, recent, judged)
+    return done, excess if np.mean(recent.is_known[-judged:]) < NOISE_KNOWN else 1.0
+
+
+def _delayed(window: SeaWindow, system: SeaSystem, steady: Steady, recent: sea_run.Record, settle: int) -> Array:
+    """What :attr:`SeaFit.delayed` holds."""
+    count = round(window.delay_s / recent.dt_s)
+    known = recent.is_known
+    is_whole = known[-count:].all() and not any(at > len(known) - count for at in (*recent.cuts, *recent.blows))
+    if is_whole or not known[:-count].any():
+        return np.empty((0, 3))
+    last = int(np.flatnonzero(known[:-count])[-1])
+    before = sea_run.Record(
+        recent.end_s - (len(known) - 1 - last) * recent.dt_s,
+        recent.dt_s,
+        recent.a_mps2[: last + 1],
+        known[: last + 1],
+        tuple([cut for cut in recent.cuts if cut <= last]),
+        tuple([blow for blow in recent.blows if blow <= last]),
+    )
+    done, _ = _run(system, steady, before, settle, 1)
+    f = SeaFilter(system, steady, before.end_s, done.x, done.P)
+    after = recent.last(len(known) - 1 - last)
+    # The newer half is delayed heave of the next look.
+    return smoothed(f, after, len(after.a_mps2) - count // 2)
+
+
+def _noisier(candidate: Candidate, factor: float) -> Candidate:
+    """With ``factor`` times the noise, within what it may change at once."""
+    noise_psd = candidate.model.noise_psd * min(max(factor, NOISE_FACTORS[0]), NOISE_FACTORS[1])
+    return msgspec.structs.replace(candidate, model=msgspec.structs.replace(candidate.model, noise_psd=noise_psd))
+
+
+def _scores(window: SeaWindow, record: sea_run.Record, is_known: NDArray[np.bool_]) -> dict[float, float]:
+    """Each length's score with what came since the last look; ``is_known`` (n,): what of that was measured."""
+    fresh = 0
+    if window.candidates and isfinite(window.looked_s):  # Not after a reset: the candidates outlive the past.
+        fresh = min(len(record.a_mps2), round((record.end_s - window.looked_s) / record.dt_s))
+    if fresh < 2:
+        return {candidate.window_s: candidate.score for candidate in window.candidates}
+    recent = record.last(fresh + round(SETTLE_S / record.dt_s))
+    measured = is_known[-fresh:]
+    if not measured.any():
+        return {candidate.window_s: candidate.score for candidate in window.candidates}
+    is_whole = bool(recent.is_known.all()) and not recent.cuts and not recent.blows
+    found: dict[float, float] = {}
+    for candidate in window.candidates:
+        system = SeaSystem(candidate.model)
+        steady = _steady(system, candidate, record.dt_s)
+        if steady is None:
+            continue
+        done = sea_run.run(system, steady, recent, full_start=False, full_holes=not is_whole, kept=fresh)
+        likelihood = _likelihood(candidate.model, steady, np.where(measured, done.innovation[-fresh:], nan))
+        found[candidate.window_s] = SCORE_MEMORY * candidate.score + (likelihood if np.isfinite(likelihood) else -1e9)
+    best = max(found.values(), default=0.0)
+    return {window_s: score - best for window_s, score in found.items()}
+
+
+def _steady(system: SeaSystem, candidate: Candidate, dt_s: float) -> Steady | None:
+    """The steady filter of a candidate: solved for again only where it was not kept, or the interval has changed."""
+    if not abs(dt_s - candidate.steady_dt_s) <= SAME_DT * dt_s:
+        return system.steady(dt_s)
+    n = len(system.H)
+    return system.steady_of(dt_s, np.frombuffer(candidate.steady_P).reshape(n, n))
+
+
+def _likelihood(model: SeaModel, steady: Steady, innovation: Array) -> float:
+    """Log-likelihood (Whittle's) of a stretch of acceleration within the wave band, from the innovations (n,) that a
+    model's filter left of it, nan in a hole: they are the samples whitened, so that nothing leaks in so short a
+    stretch, and their periodogram is that of the acceleration over the model's spectrum."""
+    known = np.isfinite(innovation)
+    count = max(1, int(np.count_nonzero(known)))
+    white = np.abs(np.fft.rfft(np.where(known, innovation, 0.0))) ** 2 / (steady.S * count)
+    f: Array = np.fft.rfftfreq(len(innovation), steady.dt_s).astype(np.float64)
+    judged = (f > 0.0) & (f <= JUDGED_HZ)
+    return -float(np.sum(np.log(model.acceleration_spectrum(f[judged], steady.dt_s)) + white[judged]))
+
+
+def _fit_all(
+    window: SeaWindow, record: sea_run.Record, scores: dict[float, float], is_measured: NDArray[np.bool_]
+) -> tuple[tuple[Candidate, ...], list[float], list[float], float]:
+    """A model for each length that the record reaches, the longest that it does not reach gets all there is; the share
+    of each model's variance that was measured; seconds that each was fitted to; how much likelier than noise the waves
+    are. ``is_measured`` (n,): what of the record is not bridged."""
+    rate, seconds = 1.0 / record.dt_s, len(record.a_mps2) * record.dt_s
+    earlier = {candidate.window_s: candidate.model for candidate in window.candidates}
+    known = list(scores)
+    every = sorted(window.windows_s)
+    lengths, stretches, longest = [], [], []
+    for shorter, length in zip([0.0, *every], every, strict=False):
+        if shorter <= seconds:
+            parts = unbroken(record, round(min(length, seconds) * rate))
+            if (most := max(map(len, parts), default=0)) >= MIN_RECORD_S * rate:
+                lengths.append(length)
+                stretches.append(parts)
+                longest.append(most)
+    if not lengths:
+        raise np.linalg.LinAlgError("no stretch of it is long enough")
+    passed = partial(beat.passed, period_s=window.period_s, averaged=window.averaged)
+    spectra = [sea_fit.spectrum(parts, rate, passed) for parts in stretches]
+    few = [most < FEW_COMPONENTS_BELOW_S * rate for most in longest]
+    last = max(window.candidates, key=lambda one: one.window_s, default=None)
+    bias_walk_psd = window.bias_walk_psd if last is None else last.model.bias_walk_psd
+
+    def fit(models: dict[float, SeaModel]) -> dict[float, sea_fit.Fitted]:
+        fitted: dict[float, sea_fit.Fitted] = {}
+        for are_few in set(few):
+            components = min(2, window.components) if are_few else window.components
+            of = [i for i, is_few in enumerate(few) if is_few == are_few]
+            warm = [models.get(lengths[i]) for i in of]
+            made = sea_fit.fit([spectra[i] for i in of], window.stages, components, bias_walk_psd, warm)
+            fitted.update(zip([lengths[i] for i in of], made, strict=True))
+        return fitted
+
+    # What shakes the sensor now is in the newest past: all lengths are told of it.
+    if not earlier:
+        earlier = {length: one.model for length, one in fit({}).items()}
+    shaking, noise_psd = sea_resonances.resonances(
+        _newest_above(record, is_measured, spectra[0], passed),
+        earlier.get(lengths[0]),
+        min([NOISE_MOST_PSD, *(sp.noise_psd for sp in spectra)]),
+    )
+    # A blow has power within the waves' band, too, which is no noise to a filter that knows of it.
+    is_whole = bool(np.all(is_measured | ~record.is_known)) and not record.blows
+    spectra = [
+        msgspec.structs.replace(
+            sp,
+            resonances=shaking,
+            noise_psd=noise_psd,
+            is_noise_known=is_whole and most >= NOISE_SEEN_S * rate,
+        )
+        for sp, most in zip(spectra, longest, strict=True)
+    ]
+    fitted = fit(earlier)
+    walk = _walk(window, record, is_measured, fitted[lengths[-1]].model)
+    fitted = {
+        length: msgspec.structs.replace(one, model=msgspec.structs.replace(one.model, bias_walk_psd=walk))
+        for length, one in fitted.items()
+    }
+    # A length that is new starts as well as the longest one before it.
+    unknown = scores[known[-1]] if known else 0.0
+    candidates = tuple(
+        Candidate(window_s=length, model=fitted[length].model, score=scores.get(length, unknown)) for length in lengths
+    )
+    shares = [sea_fit.measured_share(sp, fitted[length].model) for sp, length in zip(spectra, lengths, strict=True)]
+    return candidates, shares, [sum(map(len, parts)) / rate for parts in stretches], fitted[lengths[0]].waves
+
+
+def _walk(window: SeaWindow, record: sea_run.Record, is_measured: NDArray[np.bool_], model: SeaModel) -> float:
+    """The walk of the bias (m/s2)2/s that the record shows beside the waves of ``model``, or the one that this has."""
+    measured = msgspec.structs.replace(record, is_known=is_measured)
+    stretch = max(unbroken(measured, len(is_measured)), key=len, default=np.empty(0))
+    noise_psd = model.noise_psd if model.noise_psd < 0.5 * NOISE_MOST_PSD else 0.0
+    expected_psd = max(window.bias_walk_psd, WALK_OF_NOISE**2 * noise_psd)
+    # Neither what bridges a hole nor a blow is noise of the sensor.
+    if len(record.a_mps2) * record.dt_s < WALK_SEEN_S:
+        return expected_psd
+    if len(stretch) * record.dt_s < WALK_SEEN_S or record.blows:
+        return model.bias_walk_psd
+    return sea_fit.bias_walk(stretch, 1.0 / record.dt_s, model, expected_psd)
+
+
+def _newest_above(
+    record: sea_run.Record,
+    is_measured: NDArray[np.bool_],
+    shortest: sea_fit.Spectrum,
+    passed: Callable[[Array], Array],
+) -> sea_resonances.Above:
+    """The periodogram above the waves of what is shaken as now: that of the ``shortest`` length, or of less of it."""
+    alike_s = SHAKEN_ALIKE_S[0] if record.blows else _shaken_alike_s(record, is_measured)
+    parts = unbroken(record, round(alike_s / record.dt_s))
+    if alike_s == SHAKEN_ALIKE_S[0] or max(map(len, parts), default=0) * record.dt_s < 0.5 * SHAKEN_ALIKE_S[-1]:
+        return shortest.above
+    return sea_fit.spectrum(parts, 1.0 / record.dt_s, passed).above
+
+
+def _shaken_alike_s(record: sea_run.Record, is_measured: NDArray[np.bool_]) -> float:
+    """How long (s) it has been shaken as it is now: the longest of some lengths in which the second differences, that
+    see no waves, are on the whole as large as in the last seconds."""
+    squares = np.diff(record.a_mps2, n=2) ** 2
+    known = is_measured[2:] & is_measured[1:-1] & is_measured[:-2]
+
+    def mean(seconds: float) -> float:
+        count = round(seconds / record.dt_s)
+        part = known[-count:]
+        return float(np.mean(squares[-count:][part])) if np.mean(part) > MOSTLY else nan
+
+    now = mean(SHAKEN_ALIKE_S[-1])
+    for seconds in SHAKEN_ALIKE_S:
+        if not now > SHAKEN_OTHERWISE * mean(seconds) and not mean(seconds) > SHAKEN_OTHERWISE * now:
+            return seconds
+    return SHAKEN_ALIKE_S[0]
+
+
+def unbroken(record: sea_run.Record, count: int) -> list[Array]:
+    """The stretches without a hole or a cut among the last ``count`` samples, oldest first.
+
+    A spectrum cannot bridge a hole: whatever stands in it has power at low frequencies, four decades above the skirt of
+    the waves that the error of the heave depends on.
+    """
+    newest = record.last(count)
+    return [newest.a_mps2[first:end] for first, end, is_known in sea_run.stretches(newest) if is_known]
+
+
+def whiteness(innovation: Array, steady: Steady) -> float:
+    """Variance of innovations averaged over WHITENESS_S, in the last minute, over that of the model: 1 when it fits."""
+    each = max(1, round(WHITENESS_S / steady.dt_s))
+    count = min(round(WHITENESS_OVER_S / WHITENESS_S), int(np.count_nonzero(np.isfinite(innovation))) // each)
+    if count < 1:
+        return 1.0
+    means = innovation[-count * each :].reshape(count, each).mean(axis=1)
+    return float(np.mean(means**2)) * each / steady.S

@@ -1,0 +1,417 @@
+"""Fitting the sea model to the recent past: Whittle's likelihood of the spectrum of the vertical acceleration.
+
+    minimise  sum_f  (log S(f) + P(f) / S(f)) (f_1 / f)^0.7,      S = w^4 sum_k S_k + V + N + 2 B / w^2,
+
+over log f0, log zeta and log L of each component and log N, P being the periodogram and V what shakes the sensor
+(:mod:`sea_resonances`). The ordinates of a periodogram are nearly independent exponential variables, so Fisher scoring
+applies: each step is the weighted least-squares fit of P / S - 1 by the slopes of log S, and a handful of steps do what
+a general minimiser needs hundreds of evaluations for.
+All starts, of all spectra that are to be fitted, run side by side, all of them to the end (one that is behind three
+others after eight steps may be better than they by far); the best of each spectrum is taken.
+
+What the error of the heave lives on is the low-frequency skirt of the spectrum, four decades below its peak. It has a
+dozen ordinates, and the tail above the peak has hundreds: were they weighed alike, a skirt that is far off would be
+paid for by a slightly better tail; were every octave weighed alike, the tail would be left to chance, and with it the
+forecasts of a second. The weight is between the two. A window function spills the peak into the skirt: the segments are
+therefore as long as they can be, and ordinates within the main lobe of zero frequency are left out. N is the noise
+above the waves, unless there is clearly more within their band; as long as it is not known what shakes the sensor, and
+in a record that is bridged, N soaks up what the components cannot follow, and the filter is given the noise above.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from math import inf, log, pi
+from typing import Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from heaved.estimation.heave.sea.drift import DRIFTS_S, drift_variances, drift_weights
+from heaved.estimation.heave.sea.model import Resonance, SeaModel, shaking_spectrum
+from heaved.estimation.heave.sea.noise import Above, groups
+
+Array = NDArray[np.float64]
+
+BAND_HZ: Final = (0.02, 0.8)
+"""Where the likelihood is summed."""
+BAND_OF_NYQUIST: Final = 0.7
+"""A slow sensor's band ends at this share of its Nyquist frequency."""
+MAIN_LOBE: Final = 2.6
+"""Ordinates below this over the length of a segment are left out: Hann's main lobe reaches two bins."""
+SEGMENT_S: Final = 300.0
+"""Longest segment of the averaged periodogram: finer than that, the fit only becomes slower."""
+LEAST_PASSED: Final = 0.01
+HIGHEST_OF_NYQUIST: Final = 0.99
+"""What shakes the sensor is looked for up to here."""
+INDEPENDENT: Final = 1.9
+"""Independent periodograms in a length of a segment: Hann's window, three quarters of overlap."""
+SHORTENED: Final = 0.6
+"""Segments may be that much shorter than they could be, so that more stretches of a broken record hold one."""
+NOISE_OVER_HZ: Final = 0.8
+"""The sensor's noise is looked for above."""
+NOISE_BANDS: Final = 4
+"""In that many bands of equal ratio; the quietest counts, because an engine fills one of them, not all."""
+FLOOR_WIDTH: Final = 1.4
+FLOOR_ORDINATES: Final = 6
+CHANCE: Final = 3.0
+"""The noise is no more than the lowest part of the periodogram within the waves' band, which has so many standard
+deviations of chance: what shakes the sensor may fill all the bands above."""
+LEAST_OF_MEAN: Final = 0.2
+WALK_BELOW_HZ: Final = 0.035
+"""The walk of the bias is looked for below: no wave that counts is longer."""
+DRIFTS: Final = 4.5
+"""Standard deviations of a drift that is none of the walk."""
+WALKS: Final = np.linspace(-3.0, 10.0, 66)
+"""Logarithms of the variances of a walk, over that which is expected, that are tried."""
+WALK_SPREADS: Final = (0.3, 2.5)
+WALK_IS_OTHER: Final = 0.02
+"""Before anything is seen, that logarithm has the first of the spreads, a data sheet's, but in one of fifty sensors the
+second: a fluctuation of a few ordinates changes little, a bias that does walk a hundred times more is believed."""
+WALK_PRIOR: Final = np.log(
+    (1.0 - WALK_IS_OTHER) / WALK_SPREADS[0] * np.exp(-0.5 * (WALKS / WALK_SPREADS[0]) ** 2)
+    + WALK_IS_OTHER / WALK_SPREADS[1] * np.exp(-0.5 * (WALKS / WALK_SPREADS[1]) ** 2)
+)
+INDEPENDENT_ORDINATES: Final = 0.7
+"""Of neighbouring ordinates, under Hann's window."""
+WEIGHED_FROM_HZ: Final = 0.15
+"""f_1: ordinates at this frequency have the weight 1."""
+WEIGHT_POWER: Final = 0.7
+"""0: each ordinate weighs the same; 1: each octave does."""
+STEPS: Final = 25
+LONGEST_STEP: Final = 0.7
+"""Of any logarithm. Longer steps find lower costs, in corners that the heave is worse for."""
+STARTS: Final = ((1.0, 1.6, 2.6, 0.7), (1.2, 0.5, 2.2, 1.7), (1.0, 1.2, 0.7, 2.0), (1.0, 1.13, 0.88, 1.3))
+"""First frequencies of the components, over that of the velocity's peak; the second also tries a swell at 0.05 Hz."""
+SWELL_HZ: Final = 0.05
+LINE_DAMPING: Final = 0.07
+"""Of the last start: a wave train is a few lines side by side."""
+DAMPING_GUESS: Final = 0.3
+
+POOLED: Final = 0.03
+"""Ordinates nearer together than this share of their frequency are pooled: over that the model is a straight line."""
+
+LIMITS: Final = {"frequency_hz": (0.033, 0.6), "damping": (0.05, 1.0), "level": (1e-10, 1e5), "noise": (1e-12, 1e2)}
+"""A chain that is damped less than that is a line, and costs digits; one that is damped more has a pole far above the
+waves, and its past cannot be computed back."""
+PRIOR: Final = {"frequency": 0.05, "damping": 0.2, "level": 1e-3, "noise": 1e-3}
+"""Weights of weak priors on the logarithms, 1/variance: around the start, and around DAMPING_GUESS."""
+NOISE_IS_KNOWN: Final = 20.0
+"""That of the noise where what shakes the sensor is known: then N is what the record shows above the waves, unless
+there is clearly more within their band. Before, it soaks up what the components cannot follow there."""
+
+
+class Spectrum(msgspec.Struct, frozen=True, eq=False):
+    """Averaged periodogram of the vertical acceleration within the band, and what else the accelerometer shows."""
+
+    f_hz: Array
+    """(n,)"""
+    power: Array
+    """(n,) one-sided, (m/s2)2/Hz"""
+    noise_psd: float
+    """one-sided, (m/s2)2/Hz"""
+    above: Above
+    """The periodogram above the band."""
+    resonances: tuple[Resonance, ...] = ()
+    """What has been found there."""
+    is_noise_known: bool = False
+    """What shakes the sensor has been looked for, and nothing of the record is bridged."""
+
+    @property
+    def weight(self) -> Array:
+        """(n,) of each ordinate in the likelihood."""
+        return np.asarray((WEIGHED_FROM_HZ / self.f_hz) ** WEIGHT_POWER)
+
+
+def spectrum(
+    stretches: Array | Sequence[Array], rate_hz: float, passed: Callable[[Array], Array] = np.ones_like
+) -> Spectrum:
+    """Of a record, or of several stretches of one, each (n,), evenly sampled; n of at least some tens of seconds.
+
+    passed: share of white noise that is left at some frequencies, where what is sampled are means.
+    """
+    parts = [stretches] if isinstance(stretches, np.ndarray) else stretches
+    n = _segment_length([len(part) for part in parts], round(SEGMENT_S * rate_hz))
+    f, power = _welch([part for part in parts if len(part) >= n], rate_hz, n)
+    top = min(BAND_HZ[1], BAND_OF_NYQUIST * 0.5 * rate_hz)
+    inside = (f >= max(BAND_HZ[0], MAIN_LOBE * rate_hz / n)) & (f <= top)
+    edges = np.geomspace(min(NOISE_OVER_HZ, 0.6 * 0.5 * rate_hz), 0.9 * 0.5 * rate_hz, NOISE_BANDS + 1)
+    white = np.concatenate(([1.0], np.maximum(passed(f[1:]), LEAST_PASSED)))
+    bands = [(power / white)[(f >= low) & (f < high)] for low, high in itertools.pairwise(edges)]
+    quiet = min(float(np.mean(band)) for band in bands if len(band))
+    low, high = LIMITS["noise"]
+    outside = (f > top) & (f <= HIGHEST_OF_NYQUIST * 0.5 * rate_hz)
+    averages = max(1.0, INDEPENDENT * sum([len(part) for part in parts if len(part) >= n]) / n - 1.0)
+    quiet = min(quiet, _floor(f[inside], power[inside], averages))
+    above = Above(f[outside], np.maximum(power[outside], 1e-300), white[outside], averages, 1.0 / rate_hz)
+    return Spectrum(f[inside], np.maximum(power[inside], 1e-300), min(max(quiet, low), high), above)
+
+
+def _floor(f: Array, power: Array, averages: float) -> float:
+    """What white noise is hardly above: the least mean of the periodogram over a band within the waves', so far up that
+    chance would not have put it below."""
+    ends = np.maximum(np.searchsorted(f, f * FLOOR_WIDTH), np.arange(len(f)) + FLOOR_ORDINATES)
+    starts = np.flatnonzero(ends < len(f))
+    if not len(starts):
+        return inf
+    ends, sums = ends[starts], np.concatenate(([0.0], np.cumsum(power)))
+    count = (ends - starts) * averages * INDEPENDENT_ORDINATES
+    # The cube root of a mean of exponential variables is normal (Wilson & Hilferty 1931).
+    least = np.maximum(1.0 - 1.0 / (9.0 * count) - CHANCE / (3.0 * np.sqrt(count)), LEAST_OF_MEAN) ** 3
+    return float(np.min((sums[ends] - sums[starts]) / (ends - starts) / least))
+
+
+def _segment_length(lengths: Sequence[int], longest: int) -> int:
+    """Length of the segments, the longest that there can be, or somewhat less where more of the record is seen then."""
+    most = min(max(lengths), longest)
+    usable = {min(length, longest) for length in lengths if length >= SHORTENED * most}
+    return max(usable, key=lambda n: (sum([length for length in lengths if length >= n]), n))
+
+
+def _welch(stretches: Sequence[Array], rate_hz: float, n: int) -> tuple[Array, Array]:
+    """Averaged periodogram (Welch 1967) of segments of ``n`` samples that overlap by three quarters, each without its
+    straight line and under Hann's window: frequencies and one-sided density.
+
+    A straight line is taken out by two products, where scipy's solves a least-squares problem of every segment.
+    """
+    segments = np.concatenate([
+        np.lib.stride_tricks.sliding_window_view(a, n)[:: n - 3 * n // 4] for a in stretches
+    ])  # fmt: skip
+    slope = np.linspace(-1.0, 1.0, n)
+    slope /= np.sqrt(slope @ slope)
+    segments = segments - segments.mean(axis=1, keepdims=True)
+    segments -= np.outer(segments @ slope, slope)
+    window = 0.5 - 0.5 * np.cos(2.0 * pi * np.arange(n) / n)
+    segments *= window
+    power = np.mean(np.abs(np.fft.rfft(segments)) ** 2, axis=0) * (2.0 / (rate_hz * float(window @ window)))
+    power[0] *= 0.5
+    if n % 2 == 0:
+        power[-1] *= 0.5  # Nyquist's frequency has no other side either.
+    return np.fft.rfftfreq(n, 1.0 / rate_hz).astype(np.float64), power.astype(np.float64)
+
+
+def _pooled(sp: Spectrum) -> tuple[Spectrum, Array]:
+    """Means of neighbouring ordinates, and the weight of each in the likelihood: the sum of theirs."""
+    first, count = groups(sp.f_hz, POOLED)
+    f, power = (np.add.reduceat(values, first) / count for values in (sp.f_hz, sp.power))
+    return msgspec.structs.replace(sp, f_hz=f, power=power), np.add.reduceat(sp.weight, first)
+
+
+class Fitted(msgspec.Struct, frozen=True):
+    """A model, and how well it suits the spectrum that it was fitted to."""
+
+    model: SeaModel
+    cost: float
+    """What was minimised: minus the weighted log-likelihood."""
+    waves: float
+    """How much likelier the spectrum is with waves than with noise alone: difference of the plain log-likelihoods."""
+
+
+def fit(
+    spectra: Sequence[Spectrum],
+    stages: int,
+    components: int,
+    bias_walk_psd: float,
+    warm: Sequence[SeaModel | None] | None = None,
+) -> list[Fitted]:
+    """The most likely model of ``components`` chains of ``stages`` for each spectrum; ``warm``: an earlier one of each,
+    used when it is of the same size."""
+    earlier = warm if warm is not None else [None] * len(spectra)
+    starts = [_starts(sp, components, model) for sp, model in zip(spectra, earlier, strict=True)]
+    rows = np.repeat(np.arange(len(spectra)), [len(part) for part in starts])
+    theta, cost = _score(_Whittle([_pooled(sp) for sp in spectra], rows, stages, bias_walk_psd), np.concatenate(starts))
+    best = [int(np.argmin(np.where(rows == i, cost, np.inf))) for i in range(len(spectra))]
+    return [
+        _fitted(sp, theta[row], float(cost[row]), stages, bias_walk_psd) for sp, row in zip(spectra, best, strict=True)
+    ]
+
+
+def _fitted(sp: Spectrum, theta: Array, cost: float, stages: int, bias_walk_psd: float) -> Fitted:
+    """The model of the logarithms ``theta`` (3K + 1,)."""
+    K = (len(theta) - 1) // 3
+    values = np.exp(theta)
+    parts = [tuple(values[i * K : (i + 1) * K].tolist()) for i in range(3)]
+    model = SeaModel(
+        stages=stages,
+        frequency_hz=parts[0],
+        damping=parts[1],
+        level_m2phz=parts[2],
+        noise_psd=float(values[-1]),
+        bias_walk_psd=bias_walk_psd,
+        resonances=sp.resonances,
+    )
+    S = model.acceleration_spectrum(sp.f_hz, sp.above.dt_s)
+    waves = _noise_cost(sp, bias_walk_psd) - float(np.sum(np.log(S) + sp.power / S))
+    if not sp.is_noise_known:
+        model = msgspec.structs.replace(model, noise_psd=sp.noise_psd)
+    return Fitted(model, cost, waves)
+
+
+def bias_walk(stretch: Array, rate_hz: float, model: SeaModel, expected_psd: float) -> float:
+    """The walk of the bias, (m/s2)2/s, that ``stretch`` (n,) shows below the waves of ``model``: the likeliest one,
+    where ``expected_psd`` is what its data sheet says. A straight drift is not in the periodogram, and may have begun a
+    moment ago: it is looked for by itself."""
+    levels = expected_psd * np.exp(WALKS)
+    quiet = msgspec.structs.replace(model, bias_walk_psd=0.0)
+    cost = -WALK_PRIOR
+    f, power = _welch([stretch], rate_hz, len(stretch))
+    inside = (f >= MAIN_LOBE * rate_hz / len(stretch)) & (f <= WALK_BELOW_HZ)
+    if inside.any():
+        f, power = f[inside], power[inside]
+        S = quiet.acceleration_spectrum(f, 1.0 / rate_hz) + levels[:, None] * (2.0 / (2.0 * pi * f) ** 2)
+        cost = cost + INDEPENDENT_ORDINATES * np.sum(np.log(S) + power / S, axis=1)
+    walked = float(levels[np.argmin(cost)])
+    for seconds in DRIFTS_S:
+        weights = drift_weights(round(seconds * rate_hz))
+        if len(weights) > len(stretch):
+            break
+        rest, walk = drift_variances(weights, 1.0 / rate_hz, model)
+        square = float(weights @ stretch[-len(weights) :]) ** 2
+        if square > DRIFTS**2 * (rest + walked * walk):
+            walked = (square - rest) / walk
+    return walked
+
+
+def measured_share(sp: Spectrum, model: SeaModel) -> float:
+    """Variance of the heave that the periodogram shows, over that of ``model``: where waves stand out of the noise the
+    periodogram counts, and the noise is left out as a Wiener filter would.
+
+    The likelihood asks for the same relative fit everywhere and for no energy in particular, so that a model whose
+    skirts are right may be a third too high at the peak: no matter to the filter, but not what people call the height
+    of the sea.
+    """
+    waves = model.wave_spectrum(sp.f_hz)
+    seen = waves * sp.power / model.acceleration_spectrum(sp.f_hz, sp.above.dt_s)
+    whole = float(np.trapezoid(waves, sp.f_hz))
+    return float(np.trapezoid(seen, sp.f_hz)) / whole if whole > 0.0 else 1.0
+
+
+def _starts(sp: Spectrum, components: int, warm: SeaModel | None) -> Array:
+    """Rows (s, 3K + 1) of logarithms: f0, zeta, L of each component, N."""
+    f = sp.f_hz
+    heave = sp.power / (2.0 * pi * f) ** 4
+    peak = float(f[np.argmax(heave * f**2)])
+    rows = []
+    for ratios in STARTS:
+        f0 = peak * np.resize(np.array(ratios), components)
+        if ratios is STARTS[1] and components > 1:
+            f0[1] = SWELL_HZ
+        f0 = np.clip(f0, *LIMITS["frequency_hz"])
+        level = np.clip(0.7 * np.interp(f0, f, heave), *LIMITS["level"])
+        guess = LINE_DAMPING if ratios is STARTS[3] else DAMPING_GUESS
+        rows.append(np.concatenate((np.log(f0), np.full(components, log(guess)), np.log(level))))
+    if warm is not None and len(warm.damping) == components:
+        rows.append(np.log(np.array((*warm.frequency_hz, *warm.damping, *warm.level_m2phz))))
+    return np.column_stack((np.array(rows), np.full(len(rows), log(sp.noise_psd))))
+
+
+class _Whittle:
+    """The likelihood of spectra, for many models at once: ``theta`` (s, 3K + 1) as :func:`_starts` has it.
+
+    Attributes:
+        prior_noise: (s,) weight of the prior of each model's noise.
+        power, weight: (s, n) ordinates that each model is held against; of a shorter spectrum the rest weighs nothing.
+    """
+
+    def __init__(
+        self, spectra: Sequence[tuple[Spectrum, Array]], rows: NDArray[np.intp], stages: int, bias_walk_psd: float
+    ) -> None:
+        """``spectra``: with the weights of their ordinates. ``rows`` (s,): which of them each model is for."""
+        longest = max(len(weight) for _, weight in spectra)
+        padded = [
+            np.array([np.pad(values, (0, longest - len(values)), constant_values=rest) for values in columns])[rows]
+            for columns, rest in (
+                ([sp.f_hz for sp, _ in spectra], 1.0),
+                ([sp.power for sp, _ in spectra], 1.0),
+                ([weight for _, weight in spectra], 0.0),
+                ([_shaking(sp) for sp, _ in spectra], 0.0),
+            )
+        ]
+        f, self.power, self.weight, shaking = padded
+        known = np.array([sp.is_noise_known for sp, _ in spectra])[rows]
+        self.prior_noise = np.where(known, NOISE_IS_KNOWN, PRIOR["noise"])
+        self._stages = stages
+        self._f2 = f[:, None, :] ** 2
+        w2 = (2.0 * pi * f) ** 2
+        self._high_pass = w2[:, None, :] ** 2 * self._f2 ** (2 * (stages - 3))
+        self._rest = 2.0 * bias_walk_psd / w2 + shaking
+
+    def spectrum(self, theta: Array) -> tuple[Array, Array]:
+        """S (s, n) of each model, and the slopes J (s, 3K + 1, n) of log S."""
+        M, K = self._stages, (theta.shape[1] - 1) // 3
+        log_f0, log_zeta, log_level = (theta[:, i * K : (i + 1) * K, None] for i in range(3))
+        c = 4.0 * np.exp(2.0 * log_zeta)
+        scale = np.exp(log_level - 4.0 * (M - 3) * log_f0) * c**M
+        x2 = self._f2 * np.exp(-2.0 * log_f0)
+        resonance = 1.0 / ((1.0 - x2) ** 2 + c * x2)
+        chains = self._high_pass * scale * _power(resonance, M)
+        N = np.exp(theta[:, 3 * K :])
+        S = chains.sum(axis=1) + (N + self._rest)
+        J = np.empty((*theta.shape, S.shape[1]))
+        share = np.divide(chains, S[:, None, :], out=J[:, 2 * K : 3 * K])
+        x2_resonance = x2 * resonance
+        J[:, :K] = share * (x2_resonance * (4.0 * M * x2 + (2.0 * M * c - 4.0 * M)) - 4.0 * (M - 3))
+        J[:, K : 2 * K] = share * (2.0 * M - 2.0 * M * c * x2_resonance)
+        J[:, 3 * K] = N / S
+        return S, J
+
+
+def _shaking(sp: Spectrum) -> Array:
+    return shaking_spectrum(sp.resonances, sp.f_hz, sp.above.dt_s)
+
+
+def _power(base: Array, exponent: int) -> Array:
+    """By squaring: an order faster than the general power."""
+    result = base if exponent & 1 else None
+    while exponent := exponent >> 1:
+        base = base * base
+        if exponent & 1:
+            result = base if result is None else result * base
+    return np.ones_like(base) if result is None else result
+
+
+def _score(whittle: _Whittle, starts: Array) -> tuple[Array, Array]:
+    """Fisher scoring with Levenberg's damping from each row of ``starts`` (s, p): their ends, and cost (s,)."""
+    K = (starts.shape[1] - 1) // 3
+    sizes = (K, K, K, 1)
+    low, high = (np.log(np.repeat([limits[end] for limits in LIMITS.values()], sizes)) for end in (0, 1))
+    prior = np.tile(np.repeat(list(PRIOR.values()), sizes), (len(starts), 1))
+    prior[:, -1] = whittle.prior_noise
+    theta = np.clip(starts, low, high)
+    centre = theta.copy()
+    centre[:, K : 2 * K] = log(DAMPING_GUESS)
+    eye = np.eye(starts.shape[1])
+
+    def costs(S: Array, ratio: Array, at: Array) -> Array:
+        told = np.sum((np.log(S) + ratio) * whittle.weight, axis=1)
+        return np.asarray(told + 0.5 * np.sum((at - centre) ** 2 * prior, axis=1))
+
+    S, J = whittle.spectrum(theta)
+    ratio = whittle.power / S
+    cost = costs(S, ratio, theta)
+    damping = np.full(len(theta), 1e-2)
+    for _ in range(STEPS):
+        JW = J * whittle.weight[:, None, :]
+        slope = np.matmul(JW, (ratio - 1.0)[:, :, None])[:, :, 0] - prior * (theta - centre)
+        fisher = np.matmul(JW, J.transpose(0, 2, 1)) + prior[:, :, None] * eye
+        fisher += damping[:, None, None] * (fisher * eye)
+        step = np.clip(np.linalg.solve(fisher, slope[:, :, None])[:, :, 0], -LONGEST_STEP, LONGEST_STEP)
+        trial = np.clip(theta + step, low, high)
+        S, trial_J = whittle.spectrum(trial)
+        trial_ratio = whittle.power / S
+        trial_cost = costs(S, trial_ratio, trial)
+        better = trial_cost < cost
+        theta[better], J[better], ratio[better] = trial[better], trial_J[better], trial_ratio[better]
+        cost = np.where(better, trial_cost, cost)
+        damping *= np.where(better, 0.3, 5.0)
+    return theta, cost
+
+
+def _noise_cost(sp: Spectrum, bias_walk_psd: float) -> float:
+    """The cost of the best model without waves: white noise of any level, and the bias."""
+    floor = 2.0 * bias_walk_psd / (2.0 * pi * sp.f_hz) ** 2 + _shaking(sp)
+    levels = np.geomspace(max(float(np.min(sp.power)), 1e-12), float(np.max(sp.power)) + 1e-12, 60)
+    S = levels[:, None] + floor
+    return float(np.min(np.sum(np.log(S) + sp.power / S, axis=1)))

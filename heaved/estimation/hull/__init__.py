@@ -1,0 +1,1 @@
+"""Deformation of the hull between two IMUs."""

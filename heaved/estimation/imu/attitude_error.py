@@ -1,0 +1,172 @@
+"""What the own errors of an attitude sensor do to the vertical acceleration, found from the record and taken out.
+
+An attitude sensor that nobody tells the vertical knows it from its accelerometers in the long run and from its
+gyroscopes in the short, by a complementary filter of a time constant of some 5 to 20 s. So it leans into horizontal
+acceleration; and its solution comes later than the accelerations, by some tens of milliseconds. Both errors are small
+beside the angles, but gravity is removed with them, and angles that are wrong by d do to the vertical acceleration
+
+    y d_roll + x d_pitch + (g + up) (d_roll^2 + d_pitch^2) / 2,
+
+x forward, y to port, up: measured with those angles. The product of two waves has their difference frequency, far below
+both, where a millimetre per second squared is decimetres of heave.
+
+**Lean.** The sensor's filter is angle' = rate + k (apparent - angle), k one over its time constant, apparent: as the
+specific force would have it. What the measured level still shows, x / (g + up) and y / (g + up), *is* apparent - angle.
+So the lean is k times an integral of what is measured, whatever vessel and waves do, and takes no gyroscope. A level
+bias makes that integral run away, in a straight line, which is taken out by least squares over the record. What is left
+is slow, and an error of the axes that is slow does no harm.
+
+**Lateness.** The angle is off by -late rate, and by -late k apparent: the sensor has compared what was of one moment.
+It may be negative: accelerometers have low-passes.
+
+k and lateness are found where they do harm. Below the waves there is no heave; what the vertical acceleration shows
+there is noise, and the products through which the two come in. They are fitted to some minutes of it in the frequency
+domain, each frequency weighed by what else is there (Gauss-Markov), so that waves, and the foot of a long swell, have
+no say (:mod:`heaved.estimation.imu.attitude_fit`). Gyroscopes, where there are any, show both within half a minute.
+Where nothing shows them they stay nothing, which they may well be; how far they are not known is
+:attr:`AttitudeError.noise`. What is found later than it was needed is taken out of the past as well:
+:attr:`AttitudeError.amendment`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from math import inf, nan
+from typing import Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from heaved.estimation.imu import attitude_fit
+from heaved.estimation.imu.attitude_fit import HOLE_S, ROW_S, USUAL, Noise, Run
+from heaved.samples import GRAVITY_MPS2
+
+Array = NDArray[np.float64]
+
+RECORD_S: Final = 600.0
+"""What an attitude sensor does in other seas, where it weighs its accelerometers otherwise, is forgotten."""
+EVERY_S: Final = 10.0
+"""Time between two looks."""
+FIRST_S: Final = 20.0
+"""Record before the first."""
+NO_SUMS: Final = (0.0,) * 10
+
+
+class Amendment(msgspec.Struct, frozen=True, eq=False):
+    """What vertical accelerations of the past were too little by."""
+
+    t_s: Array
+    """(n,) increasing,"""
+    more_mps2: Array
+    """(n,)"""
+
+
+class AttitudeError:
+    """Feed it every acceleration in the level frame of the measured angles; it gives the vertical one corrected.
+
+    Attributes:
+        lean_per_s: k, 1/s; 0: the angles do not lean.
+        late_s: by which the angles are later than the accelerations.
+        covariance: (2, 2) of the two.
+        noise: what not knowing them better leaves in the vertical acceleration, as of the last look; take it away.
+        amendment: what has been found out that is worth amending the past for; take it away.
+    """
+
+    def __init__(self) -> None:
+        self.lean_per_s = self.late_s = 0.0
+        self.covariance: Array = 0.5 * np.diag(np.square(USUAL))
+        self.noise: Noise | None = None
+        self.amendment: Amendment | None = None
+        self._t_s = self._off_x = self._off_y = nan
+        self._along = self._across = 0.0
+        """Integrals of the apparent vertical against the measured one, less a straight line, rad s,"""
+        self._rise_x = self._rise_y = 0.0
+        """and how that rises, rad."""
+        self._rows: deque[tuple[float, ...]] = deque(maxlen=round(RECORD_S / ROW_S))
+        self._taken: deque[float] = deque(maxlen=round(RECORD_S / ROW_S))
+        """Of each row, what of its vertical acceleration has been taken out."""
+        self._row, self._until_s, self._look_s = nan, -inf, nan
+        self._count, self._sums, self._are_rates_measured = 0, list(NO_SUMS), True
+
+    def corrected(
+        self, t_s: float, x_mps2: float, y_mps2: float, up_mps2: float, roll_rad: float, pitch_rad: float,
+        roll_radps: float, pitch_radps: float, *, are_rates_measured: bool,
+    ) -> float:  # fmt: skip
+        """The vertical acceleration at ``t_s`` without the two errors, from the level frame of the measured angles
+        (forward, port, up), these angles, and their rates, which gyroscopes may have measured."""
+        if t_s >= self._until_s:
+            self._close(t_s)
+        elapsed_s = t_s - self._t_s
+        self._t_s = t_s
+        weight = GRAVITY_MPS2 + up_mps2
+        x, y = x_mps2 / weight, y_mps2 / weight
+        if elapsed_s <= HOLE_S:
+            self._along += elapsed_s * (0.5 * (x + self._off_x) - self._rise_x)
+            self._across += elapsed_s * (0.5 * (y + self._off_y) - self._rise_y)
+        else:
+            self._along = self._across = 0.0
+        self._off_x, self._off_y = x, y
+        along, across, sums = self._along, self._across, self._sums
+        sums[0] += up_mps2
+        sums[1] += y_mps2
+        sums[2] += x_mps2
+        sums[3] += roll_rad
+        sums[4] += pitch_rad
+        sums[5] += roll_radps
+        sums[6] += pitch_radps
+        sums[7] += across
+        sums[8] += along
+        self._count += 1
+        if not are_rates_measured:
+            self._are_rates_measured = False
+        k, late_s = self.lean_per_s, self.late_s
+        # The sensor has compared angle and apparent vertical of one moment.
+        roll = k * (across - late_s * (roll_rad + y)) - late_s * roll_radps
+        pitch = k * (along - late_s * (pitch_rad + x)) - late_s * pitch_radps
+        error = y_mps2 * roll + x_mps2 * pitch + 0.5 * weight * (roll * roll + pitch * pitch)
+        sums[9] += error
+        return up_mps2 - error
+
+    def _close(self, t_s: float) -> None:
+        """Keep the row that has ended, and look at them all when it is time to."""
+        if self._count:
+            share = 1.0 / self._count
+            *row, taken = [share * value for value in self._sums]
+            self._rows.append((self._row, *row, float(self._are_rates_measured)))
+            self._taken.append(taken)
+            self._count, self._sums, self._are_rates_measured = 0, list(NO_SUMS), True
+            if t_s >= self._look_s:
+                self._look_s = t_s + EVERY_S
+                self._look()
+        else:
+            self._look_s = t_s + FIRST_S
+        self._row = t_s // ROW_S
+        self._until_s = ROW_S * (self._row + 1.0)
+
+    def _look(self) -> None:
+        rows = np.array(self._rows)
+        record = attitude_fit.runs(rows[:, :8])
+        if not record or record[-1].number[-1] != rows[-1, 0]:
+            return
+        last = record[-1]
+        self._across += float(last.lean[-1, 0] - rows[-1, 8])
+        self._along += float(last.lean[-1, 1] - rows[-1, 9])
+        self._rise_y, self._rise_x = last.rise.tolist()
+        turned = rows[:, 10] == 1.0
+        solution = self._learn(record, record if turned.all() else attitude_fit.runs(rows[turned, :8]))
+        error = np.concatenate([attitude_fit.error(run.made, solution) for run in record])
+        error = np.interp(rows[:, 0], np.concatenate([run.number for run in record]), error)
+        self.amendment = Amendment(ROW_S * (rows[:, 0] + 0.5), np.array(self._taken) - error)
+        self._taken = deque(error.tolist(), maxlen=self._taken.maxlen)
+
+    def _learn(self, record: list[Run], turned: list[Run]) -> Array:
+        """The two, as the record shows them; ``turned``: that part of it whose rates gyroscopes have measured."""
+        belief, told = attitude_fit.turned(turned), (np.zeros((2, 2)), np.zeros(2))
+        if (found := attitude_fit.spectra(record)) is not None:
+            told = attitude_fit.below_waves(found, belief)
+        solution, self.covariance = attitude_fit.averaged(belief, *told)
+        solution[0] = max(solution[0], 0.0)
+        self.lean_per_s, self.late_s = solution.tolist()
+        self.noise = attitude_fit.noise(record, solution, self.covariance)
+        return solution

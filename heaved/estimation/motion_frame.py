@@ -1,0 +1,293 @@
+"""The frame of a moment: what the chain, the rock predictions and the stages know then, put into one record.
+
+Nothing is advanced here: a moment without a sample is framed like any other, from the same state moved further on.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from math import hypot, isfinite, nan
+from typing import Final
+
+import msgspec
+
+from heaved.estimation import lever_arm as points
+from heaved.estimation.common.bounds import HEAVE_ACCELERATION_MPS2, HEAVE_M, HEAVE_VELOCITY_MPS, POINT_HEAVE_M
+from heaved.estimation.heave.estimator import Heave, HeaveChain
+from heaved.estimation.heave.quality import COAST_S, Facts, judge
+from heaved.estimation.imu.attitude import UNKNOWN, predicted
+from heaved.estimation.imu.attitude import Attitude as Measured
+from heaved.estimation.imu.vertical import Intake
+from heaved.estimation.lever_arm import Attitude, Point
+from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S
+from heaved.estimation.stages import Stages
+from heaved.predictions import PlainForecasts
+from heaved.samples import (
+    CorrectionState,
+    DelayedHeave,
+    HeaveState,
+    LaserState,
+    MotionFrame,
+    PointMotion,
+    Quality,
+    QuietForecast,
+    RockPrediction,
+)
+
+NOTHING: Final = Heave(
+    heave_m=nan,
+    std_m=nan,
+    velocity_mps=nan,
+    acceleration_mps2=nan,
+    observer_m=nan,
+    correction_m=nan,
+    lead_s=nan,
+    forecast=PlainForecasts((), (), ()),
+)
+"""While nothing is known of the heave."""
+CARRIED: Final = 1.5
+"""Where readings are missing there was mostly something wrong with the last ones too: so much less is known at once."""
+LINE_PER_S: Final = 4.0
+"""A straight line of a rolling vessel's angles is worse than a prediction by so much of it for each second: half of the
+angle's acceleration times the square of half a second is some three times what predictions are off by then."""
+LONGEST_STEP_S: Final = 0.5
+"""Delayed heaves further apart show no velocity."""
+BEYOND_PHYSICS: Final = "estimate beyond what a vessel does: withheld"
+
+
+class Framer:
+    """Makes the frames of one pipeline; the last gate that a value passes.
+
+    Attributes:
+        resets: of what was found beyond physics, times that it began.
+    """
+
+    def __init__(
+        self,
+        intake: Intake,
+        chain: HeaveChain,
+        stages: Stages,
+        *,
+        has_laser: bool,
+        point: tuple[Point, ...],
+        lead_s: float,
+        rock_horizons_s: tuple[float, ...],
+    ) -> None:
+        """``lead_s``: the heave is for this long after each moment. ``rock_horizons_s``: of the predictions."""
+        self._intake, self._chain, self._stages = intake, chain, stages
+        self._has_laser, self._points, self._lead_s = has_laser, point, lead_s
+        self.resets: Counter[tuple[str, str]] = Counter()
+        self._is_beyond = False
+        self._delayed: tuple[DelayedHeave, DelayedHeave | None] | None = None
+        """The newest of the chain, and what is published of it."""
+        # Between two predictions: the noise of the measured attitude, over 50 ms, would be most of the rate.
+        self._rate_between = tuple(rock_horizons_s.index(h) for h in STANDARD_HORIZONS_S[:2])
+
+    def frame(
+        self,
+        t_s: float,
+        rock: Sequence[RockPrediction],
+        quiet: QuietForecast | None,
+        doubts: tuple[str, ...],
+    ) -> MotionFrame:
+        """All that is known at ``t_s``; ``doubts``: what others than the observer hold against the heave."""
+        chain, stages = self._chain, self._stages
+        reference = chain.laser.reference
+        shift_s = t_s - chain.observer.t_s
+        heave = chain.at(shift_s) if shift_s <= COAST_S else None
+        if heave is not None:
+            heave = self._possible(heave)
+        attitude = self._serving(t_s, rock)
+        roll, pitch, yaw = attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad
+        fresh = self._has_laser and chain.laser.is_fresh(t_s)
+        quality = self._quality(t_s, heave, fresh, doubts)
+        crane_roll, crane_pitch, crane_yaw = stages.crane_attitude(roll, pitch, yaw)
+        if heave is None or quality.heave is HeaveState.INVALID:
+            # No number without its uncertainty, and none that is not worth sending.
+            heave = NOTHING
+        return MotionFrame(
+            t_s=t_s,
+            quality=quality,
+            heave_m=heave.heave_m,
+            heave_std_m=heave.std_m,
+            heave_velocity_mps=heave.velocity_mps,
+            heave_acceleration_mps2=heave.acceleration_mps2,
+            observer_m=heave.observer_m,
+            correction_m=heave.correction_m,
+            lead_s=heave.lead_s,
+            reference_m=reference.value_m if fresh else nan,
+            roll_rad=roll,
+            pitch_rad=pitch,
+            yaw_rad=yaw,
+            points=self._point_motions(heave, self._moving(attitude, t_s, tuple(rock))) if self._points else (),
+            rock=rock,
+            quiet=quiet,
+            forecast=heave.forecast,
+            compensation_lead_s=self._lead_s,
+            delayed=self._possible_delayed(),
+            sea=chain.observer.sea,
+            crane_roll_rad=crane_roll,
+            crane_pitch_rad=crane_pitch,
+            crane_yaw_rad=crane_yaw,
+            hull=stages.angles,
+            attitude=stages.motion,
+        )
+
+    def _possible(self, heave: Heave) -> Heave | None:
+        """A heave that a vessel can have, with what its velocity makes of the time to which the accelerations are known
+        in its standard deviation; None: no vessel does that, so nothing is known."""
+        is_beyond = not _is_possible(heave)
+        if is_beyond and not self._is_beyond:
+            self.resets["frame", "beyond physics"] += 1
+        self._is_beyond = is_beyond
+        if is_beyond:
+            return None
+        if not self._intake.force_std_s > 0.0:
+            return heave
+        late_s, forecast = self._intake.force_std_s, heave.forecast
+        # Of later moments: as fast as the wave is now at its fastest.
+        fastest_mps = hypot(heave.velocity_mps, self._chain.observer.omega_radps * heave.observer_m)
+        return msgspec.structs.replace(
+            heave,
+            std_m=hypot(heave.std_m, late_s * heave.velocity_mps),
+            forecast=PlainForecasts(
+                forecast.horizons_s,
+                [one.heave_m for one in forecast],
+                [hypot(one.std_m, late_s * fastest_mps) for one in forecast],
+            ),
+        )
+
+    def _possible_delayed(self) -> DelayedHeave | None:
+        """The delayed heave likewise, its velocity that since the one before."""
+        found, before = self._chain.delayed(), self._delayed
+        if found is None or abs(found.heave_m) > HEAVE_M:
+            return None
+        if not self._intake.force_std_s > 0.0:
+            self._delayed = found, found
+        elif before is None or found is not before[0]:
+            elapsed_s = found.t_s - before[0].t_s if before is not None else nan
+            # Of the first one, and of one after a pause, it is not known.
+            is_next = before is not None and 0.0 < elapsed_s <= LONGEST_STEP_S
+            velocity_mps = (found.heave_m - before[0].heave_m) / elapsed_s if before is not None and is_next else nan
+            std_m = hypot(found.std_m, self._intake.force_std_s * velocity_mps)
+            self._delayed = found, msgspec.structs.replace(found, std_m=std_m) if isfinite(std_m) else None
+        return self._delayed[1] if self._delayed is not None else None
+
+    def _serving(self, t_s: float, rock: Sequence[RockPrediction]) -> Measured:
+        """Roll and pitch of a moment: as of the last sample, or moved on as predicted or for an instant in line."""
+        last = self._intake.attitude
+        if last.t_s == t_s:
+            return last
+        if (now := predicted(t_s, last, rock)) is not None:
+            return now
+        if not last.serves(t_s):
+            return UNKNOWN
+        roll, pitch = last.at(t_s)
+        return msgspec.structs.replace(last, roll_rad=roll, pitch_rad=pitch)
+
+    def _moving(self, serving: Measured, t_s: float, predictions: tuple[RockPrediction, ...]) -> Attitude:
+        """The same for the moment that the heave of ``t_s`` is for, with rates and standard deviations.
+
+        How well an angle is known is what the predictions for as long ahead are worth: too much for a measured one,
+        since it is the whole of what the sensor adds and of what a prediction does.
+        """
+        roll, pitch = serving.roll_rad, serving.pitch_rad
+        soon, later = (predictions[i] for i in self._rate_between)
+        apart_s = later.horizon_s - soon.horizon_s
+        roll_rate = (later.roll_rad - soon.roll_rad) / apart_s
+        pitch_rate = (later.pitch_rad - soon.pitch_rad) / apart_s
+        roll_std, pitch_std = _stds(predictions, self._lead_s + t_s - serving.measured_s)
+        if (line_s := t_s - serving.t_s) > 0.0:
+            factor = CARRIED * (1.0 + LINE_PER_S * line_s)
+            roll_std, pitch_std = factor * roll_std, factor * pitch_std
+        if self._lead_s > 0.0:
+            roll, pitch = roll + self._lead_s * roll_rate, pitch + self._lead_s * pitch_rate
+        return Attitude(
+            roll,
+            pitch,
+            roll_rate,
+            pitch_rate,
+            roll_std if isfinite(roll_std) else serving.roll_std_rad,
+            pitch_std if isfinite(pitch_std) else serving.pitch_std_rad,
+        )
+
+    def _point_motions(self, heave: Heave, attitude: Attitude) -> tuple[PointMotion, ...]:
+        """Each point, for the moment that the heave is for."""
+        h, v, std_m, crane = heave.heave_m, heave.velocity_mps, heave.std_m, self._stages.crane
+        return tuple([
+            _bounded(
+                points.crane_motion(point, h, v, attitude, crane, std_m)
+                if point.frame == "crane"
+                else points.motion(point, h, v, attitude, std_m)
+            )
+            for point in self._points
+        ])  # fmt: skip
+
+    def _quality(self, t_s: float, heave: Heave | None, fresh: bool, doubts: tuple[str, ...]) -> Quality:
+        intake, chain, observer = self._intake, self._chain, self._chain.observer
+        state, reasons = judge(
+            Facts(
+                imu_fault=intake.fault,
+                since_sample_s=t_s - chain.good_t_s,
+                period_s=intake.arrivals.period_s,
+                settled_s=observer.settled_s,
+                needed_s=observer.needed_s,
+                error_std_m=nan if heave is None else heave.std_m,
+                heave_std_m=observer.heave_std_m(),
+                missing=intake.arrivals.missing,
+                doubts=observer.doubts + doubts,
+                notes=observer.notes,
+                is_still=observer.sea is not None and observer.sea.is_still,
+                remarks=chain.laser.remarks() if self._has_laser else (),
+                tilt_removed=intake.is_tilt_removed(t_s),
+                std_scale=chain.laser.std_scale(t_s),
+                laser_fault=chain.laser.fault,
+                laser_configured=self._has_laser,
+                laser_fresh=fresh,
+            )
+        )
+        notes = intake.notes
+        if intake.withheld:
+            reasons = (intake.withheld, *reasons)
+        if notes.unusable or self._is_beyond:
+            state = HeaveState.INVALID
+            reasons = (notes.unusable or BEYOND_PHYSICS, *reasons)
+        elif notes.signs:
+            # Waves can do that to a vessel that leans less than they do. But if the heave is in doubt besides, it is
+            # that: gravity is not taken out, but put in twice. And so it is until it has been found out.
+            is_usable = state is HeaveState.VALID and not notes.are_signs_open
+            state = HeaveState.DEGRADED if is_usable else HeaveState.INVALID
+            reasons = (notes.signs, *reasons)
+        if intake.is_recovering(t_s):
+            state = HeaveState.DEGRADED if state is HeaveState.VALID else state
+            reasons = (*reasons, "recovering: the tilt was not removed")
+        return Quality(
+            heave=state,
+            laser=LaserState.OFF if not self._has_laser else LaserState.VALID if fresh else LaserState.STALE,
+            correction=chain.correction.state(fresh) if self._has_laser else CorrectionState.OFF,
+            reasons=(*reasons, *notes.remarks) if notes.remarks else reasons,
+        )
+
+
+def _is_possible(heave: Heave) -> bool:
+    """Whether a vessel does that; what is not known is possible."""
+    return not (
+        abs(heave.heave_m) > HEAVE_M
+        or abs(heave.velocity_mps) > HEAVE_VELOCITY_MPS
+        or abs(heave.acceleration_mps2) > HEAVE_ACCELERATION_MPS2
+    )
+
+
+def _bounded(point: PointMotion) -> PointMotion:
+    """A point that knows where it is to some standard deviation and within its bounds, or nothing of it."""
+    is_known = abs(point.heave_m) <= POINT_HEAVE_M and isfinite(point.heave_std_m)
+    return point if is_known else PointMotion(name=point.name)
+
+
+def _stds(predictions: Sequence[RockPrediction], ahead_s: float) -> tuple[float, float]:
+    """Standard deviations of roll and pitch predicted that far ahead: those of the first horizon as long."""
+    for prediction in predictions:
+        if prediction.horizon_s >= ahead_s:
+            return prediction.roll_std_rad, prediction.pitch_std_rad
+    return nan, nan

@@ -1,0 +1,1 @@
+"""Roll, pitch and yaw ahead."""

@@ -1,0 +1,329 @@
+"""A channel whose readings are full of holes: an autoregression in a Kalman filter, fed with those that are there.
+
+Regressions on lags want every lag. Filled with their own predictions, a quiet sensor's lags make them see slopes that
+are nobody's, and predict the next hole from those. A Kalman filter needs no filling: readings are taken at their own
+times, what lies between them is known as well as it is known, and that well is what is published as the deviation.
+
+Its state is the motion at the last 56 of nodes 0.2 s apart, its model the autoregression of order 50 between them. That
+is learned by exponentially forgetting least squares from stretches without a hole (one matrix of moments, looked at
+only when it is wanted); in holes from the filter's own state, each product of two nodes counted with its covariance:
+the expectation step of the EM algorithm for a state-space model (Shumway and Stoffer 1982), with the smoothing that a
+state of 11 s brings with it. Moments over their number are the covariance that a filter begins with.
+"""
+
+from __future__ import annotations
+
+from math import exp, inf, nan
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import toeplitz
+
+Array = NDArray[np.float64]
+
+NODE_S: Final = 0.2
+"""Distance of nodes: a third of the shortest motion that is told from noise."""
+ORDER: Final = 50
+SMOOTHED: Final = 5
+"""Older nodes beside those: what is learned in holes is learned from nodes that so many later ones have shown, too. Of
+the newest an estimate that goes by the model says little but the model."""
+NODES: Final = ORDER + 1 + SMOOTHED
+NEWEST, OLDEST = slice(0, ORDER + 1), slice(SMOOTHED, NODES)
+"""The nodes that are predicted from, and those that the model is learned from."""
+MEMORY_S: Final = 300.0
+RIDGE: Final = 0.1
+"""Over the noise variance, as in :mod:`heaved.estimation.rock.learner`."""
+ROUNDING: Final = 1e-9
+"""Least ridge, over the mean diagonal."""
+PRIOR_ROWS: Final = 25.0
+"""Weight of what is assumed before anything is known: 5 s of motion anywhere between..."""
+PRIOR_HZ: Final = (0.03, 0.35)
+LEARNED_ROWS: Final = 100
+"""Nodes seen (20 s) before anything is published."""
+SOLVED_ROWS: Final = 40
+"""Nodes from one solution to the next while there are holes."""
+NOISE_MEMORY: Final = 100.0
+"""Readings by which the variance of their noise is followed."""
+DOUBT_MEMORY: Final = 20.0
+"""Readings by which it is judged whether innovations are as large as they should be."""
+NOISE_RANGE: Final = 4.0
+"""Most of it, over what would make all innovations from node to node: of those, an estimate that knows what came later
+leaves a part only."""
+DOUBLED: Final = 2.0
+"""What one that is held back does to that: either it is wrong, or what was expected of it."""
+GATE: Final = 6.0
+"""Deviations of an innovation beyond which a reading is held back."""
+REFUSED: Final = 5
+"""Readings held back in a row, over at least..."""
+REFUSED_S: Final = 0.5
+"""...by which the filter has lost the motion: what it is fed is not what it follows."""
+POSITION_NOISE: Final = 1e-2
+"""Least noise of a reading over the innovation from node to node: what cubic interpolation between nodes leaves."""
+POINTS: Final = np.arange(4)
+
+
+def cubic(place: Array) -> Array:
+    """(..., 4) weights on four nodes 0, 1, 2, 3 of the value at a place between 1 and 3 (Lagrange)."""
+    a, b, c, d = place, place - 1.0, place - 2.0, place - 3.0
+    return np.stack([-b * c * d / 6.0, a * c * d / 2.0, -a * b * d / 2.0, a * b * c / 6.0], axis=-1)
+
+
+def _first_of_four(place: Array, count: int) -> NDArray[np.intp]:
+    """The nodes, of so many, between which places are interpolated."""
+    return np.minimum(np.maximum(np.floor(place).astype(np.intp) - 1, 0), count - 4)
+
+
+class Autoregression:
+    """Second moments of 56 nodes of one channel about its slow mean, newest first, and the model that follows."""
+
+    def __init__(self, spacing_s: float, reach_s: float) -> None:
+        """``spacing_s``: of the nodes; ``reach_s``: how far ahead is predicted, at most."""
+        self._keep = exp(-spacing_s / MEMORY_S)
+        self._ahead = int(reach_s / spacing_s) + 3
+        self._moments = np.zeros((NODES, NODES))
+        self._count = 0.0
+        self.rows = 0
+        """Sets of nodes that were learned from."""
+        self.step = np.zeros(ORDER + 1)
+        """From the nodes to the next one."""
+        self.square = nan
+        """Of the innovations."""
+        self.ahead = np.zeros((self._ahead + 3, ORDER + 1))
+        """From the nodes to themselves and those to come: the last three, then the next, and so on."""
+        self.grown = np.zeros(self._ahead + 3)
+        """Variance of those, of known nodes, over that of the innovations."""
+
+    def learn(self, moments: Array, count: int) -> None:
+        """Take sums of products over so many sets of nodes."""
+        keep = self._keep**count
+        self._moments *= keep
+        self._moments += moments
+        self._count = keep * self._count + count
+        self.rows += count
+
+    def assume(self, square: float) -> None:
+        """Before anything is known: any wave motion, of that mean square."""
+        f = np.linspace(*PRIOR_HZ, 80)
+        lags = NODE_S * np.arange(NODES)
+        shape = np.cos(2.0 * np.pi * np.multiply.outer(lags, f)).mean(axis=1)
+        self._moments = PRIOR_ROWS * square * toeplitz(shape)
+        self._count = PRIOR_ROWS
+
+    @property
+    def covariance(self) -> Array:
+        """Of the nodes."""
+        covariance: Array = self._moments / self._count
+        return covariance
+
+    @property
+    def variance(self) -> float:
+        """Of the motion."""
+        return float(self._moments[0, 0]) / self._count
+
+    def solve(self, noise_square: float) -> bool:
+        """Find the model; False: there is none."""
+        moments, count = self._moments[OLDEST, OLDEST], self._count
+        if not count:
+            return False
+        gram, aim = moments[1:, 1:].copy(), moments[1:, 0]
+        gram[np.diag_indices(ORDER)] += count * RIDGE * noise_square + ROUNDING * np.trace(gram) / ORDER + 1e-300
+        try:
+            found = np.linalg.solve(gram, aim)
+        except np.linalg.LinAlgError:
+            return False
+        square = float(moments[0, 0] - 2.0 * found @ aim + found @ moments[1:, 1:] @ found) / count
+        self.square = max(square, ROUNDING * float(moments[0, 0]) / count, 1e-24)
+        self.step[:ORDER] = found
+        self._look_ahead()
+        return True
+
+    def _look_ahead(self) -> None:
+        ahead, grown = self.ahead, self.grown
+        ahead[:] = 0.0
+        ahead[[0, 1, 2], [2, 1, 0]] = 1.0
+        echo = np.zeros(self._ahead + ORDER)
+        echo[ORDER - 1] = 1.0  # of an innovation at the newest node
+        for k in range(3, len(ahead)):
+            recent = min(k, ORDER)
+            ahead[k] = self.step[:recent] @ ahead[k - 1 :: -1][:recent]
+            if recent < ORDER:  # older nodes, which are their own
+                ahead[k, 3 : ORDER + 3 - k] += self.step[k:ORDER]
+            echo[ORDER + k - 3] = self.step[:ORDER] @ echo[k - 3 : ORDER + k - 3][::-1]
+            grown[k] = grown[k - 1] + echo[ORDER + k - 4] ** 2
+
+
+class HoleFilter:
+    """Kalman filter of one channel on its autoregression; places and times are counted in rows of the sample grid."""
+
+    def __init__(self, every: int, interval_s: float, reach_s: float) -> None:
+        """``every``: rows from node to node; ``interval_s``: of rows."""
+        self._every = every
+        self._interval_s = interval_s
+        self.model = Autoregression(every * interval_s, reach_s)
+        self.noise_square = nan
+        """Of a reading."""
+        self._ridge_square = 0.0
+        """The same, as it was when the filter began: what follows the model shall not lead it."""
+        self.mean = 0.0
+        """What the state is counted from."""
+        self._x = np.zeros(NODES)
+        self._P = np.zeros((NODES, NODES))
+        self._node = 0
+        """Row of the newest node."""
+        self._until_solved = 0
+        self._doubt = 1.0
+        self._refused = 0
+        self._refused_row = 0.0
+        self._assumed = False
+
+    @property
+    def known(self) -> bool:
+        """Whether what it says may be published."""
+        return self.model.rows >= LEARNED_ROWS
+
+    def begin(self, row: int, nodes: Array, measured: NDArray[np.bool_], mean: float, noise_square: float) -> bool:
+        """Start from the values (56,) of the row and those ``every`` rows apart before it, where they were measured.
+
+        False: there is no model to start from.
+        """
+        model = self.model
+        self.mean = mean
+        y = nodes - mean
+        if model.rows < (LEARNED_ROWS if self._assumed else PRIOR_ROWS):
+            self._assumed = True
+            spread = float(np.mean(y[measured] ** 2)) if measured.any() else 0.0
+            model.assume(max(spread, noise_square, 1e-12))
+        if not model.solve(noise_square):
+            return False
+        self.noise_square = noise_square or inf
+        self._bound_noise(self._largest_noise)
+        self._ridge_square = self.noise_square
+        P = model.covariance
+        here = np.flatnonzero(measured)
+        if len(here):
+            S = P[np.ix_(here, here)]
+            S[np.diag_indices(len(here))] += self.noise_square
+            gain = np.linalg.solve(S, P[here]).T
+            self._x = gain @ y[here]
+            P = P - gain @ P[here]
+        else:
+            self._x = np.zeros(NODES)
+        self._P = 0.5 * (P + P.T)
+        self._node = row
+        self._doubt = 1.0
+        self._refused = 0
+        self._until_solved = SOLVED_ROWS
+        return True
+
+    @property
+    def _largest_noise(self) -> float:
+        """What alone would make the innovations of readings that were taken for nodes."""
+        model = self.model
+        return model.square / (1.0 + float(model.step @ model.step))
+
+    def _bound_noise(self, most: float) -> None:
+        self.noise_square = max(min(self.noise_square, most), POSITION_NOISE * self.model.square)
+
+    def move_mean(self, mean: float) -> None:
+        """Count from another slow mean."""
+        self._x += self.mean - mean
+        self.mean = mean
+
+    def to(self, row: float) -> None:
+        """Move on until no row up to this lies after the newest node."""
+        while self._node < row - 1e-6:
+            self._step()
+
+    def _step(self) -> None:
+        model, x, P = self.model, self._x, self._P
+        model.learn(np.multiply.outer(x, x) + P, 1)
+        self._until_solved -= 1
+        if self._until_solved <= 0:
+            self._until_solved = SOLVED_ROWS
+            if model.solve(self._ridge_square) and model.rows < LEARNED_ROWS:
+                self._bound_noise(self._largest_noise)
+        ahead = P[:, NEWEST] @ model.step
+        newest = float(model.step @ ahead[NEWEST]) + model.square
+        P[1:, 1:] = P[:-1, :-1].copy()
+        P[0, 0] = newest
+        P[0, 1:] = P[1:, 0] = ahead[:-1]
+        first = float(model.step @ x[NEWEST])
+        x[1:] = x[:-1].copy()
+        x[0] = first
+        self._node += self._every
+
+    def _weights(self, row: float) -> Array:
+        """On the four newest nodes, newest first, of a row between the newest two."""
+        place = min(max(3.0 + (row - self._node) / self._every, 1.0), 3.0)
+        return cubic(np.array(place))[::-1]
+
+    def value(self, row: float) -> tuple[float, float]:
+        """What is expected of a row up to the newest node, and its variance without noise."""
+        w = self._weights(row)
+        return float(w @ self._x[:4]), float(w @ self._P[:4, :4] @ w)
+
+    def read(self, row: float, value: float) -> bool:
+        """Take a reading, about the mean; False: it is held back."""
+        self.to(row)
+        w = self._weights(row)
+        K = self._P[:, :4] @ w
+        known = float(w @ K[:4])
+        e = value - float(w @ self._x[:4])
+        S = known + self.noise_square
+        is_armed = self.model.rows >= LEARNED_ROWS
+        if not S > 0.0 or (is_armed and e * e > GATE**2 * S * max(self._doubt, 1.0)):
+            if not self._refused:
+                self._refused_row = row
+            self._refused += 1
+            self._doubt = max(self._doubt, 1.0) * DOUBLED
+            return False
+        self._refused = 0
+        self._doubt += (e * e / S - self._doubt) / DOUBT_MEMORY
+        if is_armed:
+            self.noise_square += (e * e - S) / NOISE_MEMORY
+            self._bound_noise(NOISE_RANGE * self._largest_noise)
+        K /= S
+        self._x += e * K
+        self._P -= S * np.multiply.outer(K, K)
+        return True
+
+    def is_lost(self, row: float) -> bool:
+        """Whether readings have been held back for too long."""
+        return self._refused >= REFUSED and (row - self._refused_row) * self._interval_s >= REFUSED_S
+
+    def _places(self, row: float, ahead_s: Array) -> Array:
+        """Of times so long after a row, among the nodes that the model looks ahead to."""
+        place = (row - self._node + ahead_s / self._interval_s) / self._every + 2.0
+        return np.minimum(place, len(self.model.ahead) - 1.0)
+
+    def curve(self, row: float, ahead_s: Array) -> Array:
+        """Values, without the mean, so long after a row."""
+        place = self._places(row, ahead_s)
+        first = _first_of_four(place, len(self.model.ahead))
+        nodes = self.model.ahead @ self._x[NEWEST]
+        values: Array = (cubic(place - first) * nodes[first[:, None] + POINTS]).sum(axis=1)
+        return values
+
+    def variance(self, row: float, ahead_s: Array) -> Array:
+        """Of the errors of :meth:`curve` against readings: what is not known of the nodes, what is to come, noise; by
+        as much more as innovations are larger than they should be, and as a model fitted to so few of them predicts
+        worse than it fits (Akaike 1970: final prediction error)."""
+        model = self.model
+        place = self._places(row, ahead_s)
+        first = _first_of_four(place, len(model.ahead))
+        B = (cubic(place - first)[:, None, :] @ model.ahead[first[:, None] + POINTS])[:, 0]
+        grown = np.interp(place, np.arange(len(model.grown)), model.grown)
+        unknown = np.maximum(((B @ self._P[NEWEST, NEWEST]) * B).sum(axis=1), 0.0)
+        found = unknown + model.square * grown + self.noise_square
+        sets = max(0.5 * min(model.rows, MEMORY_S / NODE_S), LEARNED_ROWS)  # neighbours are half the same
+        variance: Array = max(self._doubt, 1.0) * (sets + ORDER) / (sets - ORDER) * found
+        return variance
+
+    def past(self, rows: Array) -> Array:
+        """The motion, about the mean, at rows that lie within the nodes."""
+        place = (self._node - rows) / self._every
+        first = _first_of_four(place, NODES)
+        weights = cubic(place - first)
+        values: Array = (weights * self._x[first[:, None] + POINTS]).sum(axis=1)
+        return values

@@ -1,0 +1,490 @@
+"""Rock prediction: roll, pitch and yaw a fraction of a second ahead, by the maximum-likelihood method.
+
+Source: Wei et al. 2019 (ship rock prediction). Each axis is taken as a damped oscillator with unknown coefficients,
+hence X(k+1) = phi11 X(k) + phi12 V(k) over one step of 50 ms, where (phi11, phi12) are the least-squares estimate over
+the last M points (eq. 6; its printed sums lost their dots: the second regressor is the velocity). X and V come from a
+fading-memory polynomial filter (eq. 7, 8; ``fading.py``). Further steps feed each prediction back as if measured.
+
+The paper works at 20 Hz. Here the step stays 50 ms at every sample rate, and everything else runs on the samples as
+they come, with their own times:
+
+* the filter state is a Taylor polynomial, moved by the true interval, so jitter and gaps cost nothing;
+* its memory is held by the mean age of the weights, A = 50 ms theta/(1-theta), i.e. theta(dt) = A/(A+dt). At 20 Hz that
+  is theta itself; at 100 Hz theta^(20/fs) would remember 16 % longer and pay for it (bias grows with age^4);
+* each sample is regressed on the state of 50 ms before, moved by the remainder: at 100 Hz five times as many equations,
+  over the same time;
+* the regression is centred on the mean of the last ~30 s, with a constant that is free within the doubt about that
+  mean (list, heading). The mean of the M points, less than a period long, would follow the motion itself: it doubles
+  the error of a slow roll.
+
+Which memory is best depends on the sensor's noise against the sea. A few run side by side; per axis and horizon the one
+with the least realised error is published.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from math import exp, inf, nan, pi
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from heaved.estimation.common.bounds import ANGLE_RAD, ANGLE_RATE_RADPS
+from heaved.estimation.rock.fading import gain_table, gains, pascal
+from heaved.estimation.rock.record import History, RealisedErrors
+from heaved.estimation.rock.regression import regression
+from heaved.predictions import Limits
+from heaved.samples import RockPrediction
+
+Array = NDArray[np.float64]
+
+STEP_S = 0.05
+"""One prediction step (Wei et al. 2019: the tracking radar's 20 Hz)."""
+STANDARD_HORIZONS_S = (0.05, 0.10, 0.15)
+"""Always predicted (Wei et al. 2019, algorithm 1)."""
+DEFAULT_HORIZONS_S = (*STANDARD_HORIZONS_S, 0.5, 1.0, 2.0, 5.0)
+START_SPAN_S = 40 * STEP_S
+"""The end-point fit takes 41 points."""
+GAP_S = 0.25
+"""Longer gaps start an axis anew, unless configured otherwise."""
+MEAN_SETTLES_S = 10.0
+"""About one period: the mean over T of a motion of deviation s wanders by s min(1, 10 s / T)."""
+HOLES_MEMORY_S = 2.0
+HOLES_S = (0.2, 0.1)
+"""Seconds without the usual readings within that memory from which on an axis is left out, and up to which it stays so:
+its errors are others than those that its standard deviation comes from."""
+USUAL = 1.5
+"""Usual intervals between readings that are no hole."""
+SETTLED_S = 5.0
+"""After a gap: until the regression sees nothing but what has come since. Before, deviations are..."""
+WIDENED = 2.0
+"""...so many times as large."""
+OUT_S = 3.0
+"""An axis predicted beyond the bounds for so long, longer than a spike is seen, starts anew."""
+LIMITS = Limits((ANGLE_RAD, ANGLE_RAD, inf), ANGLE_RATE_RADPS)
+YAW = 2
+AXES = 3
+
+
+class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The table ``[rock]`` of the configuration."""
+
+    predictor: Literal["direct", "ml"] = "direct"
+    """Direct regression of each horizon (:mod:`heaved.estimation.rock.direct`), or the method above."""
+    mode: Literal["zero", "endpoint"] = "endpoint"
+    """How the filter starts: from zeros (the method as first used), or from a polynomial fit over the first 2 s."""
+    points: Annotated[int, msgspec.Meta(ge=20, le=1000)] | None = None
+    """Length of the regression in steps of 50 ms, at any sample rate; unset: 210 for "zero", 67 for "endpoint"."""
+    degree: Annotated[int, msgspec.Meta(ge=1, le=6)] = 3
+    """Degree of the fading-memory polynomial (4: the five-point filter)."""
+    thetas: Annotated[tuple[Annotated[float, msgspec.Meta(ge=0.2, le=0.97)], ...], msgspec.Meta(min_length=1)] = (
+        0.6,
+        0.7,
+        0.8,
+    )
+    """Discounts per 50 ms that run side by side, the best of them published; one value switches nothing."""
+    horizons_s: tuple[Annotated[float, msgspec.Meta(ge=0.01, le=30.0)], ...] = DEFAULT_HORIZONS_S
+    """Predicted besides 0.05, 0.10 and 0.15 s, which always are."""
+    mean_memory_s: Annotated[float, msgspec.Meta(ge=5.0, le=600.0)] = 30.0
+    """Memory of the mean (list, trim, heading) on which the regression is centred."""
+    error_memory_s: Annotated[float, msgspec.Meta(ge=5.0, le=3600.0)] = 30.0
+    """Memory of the realised errors, from which the standard deviations come."""
+    memory_s: Annotated[float, msgspec.Meta(ge=60.0, le=1800.0)] = 300.0
+    """Of the direct regression."""
+    max_gap_s: Annotated[float, msgspec.Meta(ge=0.05, le=5.0)] | None = None
+    """Longer gaps (and longer than 3.5 sample intervals) start an axis anew; unset: 2 s ("direct"), 0.25 s ("ml")."""
+
+    @property
+    def window_s(self) -> float:
+        points = self.points if self.points is not None else (210 if self.mode == "zero" else 67)
+        return points * STEP_S
+
+
+def carried(predictions: tuple[RockPrediction, ...], by_s: float) -> tuple[RockPrediction, ...]:
+    """The same predictions as seen from a moment ``by_s`` later, on straight lines through neighbouring horizons.
+
+    For the moment between two samples, or of one that is late. Beyond one step of 50 ms nothing is claimed (nan).
+    """
+    if not 0.0 <= by_s <= STEP_S or len(predictions) < 2:
+        return tuple(RockPrediction(horizon_s=p.horizon_s) for p in predictions)
+    seen = []
+    for i, p in enumerate(predictions):
+        near, far = predictions[min(i, len(predictions) - 2) :][:2]
+        share = (p.horizon_s + by_s - near.horizon_s) / (far.horizon_s - near.horizon_s)
+        turn = (far.yaw_rad - near.yaw_rad + pi) % (2 * pi) - pi
+        seen.append(
+            RockPrediction(
+                horizon_s=p.horizon_s,
+                roll_rad=near.roll_rad + share * (far.roll_rad - near.roll_rad),
+                pitch_rad=near.pitch_rad + share * (far.pitch_rad - near.pitch_rad),
+                yaw_rad=(near.yaw_rad + share * turn) % (2 * pi),
+                roll_std_rad=far.roll_std_rad,
+                pitch_std_rad=far.pitch_std_rad,
+                yaw_std_rad=far.yaw_std_rad,
+            )
+        )
+    return tuple(seen)
+
+
+class RockPredictor:
+    """Predicts the three axes at once; arrays are (B, 3, ...): B memories by roll, pitch, yaw.
+
+    What is published is what is known: an axis is nan until 2 s of it have been seen (``endpoint``) or the window is
+    full (``zero``), and again after a gap longer than ``max_gap_s``. Shorter gaps are bridged by the filter's own
+    extrapolation while they are few; an axis with many is left out. Below about 10 Hz a very quiet sensor gains little:
+    its samples are too far apart for the polynomial. A reading that no ship has is none.
+
+    Standard deviations are the exponentially weighted RMS of the realised errors against the *measured* angle, so
+    sensor noise is in them; nan until 5 s of errors are known. The error of a horizon is taken from the prediction
+    whose age is nearest to it (and at least one sample), evaluated at exactly that age.
+    """
+
+    def __init__(self, params: Params | None = None) -> None:
+        self._params = p = params if params is not None else Params()
+        self.horizons_s = tuple(sorted({*p.horizons_s, *STANDARD_HORIZONS_S}))
+        self.begun_anew: Counter[str] = Counter()
+        """By reason: how often an axis was begun anew for what it predicted."""
+        self._horizons = np.array(self.horizons_s)
+        self._grid = np.maximum(np.rint(self._horizons / STEP_S), 1.0).astype(np.intp)
+        """Whole steps to each horizon; the remainder is bridged by the filter's polynomial."""
+
+        # State: m+1 Taylor coefficients (in steps of 50 ms), the constant 1, the prediction that led to it.
+        self._order = order = p.degree + 1
+        self._one, self._x = order, order + 1
+        self._powers = np.arange(order, dtype=np.float64)
+        self._shift_factor, self._shift_power = np.eye(order + 2), np.zeros((order + 2, order + 2))
+        binomial, power = pascal(p.degree)
+        self._shift_factor[:order, :order], self._shift_power[:order, :order] = binomial.T, power.T
+        # Angle some steps after a state's own time: the prediction there plus what the polynomial adds.
+        self._beyond_factor = np.concatenate([[0.0], np.ones(p.degree), [0.0, 1.0]])
+        self._beyond_power = np.concatenate([self._powers, [0.0, 0.0]])
+        self._mean_age_s = STEP_S * np.array([theta / (1.0 - theta) for theta in p.thetas])
+        self._gain_table = gain_table(p.degree)
+        # A step of 50 ms whose measurement is the prediction x itself: z <- z feed + x feed_gain.
+        self._feed_gain = self._state_gain(STEP_S)
+        self._feed = self._state_shift(1.0) - self._state_shift(1.0)[:, :1] * self._feed_gain[:, None, :]
+        self._remainder = self._beyond(self._horizons / STEP_S - self._grid)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        rows = (len(self._params.thetas), AXES)
+        width = self._order + 2
+        self._t_s = -inf
+        self._interval_s = nan
+        self._gain_interval_s = nan
+        self._gain = self._feed_gain[:, None, :]
+        self._z = np.zeros((*rows, width))
+        self._z[..., self._one] = 1.0
+        self._states: deque[tuple[float, Array]] = deque()
+        self._axes = tuple(_Axis() for _ in range(AXES))
+        self._yaw_reference_rad = nan
+        self._yaw_rad = 0.0
+        self._fitted_s = self._scored_s = -inf
+        self._advance = np.full((len(self._grid), *rows, width, width), nan)
+        keep_s = max(self._params.window_s, START_SPAN_S, self.horizons_s[-1]) + 1.0
+        self._history = History(rows, (len(self._grid), *rows, width), keep_s)
+        self._errors = RealisedErrors((len(self._grid), *rows), self._params.error_memory_s)
+        self._latest = tuple(RockPrediction(horizon_s=h) for h in self.horizons_s)
+
+    def step(self, t_s: float, roll_rad: float, pitch_rad: float, yaw_rad: float) -> tuple[RockPrediction, ...]:
+        """Take one sample (nan: not known) and predict from it, one record per horizon, shortest first.
+
+        A sample that is not later than the last one is ignored.
+        """
+        if not t_s > self._t_s:
+            return self._latest
+        elapsed_s = t_s - self._t_s if self._t_s > -inf else STEP_S
+        if self._t_s > -inf:
+            typical_s = self._interval_s if self._interval_s > 0.0 else elapsed_s
+            self._interval_s = typical_s + 0.05 * (min(elapsed_s, 1.0) - typical_s)
+        self._t_s = t_s
+
+        measured = np.array([possible(roll_rad), possible(pitch_rad), self._unwrapped(yaw_rad)])
+        used = self._follow_axes(elapsed_s, measured)
+        self._filter(elapsed_s, measured, used)
+        row = self._history.append(t_s, measured)
+        self._regressors(row, elapsed_s, measured, used)
+        self._start_axes(row)
+        self._states.append((t_s, self._z))
+
+        if t_s - self._fitted_s > STEP_S - 0.5 * elapsed_s:
+            self._fit()
+        curve = (self._z[:, :, None, :] @ self._advance)[..., 0, :]
+        self._history.curves[row] = curve
+        for index, axis in enumerate(self._axes):
+            if axis.is_holed:  # what is left out is not scored
+                self._history.curves[row, :, :, index] = nan
+            elif axis.is_slower:
+                axis.is_slower = False
+                self._errors.forget(index)
+        since_s = t_s - self._scored_s if self._scored_s > -inf else elapsed_s
+        if since_s > STEP_S - 0.5 * elapsed_s:  # errors closer together are hardly different ones
+            self._score(row, min(since_s, max(STEP_S, elapsed_s)), elapsed_s, measured)
+            self._scored_s = t_s
+        self._latest = self._publish(curve)
+        return self._latest
+
+    # -- one sample -----------------------------------------------------------------------------------------------
+
+    def _unwrapped(self, yaw_rad: float) -> float:
+        """Yaw relative to the first reading, without jumps."""
+        if not -inf < yaw_rad < inf:
+            return nan
+        if self._yaw_reference_rad != self._yaw_reference_rad:
+            self._yaw_reference_rad = yaw_rad
+        self._yaw_rad += (yaw_rad - self._yaw_reference_rad - self._yaw_rad + pi) % (2 * pi) - pi
+        return self._yaw_rad
+
+    def _follow_axes(self, elapsed_s: float, measured: Array) -> list[bool]:
+        """Begin, restart and centre each axis; which of the values go into the filter."""
+        limit_s = max(self._params.max_gap_s or GAP_S, 3.5 * (self._interval_s if self._interval_s > 0.0 else STEP_S))
+        used = []
+        for index, (axis, value) in enumerate(zip(self._axes, measured.tolist(), strict=True)):
+            if self._t_s - axis.seen_s > limit_s:
+                axis.forget()
+                self._forget(index)
+            if known := -inf < value < inf:
+                if axis.begun_s != axis.begun_s:
+                    axis.begun_s = self._t_s
+                    axis.running = self._params.mode == "zero"
+                axis.read(self._t_s, limit_s)
+                age_s = self._t_s - axis.begun_s + elapsed_s
+                axis.mean += elapsed_s / min(age_s, self._params.mean_memory_s) * (value - axis.mean)
+            used.append(known and axis.running)
+        return used
+
+    def _forget(self, axis: int) -> None:
+        self._z = self._z.copy()
+        self._z[:, axis, : self._order] = 0.0
+        self._history.pairs[:, axis] = 0.0
+        self._history.measured[:, axis] = nan
+        self._history.curves[:, :, :, axis] = nan
+
+    def _state_shift(self, steps: float) -> Array:
+        """(m+3, m+3), to the right of a state: the polynomial moved on by ``steps``, the rest kept."""
+        matrix: Array = self._shift_factor * steps**self._shift_power
+        return matrix
+
+    def _state_gain(self, interval_s: float) -> Array:
+        theta = self._mean_age_s / (self._mean_age_s + interval_s)
+        gain = np.zeros((len(theta), self._order + 2))
+        gain[:, : self._order] = gains(self._gain_table, theta) * (interval_s / STEP_S) ** -self._powers
+        return gain
+
+    def _filter(self, elapsed_s: float, measured: Array, used: list[bool]) -> None:
+        if not 0.8 * elapsed_s < self._gain_interval_s < 1.25 * elapsed_s:  # jitter needs no new gain, a gap does
+            self._gain_interval_s = elapsed_s
+            self._gain = self._state_gain(elapsed_s)[:, None, :]
+        z = self._z @ self._state_shift(elapsed_s / STEP_S)
+        innovation = measured - z[..., 0]
+        gain = self._gain
+        if not all(used):
+            innovation = np.where(used, innovation, 0.0)
+        if any(axis.waited_s > 1.25 * elapsed_s for axis in self._axes):  # a reading weighs for all since the last one
+            gain = np.stack([self._state_gain(max(axis.waited_s, elapsed_s)) for axis in self._axes], axis=1)
+        self._z = z + innovation[..., None] * gain
+
+    def _regressors(self, row: int, elapsed_s: float, measured: Array, used: list[bool]) -> None:
+        """One equation of the regression: this sample on position and velocity of one step before."""
+        states = self._states
+        lagged_s = self._t_s - STEP_S
+        latest_s = lagged_s + 0.5 * elapsed_s
+        while len(states) > 1 and states[1][0] <= latest_s:
+            states.popleft()
+        if not states or states[0][0] > latest_s:
+            return
+        then_s, z = states[0]
+        pair = self._history.pairs[..., row]
+        pair[..., :2] = z @ self._state_shift((lagged_s - then_s) / STEP_S)[:, :2]
+        pair[..., 2] = 1.0
+        pair[..., 3] = measured
+        absent = [i for i, axis in enumerate(self._axes) if not (used[i] and axis.begun_s <= latest_s)]
+        if absent:
+            pair[:, absent] = 0.0
+
+    def _start_axes(self, row: int) -> None:
+        for index, axis in enumerate(self._axes):
+            if axis.ready or axis.seen_s != self._t_s:
+                continue
+            waited_s = self._t_s - axis.begun_s + 0.5 * self._interval_s
+            if self._params.mode == "zero":
+                axis.ready = waited_s >= self._params.window_s - STEP_S
+            elif waited_s >= START_SPAN_S:
+                axis.ready = axis.running = self._fit_start(row, index)
+
+    def _fit_start(self, row: int, axis: int) -> bool:
+        """One polynomial through the first 2 s gives the state and all past positions, velocities and inputs.
+
+        (Smoothed past outputs beside raw past inputs, as printed, would excite the repeated pole of the filter.)
+        """
+        history = self._history
+        rows = np.arange(history.first, row + 1)
+        rows = rows[np.isfinite(history.measured[rows, axis]) & (history.t_s[rows] >= self._axes[axis].begun_s)]
+        powers = np.arange(self._order + 2)
+        if len(rows) < len(powers) + 2:
+            return False
+        steps = (history.t_s[rows] - self._t_s) / STEP_S
+        measured = history.measured[rows, axis]
+        span = START_SPAN_S / STEP_S
+        fit = np.linalg.lstsq((steps / span)[:, None] ** powers, measured, rcond=None)[0] / span**powers
+        self._z = self._z.copy()
+        self._z[:, axis, : self._order] = fit[: self._order]
+        for then_s, state in self._states:
+            state[:, axis] = self._z[:, axis] @ self._state_shift((then_s - self._t_s) / STEP_S)
+        lagged = (steps - 1.0)[:, None] ** powers
+        pairs = np.stack([lagged @ fit, lagged[:, :-1] @ (powers * fit)[1:], np.ones(len(rows)), measured], axis=1)
+        history.pairs[:, axis, :, rows] = np.where(steps > steps[0] + 0.99, pairs.T, 0.0).T[:, None, :]
+        self._fitted_s = -inf
+        return True
+
+    # -- prediction -----------------------------------------------------------------------------------------------
+
+    def _fit(self) -> None:
+        """(phi11, phi12) of eq. (6) and from them the matrices that carry a state to each horizon."""
+        self._fitted_s = self._t_s
+        phi = self._transition()
+        step = self._feed[:, None] + phi[..., :, None] * self._feed_gain[:, None, None, :]
+        step[..., self._x] = phi
+        done, power = 1, step
+        for i, n in enumerate(self._grid.tolist()):
+            if n > done:
+                power = power @ (step if n == done + 1 else np.linalg.matrix_power(step, n - done))
+                done = n
+            self._advance[i] = power
+        blind = [index for index, axis in enumerate(self._axes) if not axis.ready]
+        self._advance[:, :, blind] = nan
+
+    def _transition(self) -> Array:
+        """(B, 3, m+3): x(t + 50 ms) as a linear function of the state."""
+        pairs = self._history.window(self._t_s - self._params.window_s + 0.5 * self._interval_s)
+        moments = pairs @ pairs.swapaxes(-1, -2)
+        about = []
+        for axis in self._axes:
+            age_s = min(self._t_s - axis.begun_s, self._params.mean_memory_s) if axis.ready else MEAN_SETTLES_S
+            about.append((axis.mean, MEAN_SETTLES_S / max(age_s, MEAN_SETTLES_S)))
+        found = np.array(
+            [
+                [regression(sums, mean, doubt) for sums, (mean, doubt) in zip(axes, about, strict=True)]
+                for axes in moments.tolist()
+            ]
+        )
+        phi = np.zeros((*found.shape[:2], self._order + 2))
+        phi[..., :2] = found[..., :2]
+        phi[..., self._one] = found[..., 2]
+        return phi
+
+    def _beyond(self, steps: Array) -> Array:
+        """(H, m+3, 1) weights of a state that give the angle ``steps`` (H,) after its own time."""
+        weights: Array = self._beyond_factor * steps[:, None] ** self._beyond_power
+        return weights[:, :, None]
+
+    def _score(self, row: int, weight_s: float, elapsed_s: float, measured: Array) -> None:
+        history = self._history
+        made_s = history.t_s[history.first : row]
+        found = made_s.searchsorted(self._t_s - self._horizons + 0.5 * elapsed_s) - 1
+        if found[0] < 0:
+            return
+        age_s = self._t_s - made_s[found]
+        curve = history.curves[history.first + found, np.arange(len(found))]
+        error = measured - (curve @ self._beyond(age_s / STEP_S - self._grid)[:, None])[..., 0]
+        if found[-1] < 0:
+            error[found < 0] = nan
+        self._errors.update(self._t_s, weight_s, error)
+
+    def _publish(self, curve: Array) -> tuple[RockPrediction, ...]:
+        best, std = self._errors.of_best(curve)
+        value = (best @ self._remainder)[..., 0]
+        beyond = LIMITS.left_by(value, self.horizons_s)
+        if beyond.any():
+            value[np.logical_or.accumulate(beyond, axis=0)] = nan
+        for index, axis in enumerate(self._axes):
+            if beyond[:, index].any():
+                if self._t_s - max(axis.within_s, axis.begun_s) > OUT_S:
+                    axis.forget()
+                    self._forget(index)
+                    self.begun_anew["out of bounds"] += 1
+            else:
+                axis.within_s = self._t_s
+            if axis.is_holed:
+                value[:, index] = nan
+            elif self._t_s > axis.seen_s:  # deviations are those of horizons longer by the age of the reading
+                std[:, index] = np.interp(self._horizons + self._t_s - axis.seen_s, self._horizons, std[:, index])
+            if axis.is_young(self._t_s):
+                std[:, index] *= WIDENED
+        turned = value[:, YAW] + self._yaw_reference_rad
+        value[:, YAW] = turned % (2 * pi)
+        return tuple(
+            RockPrediction(
+                horizon_s=h,
+                roll_rad=v[0],
+                pitch_rad=v[1],
+                yaw_rad=0.0 if v[2] >= 2 * pi else v[2],  # x % 2 pi may round up to 2 pi
+                roll_std_rad=s[0],
+                pitch_std_rad=s[1],
+                yaw_std_rad=s[2],
+            )
+            for h, v, s in zip(self.horizons_s, value.tolist(), std.tolist(), strict=True)
+        )
+
+
+def possible(angle_rad: float) -> float:
+    """Roll or pitch; nan if no ship has it."""
+    return angle_rad if -ANGLE_RAD <= angle_rad <= ANGLE_RAD else nan
+
+
+class _Axis:
+    """What is known of one axis: since when, its mean, and how far its start has got."""
+
+    def __init__(self) -> None:
+        self.mean = 0.0
+        self.begun_s = self.seen_s = nan
+        self.usual_s = nan
+        """Between readings."""
+        self.within_s = -inf
+        """When its predictions were last within the bounds."""
+        self.is_slower = False
+        """Its readings have come to be usual that were holes when it was left out: its errors are not known."""
+        self._missing_s = 0.0
+        self._left_usual_s = nan
+        self._left_out = self._begun_again = False
+        self.forget()
+
+    def read(self, t_s: float, limit_s: float) -> None:
+        """A reading has come; an interval longer than ``limit_s`` is a gap, after which the axis begins anew."""
+        waited_s = self.waited_s = t_s - self.seen_s if self.seen_s == self.seen_s else 0.0
+        self.seen_s = t_s
+        if not 0.0 < waited_s <= limit_s:
+            return
+        if self.usual_s != self.usual_s:
+            self.usual_s = waited_s
+        self._missing_s *= exp(-waited_s / HOLES_MEMORY_S)
+        if waited_s > USUAL * self.usual_s:
+            self._missing_s += waited_s - self.usual_s
+        was_left_out, self._left_out = self._left_out, self._missing_s > HOLES_S[1 if self._left_out else 0]
+        if self._left_out and not was_left_out:
+            self._left_usual_s = self.usual_s
+        self.is_slower = was_left_out and not self._left_out and self.usual_s > USUAL * self._left_usual_s
+        self.usual_s += min(waited_s / MEAN_SETTLES_S, 1.0) * (waited_s - self.usual_s)
+
+    @property
+    def is_holed(self) -> bool:
+        """Whether too much is missing for its predictions to be as good as usual."""
+        return self._left_out
+
+    def is_young(self, t_s: float) -> bool:
+        """Whether it has begun anew, and its errors are larger than those that its standard deviation comes from."""
+        return self._begun_again and t_s - self.begun_s < SETTLED_S
+
+    def forget(self) -> None:
+        self._begun_again = self._begun_again or self.begun_s == self.begun_s
+        self.begun_s = nan
+        self.seen_s = nan
+        self.waited_s = 0.0
+        """For the latest reading."""
+        self.running = False
+        """Its samples go into the filter."""
+        self.ready = False
+        """It is predicted."""

@@ -1,0 +1,176 @@
+"""The TCP stream: every frame to every client, without ever waiting for one.
+
+A client that keeps up has its line written in the very call of :meth:`Publisher.publish`. One that does not has a
+bounded queue, in which the oldest lines give way to the newest; one that takes nothing for ``stuck_s`` is
+disconnected. What is said on the connection is in :mod:`heaved.outputs.wire`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from math import inf
+from typing import Protocol
+
+import msgspec
+import structlog
+
+from heaved.outputs import wire
+from heaved.outputs.access import checked_networks, is_allowed
+from heaved.outputs.listener import Listener
+from heaved.outputs.records import ErrorRecord, StatusRecord, VersionRecord
+from heaved.outputs.subscriber import Connection
+from heaved.samples import MotionFrame
+
+_log = structlog.get_logger(__name__)
+
+
+class StreamMetrics(Protocol):
+    """What the publisher counts for monitoring."""
+
+    def set_clients(self, clients: int) -> None: ...
+
+    def count_sent(self, frames: int) -> None: ...
+
+    def count_dropped(self, reason: str) -> None: ...
+
+    def count_client_error(self, reason: str) -> None: ...
+
+
+class Publisher:
+    """Serves the stream; everything runs on the event loop.
+
+    Attributes:
+        dropped: lines dropped for slow clients since the start, all clients together.
+    """
+
+    def __init__(
+        self,
+        *,
+        host: str,
+        port: int,
+        max_clients: int,
+        queue_frames: int,
+        allow: tuple[str, ...],
+        version: str,
+        status: Callable[[], StatusRecord],
+        metrics: StreamMetrics,
+        stuck_s: float = 10.0,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """``clock``: the monotonic clock that ``MotionFrame.t_s`` is read from.
+
+        Raises:
+            ValueError: ``host`` reaches beyond this machine and ``allow`` names no network, or an entry is none.
+        """
+        self.dropped = 0
+        self.queue_frames = queue_frames
+        self.stuck_s = stuck_s
+        self.clock = clock
+        self.metrics = metrics
+        self._networks = checked_networks("stream", host, allow)
+        self._listener = Listener("stream", host, port, lambda address: Connection(self, address))
+        self._max_clients = max_clients
+        self._version = version
+        self._status = status
+        self._sequence = 0
+        self._last_t_s = -inf
+        self._served: dict[Connection, None] = {}  # A set that keeps the order of arrival.
+        self._lingering: dict[Connection, None] = {}
+
+    @property
+    def clients(self) -> int:
+        """Connections served now."""
+        return len(self._served)
+
+    async def start(self) -> tuple[str, int]:
+        """Listen; returns the address that was bound (port 0 lets the system choose one).
+
+        Raises:
+            ListenError: the address cannot be bound; says what to do.
+        """
+        return await self._listener.start()
+
+    def publish(self, frame: MotionFrame, *, utc_s: float) -> None:
+        """Hand ``frame`` to every client that watches MOTION. ``utc_s``: time of validity, seconds since 1970."""
+        self._sequence += 1
+        interval_s, self._last_t_s = frame.t_s - self._last_t_s, frame.t_s
+        watching = [client for client in self._served if client.wants_motion(frame.t_s, interval_s)]
+        if not watching:
+            return
+        head = wire.motion_head(frame, seq=self._sequence, utc_s=utc_s)
+        line = head + wire.motion_tail(self.clock() - frame.t_s, 0)
+        self.metrics.count_sent(sum([client.send_motion(line, head, frame.t_s) for client in watching]))
+
+    def is_watched(self, name: str) -> bool:
+        """Whether any client watches the class ``name``: whether there is a record to make at all."""
+        return any(name in client.classes for client in self._served)
+
+    def publish_record(self, record: msgspec.Struct) -> None:
+        """Hand a record of another class (SEA, STATUS, ...; the class is its tag) to the clients that watch it."""
+        watching = [client for client in self._served if record.__struct_config__.tag in client.classes]
+        if not watching:
+            return
+        line = wire.encode_record(record)
+        for client in watching:
+            client.send(line)
+
+    async def close(self, drain_s: float = 0.5) -> None:
+        """Stop listening, give the clients ``drain_s`` to take what is queued for them, close every connection."""
+        self._listener.close()
+        connected = [*self._served, *self._lingering]
+        for client in connected:
+            client.finish()
+        if connected:
+            await asyncio.wait([client.closed for client in connected], timeout=drain_s)
+        for client in connected:
+            client.abort()
+            await client.closed
+
+    # What follows is for the connections.
+
+    def admit(self, client: Connection) -> ErrorRecord | None:
+        """Serve ``client``, or say why not."""
+        address = client.address
+        if not is_allowed(address, self._networks):
+            return self.refusal("not_allowed", address, f"{address} is not in a network of [stream] allow")
+        if self.clients >= self._max_clients:
+            message = f"{self._max_clients} clients are connected and no more are served ([stream] max_clients)"
+            return self.refusal("too_many_clients", address, message)
+        self._served[client] = None
+        self.metrics.set_clients(self.clients)
+        _log.debug("stream client connected", peer=address, clients=self.clients)
+        return None
+
+    def refusal(self, reason: str, address: str, message: str) -> ErrorRecord:
+        """Count and log what a client did wrong, and make the record that tells it."""
+        self.metrics.count_client_error(reason)
+        _log.warning("stream client error", reason=reason, peer=address, error=message, alike=reason)
+        return ErrorRecord(message=message)
+
+    def linger(self, client: Connection) -> bool:
+        """Stop serving ``client`` but keep the connection for a moment; False when too many linger already."""
+        self.forget(client)
+        if len(self._lingering) >= self._max_clients:
+            return False
+        self._lingering[client] = None
+        return True
+
+    def forget(self, client: Connection) -> None:
+        """``client`` is served no more."""
+        self._lingering.pop(client, None)
+        if client in self._served:
+            del self._served[client]
+            self.metrics.set_clients(self.clients)
+            _log.debug("stream client gone", peer=client.address, clients=self.clients)
+
+    def count_drop(self) -> None:
+        self.dropped += 1
+        self.metrics.count_dropped("slow_client")
+
+    def greeting(self) -> bytes:
+        return wire.encode_record(VersionRecord(release=self._version))
+
+    def status_line(self) -> bytes:
+        return wire.encode_record(self._status())

@@ -1,0 +1,260 @@
+"""One connection of the stream: what it wants, what waits for it, what it does wrong."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections import deque
+from math import inf
+from typing import TYPE_CHECKING, Final, cast
+
+from heaved.outputs import wire
+from heaved.outputs.records import ErrorRecord
+from heaved.outputs.requests import (
+    ACCEPTED,
+    MAX_REQUEST_BYTES,
+    BadRequest,
+    LineSplitter,
+    Request,
+    StatusQuery,
+    VersionQuery,
+    Watch,
+    parse_request,
+)
+
+if TYPE_CHECKING:
+    from heaved.outputs.stream import Publisher
+
+_MAX_ERRORS: Final = 5
+_MAX_REQUESTS_PER_S: Final = 20
+"""More is an error: to answer a flood of ``?STATUS`` would delay the other clients."""
+_SEND_BUFFER_BYTES: Final = 32 * 1024
+"""Small, so that a client which does not read shows within seconds. Linux doubles it."""
+_LINGER_S: Final = 1.0
+"""How long a client that is turned away may take to read why, before the connection is reset."""
+_LINGER_BYTES: Final = 4 << 20
+"""How much it may go on sending meanwhile; it is thrown away."""
+_SILENT_S: Final = 3.0
+"""A client that has closed its side is served on as long as something goes out to it this often: that it has gone
+altogether shows on sending alone."""
+
+
+class Connection(asyncio.Protocol):
+    """A client that is connected. Made by the event loop, served by the publisher.
+
+    The transport's own buffer is limited to nothing: it asks for a pause as soon as the kernel has not taken a whole
+    line. So while not paused the queue is empty, and a line can go straight to the socket.
+    """
+
+    def __init__(self, publisher: Publisher, address: str) -> None:
+        """``address``: of the peer."""
+        loop = asyncio.get_running_loop()
+        self.address = address
+        self.classes: frozenset[str] = frozenset(("MOTION",))
+        self.closed: asyncio.Future[None] = loop.create_future()
+        self._publisher = publisher
+        self._transport: asyncio.Transport
+        self._silence_timer: asyncio.TimerHandle | None = None
+        self._is_silent = False  # Nothing was sent since the timer was started.
+        self._linger_timer: asyncio.TimerHandle | None = None
+        self._discarded_bytes = 0
+        self._lines = LineSplitter()
+        self._errors = 0
+        self._requests = 0
+        self._requests_since_s = -inf
+        self._period_s = 0.0
+        self._due_s = -inf
+        self._queue: deque[tuple[bytes, float | None]] = deque()  # (head of a MOTION, its t_s) or (whole line, None)
+        self._paused = False
+        self._full_since_s = inf
+        self._dropped = 0  # MOTION frames since the last one that was sent.
+        self._is_finishing = False
+
+    # --- the connection's life ---
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast(asyncio.Transport, transport)
+        _set_options(transport.get_extra_info("socket"))
+        self._transport.set_write_buffer_limits(high=0)
+        refusal = self._publisher.admit(self)
+        if refusal is not None:
+            self._turn_away(refusal)
+            return
+        self._transport.write(self._publisher.greeting())
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        for timer in (self._linger_timer, self._silence_timer):
+            if timer is not None:
+                timer.cancel()
+        self._publisher.forget(self)
+        self.closed.set_result(None)
+
+    def eof_received(self) -> bool:
+        """Keep serving a client that has said all it has to say (``echo ?STATUS | nc``).
+
+        One that has closed the connection looks the same, until something is sent to it. So it must not be silent.
+        """
+        if self._linger_timer is not None:
+            return False
+        self._listen_for_silence()
+        return True
+
+    def _listen_for_silence(self) -> None:
+        self._is_silent = True
+        wait_s = max(_SILENT_S, 2.0 * self._period_s)
+        self._silence_timer = asyncio.get_running_loop().call_later(wait_s, self._judge_silence)
+
+    def _judge_silence(self) -> None:
+        self._silence_timer = None
+        if self._linger_timer is not None or self._is_finishing:
+            return
+        if not self._is_silent or self._paused:  # Whether one that takes nothing is stuck is judged elsewhere.
+            self._listen_for_silence()
+            return
+        watched = ", ".join(sorted(self.classes)) or "no class"
+        message = f"closed: you have closed your side, and there is nothing to send of what you watch ({watched})"
+        self._turn_away(ErrorRecord(message=message))
+
+    def finish(self) -> None:
+        """Close as soon as the queue is empty."""
+        self._is_finishing = True
+        if not self._queue:
+            self._transport.close()
+
+    def abort(self) -> None:
+        self._publisher.forget(self)
+        self._transport.abort()
+
+    def _turn_away(self, refusal: ErrorRecord) -> None:
+        """Say why, then close. Closing at once would reset the connection of a client that is still sending, and it
+        would never read the reason."""
+        if not self._publisher.linger(self):
+            self.abort()
+            return
+        self._queue.clear()
+        self._transport.write(wire.encode_record(refusal))
+        self._transport.write_eof()
+        self._linger_timer = asyncio.get_running_loop().call_later(_LINGER_S, self._transport.abort)
+
+    # --- to the client ---
+
+    def wants_motion(self, t_s: float, interval_s: float) -> bool:
+        """Whether a frame of this time is due, ``interval_s`` after the one before.
+
+        Due times stand ``_period_s`` apart, whatever the frames' own times, so that the mean rate is the wanted one;
+        the frame nearest to a due time is taken.
+        """
+        if "MOTION" not in self.classes:
+            return False
+        if self._period_s > 0.0:
+            if t_s < self._due_s - 0.5 * interval_s:
+                return False
+            next_s = self._due_s + self._period_s
+            self._due_s = next_s if next_s > t_s else t_s + self._period_s
+        return True
+
+    def send_motion(self, line: bytes, head: bytes, t_s: float) -> bool:
+        """Whether ``line`` was written now, instead of ``head`` queued."""
+        if self._paused:
+            self._enqueue(head, t_s)
+            return False
+        self._is_silent = False
+        self._transport.write(self._with_tail(head, t_s) if self._dropped else line)
+        return True
+
+    def send(self, line: bytes) -> None:
+        if self._paused:
+            self._enqueue(line, None)
+        else:
+            self._is_silent = False
+            self._transport.write(line)
+
+    def pause_writing(self) -> None:
+        self._paused = True
+
+    def resume_writing(self) -> None:
+        self._paused = self._is_silent = False
+        self._full_since_s = inf
+        sent = 0
+        while self._queue and not self._paused:
+            line, t_s = self._queue.popleft()
+            if t_s is not None:
+                line = self._with_tail(line, t_s)
+                sent += 1
+            self._transport.write(line)
+        self._publisher.metrics.count_sent(sent)
+        if self._is_finishing and not self._queue:
+            self._transport.close()
+
+    def _with_tail(self, head: bytes, t_s: float) -> bytes:
+        dropped, self._dropped = self._dropped, 0
+        return head + wire.motion_tail(self._publisher.clock() - t_s, dropped)
+
+    def _enqueue(self, line: bytes, t_s: float | None) -> None:
+        self._queue.append((line, t_s))
+        if len(self._queue) <= self._publisher.queue_frames:
+            return
+        _, dropped_t_s = self._queue.popleft()
+        self._dropped += dropped_t_s is not None
+        self._publisher.count_drop()
+        now_s = self._publisher.clock()
+        self._full_since_s = min(self._full_since_s, now_s)
+        if now_s - self._full_since_s > self._publisher.stuck_s:
+            message = f"nothing taken for {self._publisher.stuck_s:g} s with a full queue: disconnected"
+            self._publisher.refusal("stuck", self.address, message)
+            self.abort()
+
+    # --- from the client ---
+
+    def data_received(self, data: bytes) -> None:
+        if self._linger_timer is not None:
+            self._discarded_bytes += len(data)
+            if self._discarded_bytes > _LINGER_BYTES:
+                self._transport.abort()
+            return
+        for line in self._lines.feed(data):
+            self._obey(self._read(line))
+            if self._linger_timer is not None:
+                return
+        if self._lines.overflow:
+            message = f"a line longer than {MAX_REQUEST_BYTES} bytes: closed; {ACCEPTED}"
+            self._turn_away(self._publisher.refusal("line_too_long", self.address, message))
+
+    def _read(self, line: bytes) -> Request:
+        now_s = self._publisher.clock()
+        if now_s - self._requests_since_s >= 1.0:
+            self._requests_since_s, self._requests = now_s, 0
+        self._requests += 1
+        if self._requests > _MAX_REQUESTS_PER_S:
+            return BadRequest(f"more than {_MAX_REQUESTS_PER_S} requests in a second: send fewer")
+        return parse_request(line)
+
+    def _obey(self, request: Request) -> None:
+        if isinstance(request, Watch):
+            self.classes = frozenset(request.classes)
+            self._period_s = 0.0 if request.rate_hz is None else 1.0 / request.rate_hz
+            self._due_s = -inf
+        elif isinstance(request, StatusQuery):
+            self.send(self._publisher.status_line())
+        elif isinstance(request, VersionQuery):
+            self.send(self._publisher.greeting())
+        else:
+            self._complain(request.message)
+
+    def _complain(self, message: str) -> None:
+        self._errors += 1
+        if self._errors < _MAX_ERRORS:
+            self.send(wire.encode_record(self._publisher.refusal("bad_request", self.address, message)))
+        else:
+            message = f"{message} (error {self._errors}: closed)"
+            self._turn_away(self._publisher.refusal("bad_request", self.address, message))
+
+
+def _set_options(connection: socket.socket) -> None:
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
+    # A client whose machine lost power is noticed within a minute, even when nothing is sent to it.
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 30)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 10)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, 3)

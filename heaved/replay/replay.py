@@ -1,0 +1,271 @@
+"""Replay: a recording through the very pipeline of the daemon, causal and repeatable to the byte.
+
+Nothing here depends on the time of day or on how fast the machine is: the pipeline hands over a training window at a
+time of the recording, replay waits for the network, and the pipeline judges it before the next sample.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from itertools import islice
+from math import inf, isnan, nan
+from pathlib import Path
+from typing import Final, TextIO
+
+import msgspec
+
+from heaved.config import Config
+from heaved.devices.recording import Recording
+from heaved.estimation.heave.sea.refit import SeaWindow, look
+from heaved.estimation.stages import Stages
+from heaved.pipeline import Pipeline
+from heaved.replay.table import Table
+from heaved.samples import HeaveState, MotionFrame, Sample
+from heaved.text import printable
+from heaved.workers.process import BlockingTrainer
+
+BLOCK_FRAMES: Final = 256
+"""Frames that are made into text together."""
+BLOCK_SAMPLES: Final = 64
+"""Samples that are read together, and go through the pipeline so."""
+
+MOST_REASONS: Final = 12
+"""That are printed."""
+_NUMBER: Final = re.compile(r"[-+]?\d+(\.\d+)?")
+
+Progress = Callable[[int, int], None]
+"""(bytes read, bytes in all)"""
+
+
+class OutputError(Exception):
+    """The result cannot be written; the message says where, why and what to do."""
+
+
+class Reason(msgspec.Struct, frozen=True, kw_only=True):
+    """One reason that frames gave for their quality."""
+
+    text: str
+    """As the first of them gave it."""
+    varies: bool = False
+    """Others gave it with other numbers."""
+    frames: int
+    first_s: float
+    """``t_s`` of the first frame that gave it."""
+
+
+class Summary(msgspec.Struct, frozen=True, kw_only=True):
+    """What a replay did."""
+
+    rows: int
+    """Of the recording."""
+    frames: int
+    """Rows of the result."""
+    duration_s: float
+    """Of the recording, from the first row to the last one replayed."""
+    elapsed_s: float
+    """By the clock on the wall."""
+    quality: dict[HeaveState, int]
+    """Frames by how far their heave can be trusted."""
+    trainings: dict[str, int]
+    """Training windows by what became of them: accepted, rejected, failed."""
+    fits: dict[str, int]
+    """Fits of the sea likewise."""
+    failure: str = ""
+    """What the last fit that could not be made died of, if one did: a fault of the program."""
+    reasons: tuple[Reason, ...] = ()
+    """What frames said of their quality, the most frequent first."""
+
+    def __str__(self) -> str:
+        speed = self.duration_s / self.elapsed_s if self.elapsed_s > 0.0 else inf
+        shares = ", ".join(
+            f"{100.0 * self.quality[state] / self.frames:.1f} % {state.value}"
+            for state in HeaveState
+            if self.quality.get(state)
+        )
+        fitted = ", ".join(f"{count} {result}" for result, count in sorted(self.fits.items()))
+        fitted += f" (the last one died of {printable(self.failure)})" if self.failure else ""
+        trained = ", ".join(f"{count} {result}" for result, count in sorted(self.trainings.items()))
+        return (
+            f"{self.rows} rows, {self.duration_s:.1f} s of motion in {self.elapsed_s:.1f} s "
+            f"({speed:.0f} x real time)\n"
+            f"{self.frames} frames: {shares or 'no row has az_mps2'}\n"
+            f"fits of the sea: {fitted or 'none'}; training windows: {trained or 'none'}{self._told_reasons()}"
+        )
+
+    def _told_reasons(self) -> str:
+        lines = [
+            f"\n  {100.0 * reason.frames / self.frames:5.1f} % of the frames, first at t_s {reason.first_s:.2f}: "
+            f"{printable(reason.text)}{' (later with other numbers)' if reason.varies else ''}"
+            for reason in self.reasons[:MOST_REASONS]
+        ]
+        more = len(self.reasons) - len(lines)
+        return (f"\nreasons:{''.join(lines)}" if lines else "") + (f"\n  and {more} more" if more else "")
+
+
+def replay(
+    source: Path, out: Path | None, config: Config, *, until_s: float = inf, progress: Progress | None = None
+) -> Summary:
+    """Run the recording ``source`` through the pipeline; the result goes to ``out``, or to standard output if None.
+
+    until_s: seconds of the recording, from its first row, after which to stop.
+
+    Raises:
+        RecordingError: the recording is malformed; nothing is written.
+        OutputError: the result cannot be written; nothing is left behind.
+    """
+    begun_s = time.monotonic()
+    if out is not None and out.exists() and out.samefile(source):
+        raise OutputError(f"{out} is the recording itself: name another file with -o")
+    with Recording(source) as recording, BlockingTrainer() as trainer, _writing(out) as file:
+        table = Table(config, file.write)
+        run = _Run(_pipeline(config, recording.has_laser), trainer)
+        frames = run.frames(recording, until_s, progress)
+        while block := list(islice(frames, BLOCK_FRAMES)):
+            table.put(block)
+        table.flush()
+    return run.summary(time.monotonic() - begun_s)
+
+
+def _pipeline(config: Config, has_laser: bool) -> Pipeline:
+    return Pipeline(
+        heave=config.heave,
+        laser=config.laser,
+        correction=config.correction,
+        rock=config.rock,
+        has_laser=has_laser,
+        point=config.point,
+        lead_s=config.compensation.lead_s,
+        stages=Stages(config.hull, config.attitude),
+        quiet=config.quiet,
+    )
+
+
+class _Run:
+    """One pass over a recording, and what it counts."""
+
+    def __init__(self, pipeline: Pipeline, trainer: BlockingTrainer) -> None:
+        self._pipeline = pipeline
+        self._trainer = trainer
+        self._rows = 0
+        self._duration_s = 0.0
+        self._quality: Counter[HeaveState] = Counter()
+        self._trainings: Counter[str] = Counter()
+        self._fits: Counter[str] = Counter()
+        self._failure = ""
+        self._reasons: dict[str, _Given] = {}
+
+    def frames(self, recording: Recording, until_s: float, progress: Progress | None) -> Iterator[MotionFrame]:
+        """The frames of all samples up to ``until_s``, in order."""
+        pipeline, samples = self._pipeline, self._samples(recording, until_s)
+        while block := list(islice(samples, BLOCK_SAMPLES)):
+            for frame in pipeline.run(block):
+                if (past := pipeline.fit_due()) is not None:
+                    self._fits[self._fit(past)] += 1
+                if (window := pipeline.training_due()) is not None:
+                    self._trainings[pipeline.accept(self._trainer.fit(window))] += 1
+                if frame is not None:
+                    self._quality[frame.quality.heave] += 1
+                    for text in frame.quality.reasons:
+                        self._given(text, frame.t_s)
+                    yield frame
+            if progress is not None:
+                progress(recording.read_bytes, recording.total_bytes)
+
+    def _fit(self, past: SeaWindow) -> str:
+        try:
+            fit = look(past)
+        except Exception as error:  # The daemon's fitter would die of it, too: what was learned stays in use.
+            self._failure = repr(error)
+            return "failed"
+        return self._pipeline.accept_fit(fit)
+
+    def _samples(self, recording: Recording, until_s: float) -> Iterator[Sample]:
+        first_s = nan
+        for imu, laser, rates, craft in recording.instants():
+            sample = imu or laser or rates or craft
+            if sample is not None:
+                first_s = sample.t_s if isnan(first_s) else first_s
+                if sample.t_s - first_s > until_s:
+                    return
+                self._duration_s = sample.t_s - first_s
+            self._rows += 1
+            # The IMU last: a row is one instant, and what the others say is known when its frame is made.
+            for reading in (laser, rates, craft, imu):
+                if reading is not None:
+                    yield reading
+
+    def _given(self, text: str, t_s: float) -> None:
+        kind = _without_numbers(text)
+        given = self._reasons.get(kind)
+        if given is None:
+            given = self._reasons[kind] = _Given(text, t_s)
+        given.frames += 1
+        given.varies |= text != given.text
+
+    def summary(self, elapsed_s: float) -> Summary:
+        return Summary(
+            rows=self._rows,
+            frames=self._quality.total(),
+            duration_s=self._duration_s,
+            elapsed_s=elapsed_s,
+            quality=dict(self._quality),
+            trainings=dict(self._trainings),
+            fits=dict(self._fits),
+            failure=self._failure,
+            reasons=tuple(
+                Reason(text=given.text, varies=given.varies, frames=given.frames, first_s=given.first_s)
+                for given in sorted(self._reasons.values(), key=lambda given: -given.frames)
+            ),
+        )
+
+
+class _Given(msgspec.Struct):
+    """A reason, while it is counted."""
+
+    text: str
+    first_s: float
+    frames: int = 0
+    varies: bool = False
+
+
+@lru_cache(maxsize=256)
+def _without_numbers(text: str) -> str:
+    return _NUMBER.sub("…", text)
+
+
+@contextmanager
+def _writing(out: Path | None) -> Iterator[TextIO]:
+    """A file that appears under its name only when it is whole; pipes and devices are written as they are.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    if out is None:
+        try:
+            yield sys.stdout
+            sys.stdout.flush()
+        except OSError as error:
+            # What is still buffered cannot be written either: the interpreter would try, and say so, as it exits.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            raise OutputError(f"standard output: cannot be written: {error.strerror or error}") from error
+        return
+    is_special = out.exists() and not out.is_file()
+    target = out.resolve()
+    partial = target if is_special else target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        with partial.open("w", encoding="utf-8", newline="") as file:
+            yield file
+        if not is_special:
+            partial.replace(target)
+    except OSError as error:
+        raise OutputError(f"{out}: cannot be written: {error.strerror or error}; name another file with -o") from error
+    finally:
+        if not is_special:
+            partial.unlink(missing_ok=True)

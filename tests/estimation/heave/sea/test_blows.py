@@ -1,0 +1,61 @@
+"""Blows in noise and in steady vibration: when they are known to have been struck."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from heaved.estimation.heave.sea.blows import Blows
+from heaved.simulate.seaway import seaway
+
+DT_S, COUNT = 0.05, 6000
+T = DT_S * np.arange(COUNT)
+Array = np.ndarray
+
+
+def ringing(at_s: float, size_mps2: float, f_hz: float = 2.2, tau_s: float = 1.0) -> Array:
+    since = np.maximum(T - at_s, 0.0)
+    return np.asarray(size_mps2 * np.exp(-since / tau_s) * np.sin(2 * np.pi * f_hz * since))
+
+
+def struck(added: Array, seed: int = 1) -> list[float]:
+    noise = 3e-3 * np.random.default_rng(seed).standard_normal(COUNT)
+    waves = seaway("S6", seed, attitude=False).motion(T).heave_acceleration_mps2
+    blows, found = Blows(), []
+    for t_s, a in zip(T.tolist(), (waves + noise + added).tolist(), strict=True):
+        if blows.take(t_s, a) > 0.0:
+            found.append(t_s)
+    return found
+
+
+@pytest.mark.parametrize("size_mps2", [0.3, 2.0, 10.0])
+@pytest.mark.parametrize("f_hz", [1.2, 2.2, 6.0])
+def test_a_blow_is_known_with_its_first_beat(size_mps2: float, f_hz: float) -> None:
+    assert struck(ringing(100.0 - 0.01, size_mps2, f_hz)) == [pytest.approx(100.0, abs=DT_S + 1e-9)]
+
+
+def test_one_while_the_hull_still_rings_is_another() -> None:
+    found = struck(ringing(99.99, 2.0) + ringing(101.49, 2.0))
+    assert found == [pytest.approx(100.0, abs=0.06), pytest.approx(101.5, abs=0.06)]
+
+
+@pytest.mark.parametrize(
+    "added",
+    [
+        0.0 * T,
+        0.5 * np.sin(2 * np.pi * 3.1 * T),
+        0.3 * np.random.default_rng(2).standard_normal(COUNT),
+        0.5 * np.sin(2 * np.pi * 9.0 * T + 3.0 * np.sin(0.2 * T)),
+    ],
+    ids=["quiet", "line", "noise", "wandering line"],
+)
+def test_what_is_steady_is_no_blow(added: Array) -> None:
+    assert struck(added) == []
+
+
+def test_neither_is_what_follows_a_gap() -> None:
+    blows = Blows()
+    noise = 1e-3 * np.random.default_rng(3).standard_normal(COUNT)
+    later = T > 100.0
+    taken = [blows.take(t, a) for t, a in zip((T + 5.0 * later).tolist(), (noise + 2.0 * later).tolist(), strict=True)]
+    assert not any(taken)

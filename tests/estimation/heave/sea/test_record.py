@@ -1,0 +1,91 @@
+"""When the sea is fitted again, to what, and whose answer is taken."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from heaved.estimation.heave.sea.record import SeaRecord
+
+BEAT_S = 0.05
+
+
+def asked(changing_from_s: float, until_s: float = 200.0) -> list[float]:
+    """Times at which a fit is due, in seconds since the first sample; first after 40 s, then every 20 s."""
+    record = SeaRecord(120.0, 40.0, 20.0)
+    record.start(1000.0)
+    found = []
+    for k in range(1, round(until_s / BEAT_S) + 1):
+        t_s = 1000.0 + k * BEAT_S
+        record.push(t_s, 0.0)
+        if record.is_due(t_s, is_changing=t_s - 1000.0 >= changing_from_s):
+            record.ask(t_s)
+            found.append(t_s - 1000.0)
+    return found
+
+
+def test_early_fits_come_sooner_and_later_ones_as_configured() -> None:
+    early = [40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0, 110.0]
+    assert asked(1e9) == pytest.approx([*early, 130.0, 150.0, 170.0, 190.0], abs=1.5 * BEAT_S)
+
+
+def test_a_sea_that_changes_is_looked_at_sooner() -> None:
+    assert asked(155.0, 195.0)[-5:] == pytest.approx([150.0, 160.0, 170.0, 180.0, 190.0], abs=5.5 * BEAT_S)
+
+
+def test_before_the_first_sample_nothing_is_due() -> None:
+    assert not SeaRecord(120.0, 40.0, 20.0).is_due(1e6, is_changing=True)
+
+
+def test_a_fit_sees_the_longest_window() -> None:
+    record = SeaRecord(120.0, 40.0, 20.0)
+    record.start(0.0)
+    times = BEAT_S * np.arange(1, 4000)
+    for t_s in times.tolist():
+        record.push(t_s, 2.0 * t_s)
+    _, rows = record.ask(times[-1])
+    expected = times[times >= times[-1] - 120.0]
+    np.testing.assert_array_equal(rows, np.column_stack((expected, 2.0 * expected)))
+
+
+def test_only_the_answer_that_is_awaited_is_taken_and_that_once() -> None:
+    record = SeaRecord(120.0, 40.0, 20.0)
+    first, _ = record.ask(40.0)
+    second, _ = record.ask(50.0)
+    assert not record.answered(first)
+    assert record.answered(second)
+    assert not record.answered(second)
+    third, _ = record.ask(60.0)
+    record.clear()
+    assert not record.answered(third)
+
+
+def test_a_cut_is_remembered_for_as_long_as_what_it_cuts() -> None:
+    record = SeaRecord(120.0, 40.0, 20.0)
+    for k in range(10):
+        record.push(float(k), 0.0)
+    record.cut(9.5, 12.0)
+    for k in range(10, 20):
+        assert record.follows(float(k))
+        record.push(float(k), 0.0)
+    assert record.since(0.0)[:, 0].tolist() == list(map(float, range(20)))
+    record.cut(100.0, 101.0)
+    assert record.cuts_s == ((9.5, 12.0), (100.0, 101.0))
+    record.cut(140.0, 140.0)
+    assert record.cuts_s == ((100.0, 101.0), (140.0, 140.0))
+    assert not record.follows(19.0)
+
+
+@pytest.mark.parametrize(("more_mps2", "is_due"), [(1e-2, True), (1e-5, False)])
+def test_a_past_that_is_amended_much_is_looked_at_anew(more_mps2: float, is_due: bool) -> None:
+    record = SeaRecord(120.0, 40.0, 20.0)
+    record.start(0.0)
+    for k in range(1, 3000):
+        record.push(k * BEAT_S, 1.0)
+    record.ask(150.0)
+    record.amend(np.array([100.0, 140.0]), np.array([more_mps2, more_mps2]))
+    assert record.is_due(162.0, is_changing=False) is is_due
+    a = record.since(0.0)
+    assert a[a[:, 0] > 140.1, 1] == pytest.approx(1.0)
+    within = (a[:, 0] > 100.0) & (a[:, 0] < 140.0)
+    assert a[within, 1] == pytest.approx(1.0 + more_mps2)

@@ -1,0 +1,142 @@
+"""Delayed heave against a textbook Rauch-Tung-Striebel smoother, and its own standard deviation."""
+
+from math import nan
+
+import numpy as np
+import pytest
+from seas import model, simulated
+
+from heaved.estimation.heave.sea.filter import SeaFilter
+from heaved.estimation.heave.sea.model import SeaSystem, Steady
+from heaved.estimation.heave.sea.smoother import CHECK_MIN_S, Divergence, FixedLagSmoother
+from heaved.samples import DelayedHeave
+
+DT_S = 0.1
+LAG_S = 12.0
+Array = np.ndarray
+
+
+@pytest.fixture(scope="module")
+def system() -> SeaSystem:
+    return SeaSystem(model(4, 1, noise_psd=1e-4))
+
+
+@pytest.fixture(scope="module")
+def steady(system: SeaSystem) -> Steady:
+    found = system.steady(DT_S)
+    assert found is not None
+    return found
+
+
+def rauch_tung_striebel(system: SeaSystem, steady: Steady, x: Array, a: Array) -> tuple[Array, float]:
+    """Forwards and backwards over the whole of ``a``: heave (k,), and the variance of the first one.
+
+    x_k|N = x_k + C (x_k+1|N - x_k+1|k), C = P F' inv(P-)."""
+    F, Q, H = steady.F, steady.Q, system.H
+    R = steady.S - float(H @ steady.P @ H)
+    n, count = len(H), len(a)
+    x_before, x_after = np.empty((count, n)), np.empty((count, n))
+    P_before, P_after = np.empty((count, n, n)), np.empty((count, n, n))
+    P = steady.P
+    for k in range(count):
+        x_before[k], P_before[k] = x, P
+        S = float(H @ P @ H) + R
+        K = P @ H / S
+        x_after[k], P_after[k] = x + K * (a[k] - H @ x), P - np.outer(K, K) * S
+        x, P = F @ x_after[k], F @ P_after[k] @ F.T + Q
+    xs, Ps = x_after[-1], P_after[-1]
+    heave = np.empty(count)
+    heave[-1] = system.heave @ xs
+    for k in range(count - 2, -1, -1):
+        C = np.linalg.solve(P_before[k + 1], F @ P_after[k]).T
+        xs = x_after[k] + C @ (xs - x_before[k + 1])
+        Ps = P_after[k] + C @ (Ps - P_before[k + 1]) @ C.T
+        heave[k] = system.heave @ xs
+    return heave, float(system.heave @ Ps @ system.heave)
+
+
+def filtered(system: SeaSystem, steady: Steady, a: Array) -> tuple[Array, Array, Array]:
+    """States before each sample (k, n), predicted heave (k,), innovations (k,)."""
+    x, before, innovations = np.zeros(len(system.H)), [], []
+    for z in a.tolist():
+        before.append(x)
+        innovations.append(z - float(system.H @ x))
+        x = steady.F @ (x + steady.K * innovations[-1])
+    return np.array(before), np.array(before) @ system.heave, np.array(innovations)
+
+
+def test_it_is_the_textbooks_smoother(system: SeaSystem, steady: Steady) -> None:
+    _, a = simulated(system, DT_S, 1200, seed=3)
+    before, predicted, innovations = filtered(system, steady, a)
+    smoother = FixedLagSmoother(system, steady, LAG_S)
+    lag = round(LAG_S / DT_S)
+    sigma = float(np.sqrt(system.heave @ system.stationary @ system.heave))
+    for k in range(len(a)):
+        smoother.push(k * DT_S, predicted[k], innovations[k])
+        delayed = smoother.value()
+        assert (delayed is None) == (k < lag)
+        if delayed is not None and k % 97 == 0:
+            first = k - lag
+            heave, variance = rauch_tung_striebel(system, steady, before[first], a[first : k + 1])
+            assert delayed.t_s == pytest.approx(first * DT_S)
+            assert delayed.heave_m == pytest.approx(heave[0], abs=1e-8 * sigma)
+            assert delayed.std_m == pytest.approx(np.sqrt(variance), rel=1e-5)
+
+
+def test_its_errors_are_as_large_as_it_says_and_smaller_than_in_real_time(system: SeaSystem, steady: Steady) -> None:
+    states, a = simulated(system, DT_S, 20_000, seed=4)
+    live = SeaFilter(system, steady, 0.0, states[0], None)
+    smoother = FixedLagSmoother(system, steady, LAG_S)
+    errors, realtime = [], []
+    for k in range(1, len(a)):
+        smoother.push(k * DT_S, *live.step(k * DT_S, a[k]))
+        realtime.append(float(system.heave @ (live.x - states[k])))
+        if k > 600 and (delayed := smoother.value()) is not None:
+            errors.append(delayed.heave_m - float(system.heave @ states[round(delayed.t_s / DT_S)]))
+    assert np.std(errors) == pytest.approx(smoother.std_m, rel=0.15)
+    assert np.std(errors) < 0.7 * np.std(realtime[600:])
+
+
+def test_while_a_hole_is_felt_nothing_is_said(system: SeaSystem, steady: Steady) -> None:
+    """Neither in the hole nor before it, for as long as the weights reach into it."""
+    _, a = simulated(system, DT_S, 500, seed=5)
+    _, predicted, innovations = filtered(system, steady, a)
+    smoother, whole = (FixedLagSmoother(system, steady, LAG_S) for _ in range(2))
+    lag = round(LAG_S / DT_S)
+    hole = range(250, 255)
+    said = {}
+    for k in range(500):
+        whole.push(k * DT_S, predicted[k], innovations[k])
+        smoother.push(k * DT_S, *((nan, 0.0) if k in hole else (predicted[k], innovations[k])))
+        if (delayed := smoother.value()) is not None:
+            said[round(delayed.t_s / DT_S)] = delayed.heave_m
+            assert delayed == whole.value()
+    assert set(range(500 - lag)) - set(said) == set(range(hole[0] - lag, hole[-1] + 1))
+
+
+def test_a_record_fills_it_as_samples_would(system: SeaSystem, steady: Steady) -> None:
+    _, a = simulated(system, DT_S, 400, seed=6)
+    _, predicted, innovations = filtered(system, steady, a)
+    one, other = (FixedLagSmoother(system, steady, LAG_S) for _ in range(2))
+    for k in range(400):
+        one.push(k * DT_S, predicted[k], innovations[k])
+    other.fill(399 * DT_S, predicted, innovations)
+    a_value, b_value = one.value(), other.value()
+    assert a_value is not None
+    assert b_value is not None
+    assert a_value.heave_m == pytest.approx(b_value.heave_m, abs=1e-12)
+    assert a_value.t_s == pytest.approx(b_value.t_s)
+    assert FixedLagSmoother(system, steady, LAG_S).value() is None
+
+
+def test_divergence_is_the_rms_over_the_modelled_error() -> None:
+    rng = np.random.default_rng(7)
+    check = Divergence()
+    for k in range(3000):
+        t = 0.05 * k
+        check.compare(DelayedHeave(t_s=t, heave_m=0.0, std_m=0.001), float(0.03 * rng.standard_normal()), 0.01)
+        assert check.ratio == 1.0 or t >= CHECK_MIN_S - 0.1
+    assert check.ratio == pytest.approx(3.0, rel=0.1)
+    for value in (nan, 0.0):
+        check.compare(DelayedHeave(t_s=200.0, heave_m=0.0, std_m=0.001), value, value)
+    assert check.ratio == pytest.approx(3.0, rel=0.1)

@@ -1,0 +1,125 @@
+"""Checksum-valid nonsense of an earlier run: named and refused, whatever it is, and never an error of another kind."""
+
+from __future__ import annotations
+
+import re
+from math import inf, nan
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from heaved.config import Config
+from heaved.estimation.heave.laser import correction
+from heaved.estimation.heave.laser.correction import Saved
+from heaved.estimation.heave.sea.model import SeaModel
+from heaved.pipeline import Pipeline, PipelineState, check_state
+
+SEA = SeaModel(
+    stages=7, frequency_hz=(0.1, 0.2), damping=(0.3, 0.2), level_m2phz=(4.0, 1.0), noise_psd=4e-6, bias_walk_psd=9e-10
+)
+WEIGHTS = np.concatenate((np.zeros(10 * 50 + 2 * 10 + 1), [0.0, 1.0, 0.0, 1.0])).astype("<f8").tobytes()
+NETWORK = Saved(
+    weights=WEIGHTS, width=50, hidden=10, output="linear", step_s=0.1, input_std_m=0.5, omega_radps=0.7, limit_m=0.3
+)
+LEARNED = PipelineState(sea=SEA, lead_learned_s=0.05, gain_learned=1.02, correction=NETWORK)
+SOUND = {
+    "nothing": PipelineState(),
+    "all": LEARNED,
+    "a still sea": PipelineState(sea=msgspec.structs.replace(SEA, level_m2phz=(0.0, 0.0))),
+    "the harmonic observer's": PipelineState(frequencies_hz=(0.08, 0.12)),
+}
+
+
+def of_sea(**changes: object) -> PipelineState:
+    return PipelineState(sea=msgspec.structs.replace(SEA, **changes))
+
+
+def of_network(**changes: object) -> PipelineState:
+    return PipelineState(correction=msgspec.structs.replace(NETWORK, **changes))
+
+
+NONSENSE = {
+    "frequency 0": (of_sea(frequency_hz=(0.0, 0.2)), "frequency of the sea 0 Hz"),
+    "frequency 1e300": (of_sea(frequency_hz=(1e300, 0.2)), "frequency of the sea 1e+300 Hz"),
+    "negative frequency": (of_sea(frequency_hz=(-0.1, 0.2)), "frequency of the sea -0.1 Hz"),
+    "no frequency": (of_sea(frequency_hz=(nan, 0.2)), "frequency of the sea nan"),
+    "no damping": (of_sea(damping=(0.0, 0.2)), "damping of the sea 0"),
+    "too few dampings": (of_sea(damping=(0.2,)), "2 frequencies, 1 dampings"),
+    "an endless list": (
+        of_sea(frequency_hz=(0.1,) * 100_000, damping=(0.1,) * 100_000, level_m2phz=(1.0,) * 100_000),
+        "100000 values for the frequency",
+    ),
+    "negative level": (of_sea(level_m2phz=(4.0, -1.0)), "level of the sea -1"),
+    "infinite level": (of_sea(level_m2phz=(inf, 1.0)), "level of the sea inf"),
+    "a sea of 100 m": (of_sea(level_m2phz=(1e6, 1e6)), "heaves more than 20 m"),
+    "no noise": (of_sea(noise_psd=0.0), "noise of the accelerometer 0"),
+    "a bias that runs away": (of_sea(bias_walk_psd=1e9), "bias walk"),
+    "a thousand resonators": (of_sea(stages=1000), "number of resonators"),
+    "no resonator": (of_sea(stages=0), "number of resonators"),
+    "frequency 0 of the observer": (PipelineState(frequencies_hz=(0.0,)), "frequency of the observer 0 Hz"),
+    "many of the observer": (PipelineState(frequencies_hz=(0.1,) * 1000), "1000 values"),
+    "a lead of a year": (PipelineState(lead_learned_s=3e7), "learned lead"),
+    "no lead": (PipelineState(lead_learned_s=nan), "learned lead nan"),
+    "no gain": (PipelineState(gain_learned=0.0), "learned gain 0"),
+    "a gain of 1e300": (PipelineState(gain_learned=1e300), "learned gain 1e+300"),
+    "a step of 0": (of_network(step_s=0.0), "spacing of the correction's inputs 0 s"),
+    "a limit of 1e300 m": (of_network(limit_m=1e300), "limit of the correction 1e+300 m"),
+    "a frequency of 1e300": (of_network(omega_radps=1e300), "wave frequency"),
+    "no spread": (of_network(input_std_m=nan), "heave that the correction was trained on nan"),
+}
+
+
+@pytest.mark.parametrize("name", SOUND)
+def test_what_was_learned_is_taken(name: str) -> None:
+    check_state(SOUND[name])
+
+
+@pytest.mark.parametrize("name", NONSENSE)
+def test_nonsense_is_named(name: str) -> None:
+    state, said = NONSENSE[name]
+    with pytest.raises(ValueError, match=re.escape(said)):
+        check_state(state)
+
+
+def pipeline() -> Pipeline:
+    c = Config()
+    return Pipeline(
+        heave=c.heave, laser=c.laser, correction=correction.Params(), rock=c.rock, has_laser=True, quiet=c.quiet
+    )
+
+
+def test_what_was_learned_is_restored_with_its_age() -> None:
+    restored = pipeline()
+    restored.restore(LEARNED, age_s=60.0)
+    assert restored.state() == LEARNED
+
+
+NUMBERS = st.floats() | st.floats(0.01, 2.0) | st.sampled_from([0.0, -1.0, 1e300, 5e-324, 0.1])
+LISTS = st.lists(NUMBERS, max_size=5).map(tuple)
+
+
+@given(
+    sea=st.none() | st.builds(
+        SeaModel, stages=st.integers(-1, 70), frequency_hz=LISTS, damping=LISTS, level_m2phz=LISTS, noise_psd=NUMBERS,
+        bias_walk_psd=NUMBERS,
+    ),
+    network=st.none() | st.builds(
+        Saved, weights=st.sampled_from([WEIGHTS, WEIGHTS[:-8], b""]), width=st.sampled_from([50, 0]),
+        hidden=st.sampled_from([10, -1]), output=st.sampled_from(["linear", "?"]), step_s=NUMBERS, input_std_m=NUMBERS,
+        omega_radps=NUMBERS, limit_m=NUMBERS,
+    ),
+    others=st.fixed_dictionaries({"frequencies_hz": LISTS, "gain_learned": NUMBERS, "lead_learned_s": NUMBERS}),
+)  # fmt: skip
+def test_any_state_is_restored_or_refused(sea: SeaModel | None, network: Saved | None, others: dict[str, Any]) -> None:
+    state = PipelineState(sea=sea, correction=network, **others)
+    try:
+        check_state(state)
+        restored = pipeline()
+        restored.restore(state)
+    except ValueError:
+        return
+    restored.coast(1.0)

@@ -1,0 +1,161 @@
+"""Two streams of unlike rates on one time base: what comes out must be the motion at the instants of the grid."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from heaved.estimation.common.rotations import ARCSEC, rotation_vector
+from heaved.estimation.hull.stage import HullDeformation, HullState, HullWarning, Params
+from heaved.estimation.hull.streams import TwoStreams
+from heaved.simulate.flexure import SCENES, simulate
+
+
+def stamps(rng: np.random.Generator, rate_hz: float, end_s: float, jitter: float = 0.2) -> np.ndarray:
+    """Increasing instants, each off its place by up to ``jitter`` of a step."""
+    n = int(end_s * rate_hz)
+    return (np.arange(1, n + 1) + jitter * rng.uniform(-1.0, 1.0, n)) / rate_hz
+
+
+def tone(t: np.ndarray) -> np.ndarray:
+    """Rates of a ship that rolls 4 deg at 8 s, pitches 2 deg at 6 s, yaws 3 deg at 10 s."""
+    a, w = np.radians([4.0, 2.0, 3.0]), 2.0 * np.pi / np.array([8.0, 6.0, 10.0])
+    return np.asarray(a * w * np.cos(np.multiply.outer(t, w)))
+
+
+def merged(*streams: np.ndarray) -> list[tuple[int, int]]:
+    """(stream, index) in order of time."""
+    keys = [(float(t), k, i) for k, times in enumerate(streams) for i, t in enumerate(times)]
+    return [(k, i) for _, k, i in sorted(keys)]
+
+
+@pytest.mark.parametrize(
+    ("fast_hz", "slow_hz"), [(10.0, 10.0), (100.0, 25.0), (50.0, 10.0), (12.5, 100.0), (10.0, 5.0)]
+)
+def test_both_rates_at_the_instants_of_the_grid(fast_hz: float, slow_hz: float) -> None:
+    """Cubic interpolation at the step h errs by 3/128 h^4 times the fourth derivative (0.044 rad/s5 at the most here).
+
+    With jitter h is up to 1.4 steps and the middle no longer the middle: half as much again is allowed.
+    """
+    rng = np.random.default_rng(1)
+    times = stamps(rng, fast_hz, 30.0), stamps(rng, slow_hz, 30.0)
+    streams = TwoStreams(10.0)
+    pairs = []
+    for k, i in merged(*times):
+        (streams.midships, streams.local)[k].give(times[k][i], tone(times[k][i : i + 1])[0])
+        pairs += streams.due()
+    t = np.array([p.t_s for p in pairs])
+    assert np.allclose(np.diff(t), 0.1)
+    assert t[-1] > 29.0
+    settled = t > 2.0
+    slowest = min(fast_hz, slow_hz, 10.0)
+    allowed = 3.0 / 128.0 * (1.4 / slowest) ** 4 * 0.044 * 1.5
+    for rates in (np.array([p.midships_radps for p in pairs]), np.array([p.local_radps for p in pairs])):
+        assert np.max(np.abs(rates - tone(t))[settled]) < allowed
+
+
+def test_a_fast_stream_is_averaged() -> None:
+    """The variance of a least-squares cubic at its centre is 9/4 of the mean's, and 20 Hz does not fold to 0 Hz."""
+    rng = np.random.default_rng(2)
+    t = np.arange(1, 6001) / 100.0
+    noise = rng.standard_normal((len(t), 3))
+    vibration = np.cos(2.0 * np.pi * 20.0 * t)[:, None] * np.ones(3)
+    for values, allowed in ((noise, 1.2 * np.sqrt(9.0 / 4.0 / 31.0)), (vibration, 0.2)):
+        streams = TwoStreams(10.0)
+        got = []
+        for time, rates in zip(t.tolist(), values, strict=True):
+            streams.midships.give(time, rates)
+            streams.local.give(time, rates)
+            got += [p.midships_radps for p in streams.due()]
+        assert np.std(np.array(got)[20:]) < allowed
+
+
+def test_holes_are_holes_and_silence_is_not_waited_for() -> None:
+    t = np.arange(1, 301) / 20.0
+    streams = TwoStreams(10.0)
+    pairs = []
+    for time in t.tolist():
+        streams.midships.give(time, tone(np.array([time]))[0])
+        if not 5.0 < time < 9.0:
+            streams.local.give(time, tone(np.array([time]))[0])
+        pairs += streams.due()
+        assert not pairs or time - pairs[-1].t_s < 1.2
+    missing = [p.t_s for p in pairs if p.t_s > 1.0 and np.isnan(p.local_radps).all()]
+    assert min(missing) == pytest.approx(5.0, abs=0.2)
+    assert max(missing) == pytest.approx(9.0, abs=0.2)
+    assert len(missing) == pytest.approx(40, abs=3)
+    assert all(np.isfinite(p.midships_radps).all() for p in pairs if p.t_s > 0.5)
+
+
+def test_rubbish_is_dropped_and_memory_is_bounded() -> None:
+    streams = TwoStreams(10.0, max_rate_hz=50.0)
+    good = np.array([0.01, 0.02, 0.03])
+    streams.local.give(1.0, good)
+    for t, rates in ((np.nan, good), (0.5, good), (2.0, good * np.nan), (np.inf, good)):
+        streams.local.give(t, rates)
+    assert streams.local.t_s == 1.0
+    rng = np.random.default_rng(3)
+    for k in range(20_000):
+        streams.local.give(1.0 + 1e-3 * k, rng.standard_normal(3))
+    assert len(streams.local._ring) <= 8 * 50
+    assert len(streams.due()) < 1000
+
+
+def test_a_clock_that_steps_moves_the_grid() -> None:
+    streams = TwoStreams(10.0)
+    pairs = []
+    for t in [*(100.0 + np.arange(60) / 20.0), *(50.0 + np.arange(60) / 20.0), *(900.0 + np.arange(60) / 20.0)]:
+        for stream in (streams.midships, streams.local):
+            stream.give(float(t), tone(np.array([t]))[0])
+        got = streams.due()
+        assert len(got) <= 101
+        pairs += got
+    t = np.array([p.t_s for p in pairs])
+    assert [round(float(start)) for start in t[np.abs(np.diff(t, prepend=0.0)) > 1.0]] == [100, 50, 900]
+    known = np.array([np.isfinite(p.local_radps).all() for p in pairs])
+    assert known.mean() > 0.9
+    settled = [p for p in pairs if np.isfinite(p.local_radps).all()]
+    assert np.array([p.local_radps for p in settled]) == pytest.approx(
+        tone(np.array([p.t_s for p in settled])), abs=1e-6
+    )
+
+
+def test_two_imus_of_unlike_rate_give_the_deformation() -> None:
+    """50 Hz amidships, 20 Hz at the crane, both with jitter; its stamps are 30 ms early, and 5 ms late by the scene."""
+    rng = np.random.default_rng(4)
+    scene = SCENES["A4"]
+    times = stamps(rng, 50.0, 60.0, 0.1), stamps(rng, 20.0, 60.0, 0.1)
+    record = simulate(scene, 3, times[0], times[1] + 0.03)
+    estimator = HullDeformation(Params())
+    give = (estimator.give_midships, estimator.give_local)
+    rates = (record.midships_radps, record.local_radps)
+    for k, i in merged(*times):
+        estimate = give[k](times[k][i], rates[k][i])
+        last = estimate or estimator.latest
+    assert last is not None
+    assert last.state in (HullState.CONVERGING, HullState.CONVERGED)
+    assert HullWarning.LOW_RATE_LOCAL not in last.warnings
+    row = int(np.argmin(np.abs(record.midships_t_s - last.t_s)))
+    error = rotation_vector(record.deformation()[row].T @ last.local_from_midships)
+    assert np.max(np.abs(error) / np.array(last.std_rad)) < 4.0
+    assert last.delay_s == pytest.approx(0.005 - 0.03, abs=2e-3)
+
+
+def test_a_stream_at_half_the_rate_or_held_by_its_slave_is_named_and_used() -> None:
+    fast = np.arange(1, 1201) / 20.0
+    slow = np.arange(1, 301) / 5.0
+    record = simulate(SCENES["A1"], 6, fast, slow)
+    estimator = HullDeformation(Params())
+    for i, t in enumerate(fast.tolist()):
+        estimator.give_midships(t, record.midships_radps[i])
+        newest = int(np.floor(t * 5.0 + 1e-9)) - 1
+        if newest >= 0:
+            estimator.give_local(t, record.local_radps[newest])
+    last = estimator.latest
+    assert last is not None
+    assert HullWarning.LOW_RATE_LOCAL in last.warnings
+    assert HullWarning.STUCK_LOCAL not in last.warnings
+    assert last.state in (HullState.CONVERGING, HullState.CONVERGED)
+    row = int(np.argmin(np.abs(fast - last.t_s)))
+    error = rotation_vector(record.deformation()[row].T @ last.local_from_midships) / ARCSEC
+    assert np.max(np.abs(error)) < 60.0

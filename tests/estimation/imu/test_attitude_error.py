@@ -1,0 +1,192 @@
+"""Lean and lateness of an attitude sensor. Oracle: the simulator's truth, and the time constant and delay put in."""
+
+from __future__ import annotations
+
+from functools import cache
+from math import inf, pi, sqrt
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import butter, sosfiltfilt
+
+from heaved.estimation.imu import attitude_fit
+from heaved.estimation.imu.attitude import angle_rates
+from heaved.estimation.imu.attitude_error import AttitudeError
+from heaved.estimation.imu.attitude_fit import NOTHING, Belief, averaged
+from heaved.estimation.imu.levelling import level_acceleration
+from heaved.samples import ImuSample
+from heaved.simulate.seaway import seaway
+from heaved.simulate.sensors import SENSORS, Recording, record
+
+Array = NDArray[np.float64]
+RATE_HZ = 10.0
+LASTS_S = 420.0
+QUIET = msgspec.structs.replace(SENSORS["A"], noise_mps2_rthz=3e-4, bias_walk_mps2_rts=1e-6)
+"""So that its own noise is not most of what is left below the waves."""
+STEADY_S = 220.0
+"""Three pieces of two minutes are there by then."""
+
+
+@cache
+def recorded(lean_s: float, late_s: float, seed: int = 1) -> Recording:
+    sensor = msgspec.structs.replace(QUIET, attitude_lean_s=lean_s, attitude_late_s=late_s)
+    return record(seaway("S6", seed), LASTS_S, imu_rate_hz=RATE_HZ, sensor=sensor, laser="off", seed=seed)
+
+
+def run(recording: Recording, *, has_gyros: bool, hole: range = range(0)) -> tuple[AttitudeError, Array, Array]:
+    """After the record, and the vertical acceleration as measured and corrected, less the true one; no samples in
+    ``hole``."""
+    one, found = AttitudeError(), []
+    slope = [np.gradient(angle, 1.0 / RATE_HZ) for angle in (recording.roll_rad, recording.pitch_rad)]
+    samples = [sample for sample in recording.samples() if isinstance(sample, ImuSample)]
+    true = recording.truth.heave_acceleration_mps2
+    for i, sample in enumerate(samples):
+        if i in hole:
+            continue
+        roll, pitch = sample.roll_rad, sample.pitch_rad
+        rates = angle_rates(sample, roll, pitch)[:2] if has_gyros else (slope[0][i], slope[1][i])
+        x, y, up = level_acceleration(sample.ax_mps2, sample.ay_mps2, sample.az_mps2, roll, pitch)
+        corrected = one.corrected(sample.t_s, x, y, up, roll, pitch, *rates, are_rates_measured=has_gyros)
+        found.append((up - true[i], corrected - true[i]))
+    off = np.array(found)
+    return one, off[:, 0], off[:, 1]
+
+
+def below_waves(off: Array) -> float:
+    """RMS below 0.05 Hz once it is steady, m/s2, without the bias."""
+    slow = sosfiltfilt(butter(4, 0.05, fs=RATE_HZ, output="sos"), off)[int(STEADY_S * RATE_HZ) : -100]
+    return float(np.std(slow))
+
+
+ERRORS = [(8.0, 0.04), (5.0, 0.02), (20.0, 0.06), (8.0, 0.0), (inf, 0.04)]
+
+
+@pytest.mark.parametrize(("lean_s", "late_s"), ERRORS)
+def test_gyroscopes_show_lean_and_lateness(lean_s: float, late_s: float) -> None:
+    one, raw, corrected = run(recorded(lean_s, late_s), has_gyros=True)
+    assert one.lean_per_s == pytest.approx(1.0 / lean_s, abs=0.005)
+    assert one.late_s == pytest.approx(late_s, abs=0.012)
+    assert below_waves(corrected) < 0.5 * below_waves(raw)
+
+
+@pytest.mark.parametrize(("lean_s", "late_s"), ERRORS)
+def test_without_gyroscopes_the_harm_is_found(lean_s: float, late_s: float) -> None:
+    one, raw, corrected = run(recorded(lean_s, late_s), has_gyros=False)
+    assert one.lean_per_s == pytest.approx(1.0 / lean_s, abs=0.06)
+    assert one.late_s == pytest.approx(late_s, abs=0.03)
+    assert below_waves(corrected) < 0.6 * below_waves(raw)
+
+
+@pytest.mark.parametrize("has_gyros", [True, False], ids=["gyroscopes", "none"])
+def test_accelerometers_behind_a_low_pass_are_late(has_gyros: bool) -> None:
+    sensor = msgspec.structs.replace(QUIET, bandwidth_hz=2.0)
+    recording = record(seaway("S6", 1), LASTS_S, imu_rate_hz=RATE_HZ, sensor=sensor, laser="off", seed=1)
+    one, raw, corrected = run(recording, has_gyros=has_gyros)
+    # Delay of a Butterworth low-pass of second order far below its corner.
+    assert one.late_s == pytest.approx(-sqrt(2.0) / (2.0 * pi * 2.0), abs=0.05)
+    assert below_waves(corrected) < 0.7 * below_waves(raw)
+
+
+@pytest.mark.parametrize("has_gyros", [True, False], ids=["gyroscopes", "none"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_an_attitude_without_errors_is_left_alone(seed: int, has_gyros: bool) -> None:
+    recording = record(seaway("S6", seed), LASTS_S, imu_rate_hz=RATE_HZ, sensor="A", laser="off", seed=seed)
+    one, raw, corrected = run(recording, has_gyros=has_gyros)
+    assert one.lean_per_s < 0.02
+    assert abs(one.late_s) < 0.015
+    assert below_waves(corrected) < 1.1 * below_waves(raw)
+
+
+def test_gyroscopes_show_both_within_half_a_minute() -> None:
+    recording = recorded(8.0, 0.04)
+    one, found = AttitudeError(), []
+    for sample in recording.samples():
+        assert isinstance(sample, ImuSample)
+        roll, pitch = sample.roll_rad, sample.pitch_rad
+        x, y, up = level_acceleration(sample.ax_mps2, sample.ay_mps2, sample.az_mps2, roll, pitch)
+        rates = angle_rates(sample, roll, pitch)[:2]
+        one.corrected(sample.t_s, x, y, up, roll, pitch, *rates, are_rates_measured=True)
+        found.append((sample.t_s, one.lean_per_s, one.late_s))
+        if sample.t_s > 35.0:
+            break
+    assert found[-1][1] == pytest.approx(1.0 / 8.0, rel=0.1)
+    assert found[-1][2] == pytest.approx(0.04, abs=0.005)
+
+
+def test_a_hole_in_the_record_costs_little() -> None:
+    one, raw, holed = run(recorded(8.0, 0.04), has_gyros=True, hole=range(2000, 2050))
+    assert one.lean_per_s == pytest.approx(1.0 / 8.0, rel=0.1)
+    assert np.isfinite(holed).all()
+    assert below_waves(holed) < 0.9 * below_waves(raw)
+
+
+def test_the_amendments_add_up_to_what_was_found_late() -> None:
+    recording = recorded(8.0, 0.04)
+    one, past = AttitudeError(), []
+    slope = [np.gradient(angle, 1.0 / RATE_HZ) for angle in (recording.roll_rad, recording.pitch_rad)]
+    for i, sample in enumerate(recording.samples()):
+        assert isinstance(sample, ImuSample)
+        roll, pitch = sample.roll_rad, sample.pitch_rad
+        x, y, up = level_acceleration(sample.ax_mps2, sample.ay_mps2, sample.az_mps2, roll, pitch)
+        up = one.corrected(sample.t_s, x, y, up, roll, pitch, slope[0][i], slope[1][i], are_rates_measured=False)
+        past.append((sample.t_s, up))
+        if one.amendment is not None:
+            t_s = np.array(past)[:, 0]
+            more = np.interp(t_s, one.amendment.t_s, one.amendment.more_mps2, left=0.0, right=0.0)
+            past = list(zip(t_s.tolist(), (np.array(past)[:, 1] + more).tolist(), strict=True))
+            one.amendment = None
+    true = recording.truth.heave_acceleration_mps2
+    first = slice(int(20.0 * RATE_HZ), int(180.0 * RATE_HZ))  # Nothing was known of it at the time.
+    slow = butter(4, 0.05, fs=RATE_HZ, output="sos")
+    amended, live = (
+        sosfiltfilt(slow, off)[first] for off in (np.array(past)[:, 1] - true, run(recording, has_gyros=False)[2])
+    )
+    assert np.std(amended) < 0.6 * np.std(live)
+
+
+def test_noise_is_what_the_covariance_leaves_open() -> None:
+    """Against errors drawn from it: their variance is the area under the density."""
+    one, _, _ = run(recorded(8.0, 0.04), has_gyros=False)
+    rows = np.array(one._rows)
+    record_ = attitude_fit.runs(rows[:, :8])
+    solution, covariance = np.array([0.125, 0.04]), np.diag([1e-4, 1e-4])
+    noise = attitude_fit.noise(record_, solution, covariance)
+    assert noise is not None
+    made = record_[0].made
+    drawn = np.random.default_rng(1).multivariate_normal(np.zeros(2), covariance, 400)
+    off = [attitude_fit.error(made, solution + one_off) - attitude_fit.error(made, solution) for one_off in drawn]
+    band = butter(4, (noise.f_hz[0], noise.f_hz[-1]), btype="bandpass", fs=1.0 / attitude_fit.ROW_S, output="sos")
+    variance = np.mean([np.var(sosfiltfilt(band, values)) for values in off])
+    assert np.sum(noise.psd) * (noise.f_hz[1] - noise.f_hz[0]) == pytest.approx(variance, rel=0.35)
+
+
+def test_bayes_average_against_a_grid() -> None:
+    """Spikes and broad normals, integrated by brute force."""
+    belief = Belief(np.diag([50.0, 0.0]), np.array([4.0, 0.0]), null=(0.0, 0.01), spread=(0.15, 0.1))
+    information, right = np.array([[900.0, 300.0], [300.0, 2500.0]]), np.array([90.0, 120.0])
+    mean, covariance = averaged(belief, information, right)
+    A, b = belief.information + information, belief.right + right
+    axis = [np.linspace(-1.0, 1.0, 2001), np.linspace(-1.0, 1.0, 2001)]
+    total, first, second = 0.0, np.zeros(2), np.zeros((2, 2))
+    for broad in ((False, False), (True, False), (False, True), (True, True)):
+        points = [axis[i] if broad[i] else np.zeros(1) for i in range(2)]
+        off = np.stack(np.meshgrid(*points, indexing="ij"), -1).reshape(-1, 2)
+        at = off + np.array(belief.null)
+        density = np.exp(at @ b - 0.5 * np.einsum("pi,ij,pj->p", at, A, at))
+        for i in range(2):
+            if broad[i]:
+                s = belief.spread[i]
+                density = density * np.exp(-0.5 * (off[:, i] / s) ** 2) / (s * sqrt(2.0 * np.pi)) * 1e-3
+        total += density.sum()
+        first += density @ at
+        second += np.einsum("p,pi,pj->ij", density, at, at)
+    np.testing.assert_allclose(mean, first / total, rtol=1e-6)
+    np.testing.assert_allclose(covariance, second / total - np.outer(mean, mean), rtol=1e-4, atol=1e-9)
+
+
+def test_nothing_is_concluded_from_nothing() -> None:
+    mean, covariance = averaged(NOTHING, np.zeros((2, 2)), np.zeros(2))
+    np.testing.assert_allclose(mean, 0.0)
+    np.testing.assert_allclose(np.sqrt(2.0 * np.diag(covariance)), attitude_fit.USUAL)
