@@ -8,9 +8,9 @@ from collections.abc import Iterator
 import msgspec
 import numpy as np
 import pytest
-from evidence.attitude import hull as craft_hull
 from pipelines import NO_FORECASTS, imu_only, numbers, run, sea
 
+from heaved.demo.craft_at_sea import hull as craft_hull
 from heaved.estimation.common.rotations import ARCSEC
 from heaved.estimation.craft import fusion
 from heaved.estimation.craft.dynamics import Craft
@@ -23,7 +23,7 @@ from heaved.estimation.stages import AttitudeStage, HullStage, Stages
 from heaved.pipeline import Pipeline
 from heaved.samples import CraftSample, Fault, ImuSample, MotionFrame, RatesSample, Sample
 from heaved.simulate.flexure import SCENES, Record, Scene, simulate
-from heaved.simulate.hydrofoil import Passage, sail
+from heaved.simulate.hydrofoil import Passage, Voyage, sail
 
 HULL = hull.Params(enabled=True)
 ATTITUDE = fusion.Params(enabled=True)
@@ -42,18 +42,18 @@ def pipeline(stages: Stages | None = None, *, point: tuple[Point, ...] = ()) -> 
     )
 
 
-def bent(record: Record) -> Iterator[Sample]:
+def bent(record: Record) -> Iterator[ImuSample | RatesSample]:
     """The readings of a record by time, the second IMU's before the first's, gravity on the latter."""
-    imus = [
+    samples: list[ImuSample | RatesSample] = [
+        RatesSample(t_s=t, gx_radps=x, gy_radps=y, gz_radps=z)
+        for t, (x, y, z) in zip(record.local_t_s.tolist(), record.local_radps.tolist(), strict=True)
+    ]
+    samples += [
         ImuSample(t_s=t, az_mps2=9.8 + 0.3 * math.sin(0.7 * t), roll_rad=0.02, pitch_rad=0.01, yaw_rad=1.0,
                   gx_radps=x, gy_radps=y, gz_radps=z)
         for t, (x, y, z) in zip(record.midships_t_s.tolist(), record.midships_radps.tolist(), strict=True)
     ]  # fmt: skip
-    rates = [
-        RatesSample(t_s=t, gx_radps=x, gy_radps=y, gz_radps=z)
-        for t, (x, y, z) in zip(record.local_t_s.tolist(), record.local_radps.tolist(), strict=True)
-    ]
-    yield from sorted([*rates, *imus], key=lambda sample: sample.t_s)
+    yield from sorted(samples, key=lambda sample: sample.t_s)
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +97,7 @@ def rotation(axis: int, angle: float) -> np.ndarray:
 
 def level_from_body(roll: float, pitch: float, yaw: float) -> np.ndarray:
     """Pitch is bow up and yaw clockwise, both against the right hand."""
-    return rotation(2, -yaw) @ rotation(1, -pitch) @ rotation(0, roll)
+    return np.asarray(rotation(2, -yaw) @ rotation(1, -pitch) @ rotation(0, roll))
 
 
 def test_the_attitude_of_the_crane_base_is_that_of_its_axes(frames: list[MotionFrame]) -> None:
@@ -194,7 +194,8 @@ def spoiled(record: Record, how: str) -> list[Sample]:
             ]
         case _:
             raise AssertionError(how)
-    return [*sorted([*rates, *others], key=lambda sample: imu_time(sample, how))]
+    together: list[Sample] = [*rates, *others]
+    return sorted(together, key=lambda sample: imu_time(sample, how))
 
 
 def imu_time(sample: Sample, how: str) -> float:
@@ -304,7 +305,7 @@ def numbers_of(record: object) -> Iterator[float]:
 
 
 @pytest.fixture(scope="module")
-def voyage():
+def voyage() -> Voyage:
     """Heave from the trim."""
     craft = Craft(ATTITUDE.vessel)
     passage = Passage(stages=((0.0, 1.0),), duration_s=30.0)
@@ -315,7 +316,7 @@ def voyage():
     )
 
 
-def craft_samples(voyage, fields: tuple[str, ...], delay_s: float = 0.0) -> list[CraftSample]:
+def craft_samples(voyage: Voyage, fields: tuple[str, ...], delay_s: float = 0.0) -> list[CraftSample]:
     columns = {
         "heave_m": voyage.measured_heave_m,
         "pitch_rad": voyage.measured_pitch_rad,
@@ -324,7 +325,7 @@ def craft_samples(voyage, fields: tuple[str, ...], delay_s: float = 0.0) -> list
         "flap_aft_rad": voyage.flap_aft_rad,
     }
     return [
-        CraftSample(t_s=t + delay_s, **{name: float(columns[name][i]) for name in fields})
+        msgspec.structs.replace(CraftSample(t_s=t + delay_s), **{name: float(columns[name][i]) for name in fields})
         for i, t in enumerate(voyage.t_s.tolist())
     ]
 
@@ -332,7 +333,7 @@ def craft_samples(voyage, fields: tuple[str, ...], delay_s: float = 0.0) -> list
 ALL = ("heave_m", "pitch_rad", "speed_mps", "flap_fore_rad", "flap_aft_rad")
 
 
-def test_one_device_of_all_is_the_estimator_itself(voyage) -> None:
+def test_one_device_of_all_is_the_estimator_itself(voyage: Voyage) -> None:
     stage, plain = AttitudeStage(ATTITUDE), AttitudeFusion(ATTITUDE)
     for sample in craft_samples(voyage, ALL):
         stage.take(sample)
@@ -346,7 +347,7 @@ def test_one_device_of_all_is_the_estimator_itself(voyage) -> None:
         assert stage.motion.probabilities == estimate.probabilities
 
 
-def test_three_devices_that_take_turns_are_nearly_as_good_as_one(voyage) -> None:
+def test_three_devices_that_take_turns_are_nearly_as_good_as_one(voyage: Voyage) -> None:
     """Pitch comes 10 ms before heave and half as often; speed and flaps between them."""
     parts = [
         *craft_samples(voyage, ("heave_m",)),
@@ -371,7 +372,7 @@ def test_three_devices_that_take_turns_are_nearly_as_good_as_one(voyage) -> None
     assert three[1] < 1.5 * one[1] + 0.001
 
 
-def test_pitch_alone_goes_on_when_heave_is_gone(voyage) -> None:
+def test_pitch_alone_goes_on_when_heave_is_gone(voyage: Voyage) -> None:
     stage = AttitudeStage(ATTITUDE)
     for sample in craft_samples(voyage, ALL):
         gone = sample.t_s > 15.0
