@@ -6,17 +6,19 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
 from math import cos, inf, isnan, nan, radians, sin
 from pathlib import Path
 
+import accuracy
 import msgspec
 import numpy as np
 import pytest
-from evidence import fault_table, faults
-from evidence.disasters import DISASTERS, HONEST_OF, IMU, Disaster, Span, spoiled
-from evidence.faults import Outcome, Plan, Published, Task
+from evidence.faults import judge as faults
+from evidence.faults import table as fault_table
+from evidence.faults.disasters import DISASTERS, HONEST_OF, IMU, Disaster, Span, spoiled
+from evidence.faults.judge import Outcome, Plan, Published, Task
 from numpy.typing import NDArray
 
 from heaved.pipeline import Pipeline
@@ -312,12 +314,12 @@ def test_the_last_minute_is_the_last_minute() -> None:
 
 
 def test_an_exception_is_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    def burst(self: Pipeline, samples: Sequence[ImuSample]) -> object:
+    def burst(self: Pipeline, sample: ImuSample) -> object:
         raise IndexError("index 3 is out of bounds")
 
-    monkeypatch.setattr(Pipeline, "run", burst)
+    monkeypatch.setattr(Pipeline, "step", burst)
     found = faults.run(Task(name="clean", sea="S4", rate_hz=5.0, seed=1, plan=Plan(at_s=10.0, duration_s=30.0)))
-    assert found.crash.startswith("IndexError: index 3 is out of bounds (test_fault_evidence.py:")
+    assert found.crash.startswith("IndexError: index 3 is out of bounds (test_faults.py:")
     assert fault_table.missed(found, None) == ["IndexError"]
 
 
@@ -342,9 +344,8 @@ class Listening:
     def __init__(self) -> None:
         self.samples: list[Sample] = []
 
-    def run(self, samples: Sequence[Sample]) -> list[None]:
-        self.samples += samples
-        return [None] * len(samples)
+    def step(self, sample: Sample) -> None:
+        self.samples.append(sample)
 
     def fit_due(self) -> None:
         return None
@@ -363,7 +364,7 @@ def test_a_poll_that_failed_is_a_sample_that_says_so() -> None:
 
 
 def test_lines_and_tables_can_be_read(tmp_path: Path) -> None:
-    command = [sys.executable, str(Path(faults.__file__).parents[1] / "accuracy.py"), "faults", "roll_sign"]
+    command = [sys.executable, str(Path(accuracy.__file__)), "faults", "roll_sign"]
     options = ["--seas", "S4", "--rates", "5", "--at", "20", "--duration", "140", "--detail", "--out", str(tmp_path)]
     done = subprocess.run([*command, *options], capture_output=True, text=True, check=True)
     lines = [json.loads(line) for line in (tmp_path / "results.jsonl").read_text().splitlines()]

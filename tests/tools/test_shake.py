@@ -10,9 +10,10 @@ import accuracy
 import msgspec
 import numpy as np
 import pytest
-from evidence import scenarios, shake
+from evidence import scenarios
+from evidence.heave import shake
+from evidence.heave.summary import Result
 from evidence.limits import causal_heave_limit
-from evidence.summary import Result
 from scipy.linalg import solve_toeplitz
 from scipy.signal import fftconvolve
 

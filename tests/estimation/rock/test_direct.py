@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from evidence.limits import prediction_limit
-from evidence.rock import ARCSEC, SCENES, motion, spectrum
+from evidence.rock.paper import ARCSEC, SCENES, motion, spectrum
 from numpy.typing import NDArray
 
 from heaved.estimation.rock.direct import DirectPredictor, Params

@@ -9,7 +9,7 @@ from math import inf, nan, pi
 import msgspec
 import numpy as np
 import pytest
-from evidence.rock import ARCSEC, SCENES, motion
+from evidence.rock.paper import ARCSEC, SCENES, motion
 from numpy.typing import NDArray
 
 from heaved.estimation.common.sample_rate import usual_interval

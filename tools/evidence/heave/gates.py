@@ -7,15 +7,15 @@ same command has just added to results.jsonl. They say nothing about how good th
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from math import isfinite
+from math import isfinite, nan
 from pathlib import Path
 from typing import Final
 
 import msgspec
 
-from evidence.heave import Task
+from evidence.heave.evaluate import Task
+from evidence.heave.summary import Result
 from evidence.scenarios import Setting, triplet
-from evidence.summary import Result
 
 FILE: Final = Path(__file__).with_name("gates.json")
 MARGIN: Final = 1.05
@@ -90,6 +90,20 @@ def broken(gates: Sequence[Gate], results: Iterable[Result]) -> list[str]:
             elif not found[name] <= most(name, before):
                 messages.append(f"{what} is {found[name]:.4g}, at most {most(name, before):.4g} (it was {before:.4g})")
     return messages
+
+
+def table(gates: Sequence[Gate], results: Iterable[Result]) -> str:
+    """Markdown: every error beside what it may be."""
+    there = {(result.scenario, result.setting, result.estimator): errors(result) for result in results}
+    lines = ["| case | estimator | error | measured | at most |", "|---|---|---|---|---|"]
+    for gate in gates:
+        found = there.get((gate.scenario, gate.setting, gate.estimator), {})
+        case = ", ".join(filter(None, (gate.scenario, gate.setting.shake, f"sensor {gate.setting.sensor}")))
+        lines += [
+            f"| {case} | {gate.estimator} | {name} | {found.get(name, nan):.4g} | {most(name, before):.4g} |"
+            for name, before in gate.measured.items()
+        ]
+    return "\n".join(lines)
 
 
 def load(path: Path = FILE) -> Gates:

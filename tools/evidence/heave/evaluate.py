@@ -7,19 +7,18 @@ for how it is shown.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import cache
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Final
 
 import msgspec
 import numpy as np
 
-from evidence import baselines, estimators
-from evidence.estimators import Conditions
+from evidence.commands import completed
+from evidence.heave import baselines, estimators
+from evidence.heave.estimators import Conditions
+from evidence.heave.summary import Judged, Result, judged, summary
 from evidence.scenarios import HORIZONS_S, REAL, Seeds, Setting, build, files, triplet
-from evidence.summary import Judged, Result, judged, summary
 from heaved.samples import ImuSample
 from heaved.simulate.seaway import TRAINS
 
@@ -85,7 +84,7 @@ def run(task: Task) -> Judged:
     )
     traces = [trace for name in task.estimators for trace in estimators.traces(name, samples, conditions)]
     if task.figures is not None:
-        from evidence.figures import draw_record  # matplotlib only when it is wanted
+        from evidence.heave.figures import draw_record  # matplotlib only when it is wanted
 
         draw_record(task.figures, case, traces)
     return judged(traces, case)
@@ -103,26 +102,13 @@ def run_all(
     due = {(task.scenario, task.setting): 0 for task in todo}
     for task in todo:
         due[task.scenario, task.setting] += 1
-    for found in _judged(todo, jobs):
+    for _, found in completed(run, todo, jobs):
         watch(found)
         key = (found.scenario, found.setting)
         row = open_rows.setdefault(key, [])
         row.append(found)
         if len(row) == due[key]:
             yield summary(sorted(open_rows.pop(key), key=lambda one: one.seeds.waves))
-
-
-def _judged(todo: Sequence[Task], jobs: int) -> Iterator[Judged]:
-    if jobs == 1:
-        yield from map(run, todo)
-        return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        pending = [pool.submit(run, task) for task in todo]
-        try:
-            for done in as_completed(pending):
-                yield done.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
 
 
 @cache

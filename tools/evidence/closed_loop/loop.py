@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evidence.daemon import running_daemon
+from evidence.learning import learn
 from heaved.config.read import ConfigError, data_directory, load, parse
 from heaved.demo.hook import Lift
-from heaved.estimation.heave.sea.refit import look
 from heaved.outputs.wire import encode_motion
 from heaved.pipeline import Pipeline
 from heaved.samples import HeaveState, ImuSample
@@ -215,14 +215,7 @@ def replay(name: str, setting: Setting) -> Trial:
         now_s = sample.t_s + setting.latency_s
         for stream, pipeline in pipelines.items():
             frame = pipeline.step(sample)
-            if (past := pipeline.fit_due()) is not None:
-                pipeline.accept_fit(look(past))
-            if (window := pipeline.training_due()) is not None:
-                from heaved.workers.train_correction import (
-                    fit,
-                )  # loads torch, which takes seconds: only when there is a laser
-
-                pipeline.accept(fit(window))
+            learn(pipeline)
             if frame is None:
                 continue
             line = decoder.decode(encode_motion(frame, seq=number, utc_s=frame.t_s, sent_mono_s=now_s))
@@ -285,7 +278,8 @@ async def _live(name: str, setting: Setting, folder: Path) -> Trial:
             epochs_s[stream] = time.monotonic() - plant.time_s()
             own = folder / str(number)
             own.mkdir()
-            ports[stream] = await stack.enter_async_context(running_daemon(plant.devices, own, stream.settings))
+            daemon = await stack.enter_async_context(running_daemon(plant.devices, own, stream.settings))
+            _, ports[stream] = daemon.addresses["stream"]
         scored_from_s = time.monotonic() + setting.warm_up_s
         tasks = [asyncio.create_task(_control(made, setting.warm_up_s + setting.duration_s))]
         for stream, port in ports.items():

@@ -10,8 +10,8 @@ deviations, and no error against the waves beyond 4.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from itertools import product, repeat
+from functools import partial
+from itertools import product
 from math import nan
 from typing import Final, NamedTuple
 
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from evidence.commands import in_order
 from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.estimation.rock.estimator import RockChain
 from heaved.predictions import RockPredictions
@@ -201,9 +202,11 @@ def rows(rate_hz: float, seed: int, duration_s: float, names: Sequence[str] = tu
 
 def table(seeds: Sequence[int], duration_s: float, jobs: int) -> list[Row]:
     runs = list(product(RATES_HZ, seeds))
-    with ProcessPoolExecutor(jobs) as pool:
-        found = pool.map(rows, (rate for rate, _ in runs), (seed for _, seed in runs), repeat(duration_s))
-        return [row for of_run in found for row in of_run]
+    return [row for of_run in in_order(partial(_rows, duration_s=duration_s), runs, jobs) for row in of_run]
+
+
+def _rows(run: tuple[float, int], duration_s: float) -> list[Row]:
+    return rows(*run, duration_s)
 
 
 def report(found: Sequence[Row]) -> str:

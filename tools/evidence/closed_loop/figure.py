@@ -9,8 +9,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from evidence.closed_loop import PERFECT, Trial
-from evidence.figures import BLACK, BLUE, COLUMN_IN, DPI, GREEN, ORANGE
+from evidence.closed_loop.loop import PERFECT, Trial
+from evidence.heave.figures import BLACK, BLUE, COLUMN_IN, DPI, GREEN, ORANGE
 
 WINDOW_S: Final = 60.0
 

@@ -9,8 +9,8 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from evidence.disasters import DISASTERS, HONEST_OF, Asked
-from evidence.faults import KINDS, LIE, Outcome, Task
+from evidence.faults.disasters import DISASTERS, HONEST_OF, Asked
+from evidence.faults.judge import KINDS, LIE, Outcome, Task
 
 HEADS: Final = (
     "disaster", "what happens", "lies", "doubted", "beyond", "worst / std", "largest / σ", "largest angle", "valid",

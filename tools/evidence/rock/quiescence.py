@@ -4,14 +4,14 @@ often what it gave a chance of p came true."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from itertools import repeat
+from functools import partial
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from evidence.rock_seas import DEGREE, RATE_HZ, Sea, Ship, motion
+from evidence.commands import in_order
+from evidence.rock.seas import DEGREE, RATE_HZ, Sea, Ship, motion
 from heaved.estimation.quiescence import MotionForecast, Params, Quiescence
 from heaved.estimation.rock import direct as rock_direct
 
@@ -129,9 +129,8 @@ def table(seeds: Sequence[int], duration_s: float, jobs: int) -> list[Verdict]:
     """
     if duration_s < SCORED_FROM_S + 300.0:
         raise ValueError(f"quiet windows need records of {SCORED_FROM_S + 300.0:g} s, got {duration_s:g} s")
-    with ProcessPoolExecutor(jobs) as pool:
-        found = pool.map(judge, SCENES, repeat(Params()), repeat(duration_s), repeat(seeds))
-        return [verdict for verdicts in found for verdict in verdicts]
+    work = partial(judge, params=Params(), duration_s=duration_s, seeds=seeds)
+    return [verdict for verdicts in in_order(work, list(SCENES), jobs) for verdict in verdicts]
 
 
 def report(verdicts: Sequence[Verdict]) -> str:

@@ -14,8 +14,8 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from evidence import closed_loop
-from evidence.estimators import TITLES, WITH_LASER
+from evidence.closed_loop import loop as closed_loop
+from evidence.heave.estimators import TITLES, WITH_LASER
 from heaved.simulate.shaking import NONE
 
 Line = Mapping[str, Any]

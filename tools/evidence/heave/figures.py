@@ -14,11 +14,11 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 from numpy.typing import NDArray
 from scipy.signal import detrend, welch
 
-from evidence.estimators import KF, Trace
+from evidence.heave.estimators import KF, Trace
+from evidence.heave.scores import BIN_S, COVER, SETTLED_SHARE, SETTLING_END_S, laser_times, rms
+from evidence.heave.summary import Result
 from evidence.limits import causal_heave_limit
 from evidence.scenarios import Case, accelerometer_noise, simulated_spectrum
-from evidence.scores import BIN_S, COVER, SETTLED_SHARE, SETTLING_END_S, laser_times, rms
-from evidence.summary import Result
 from heaved.simulate.seaway import RAMPS, SEAS
 
 Array = NDArray[np.float64]

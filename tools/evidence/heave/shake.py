@@ -14,12 +14,12 @@ from typing import Final, Literal
 
 import msgspec
 
-from evidence.asked import PUBLISHED
-from evidence.baselines import DOUBLE_CORNER_HZ
-from evidence.estimators import title
-from evidence.heave import Task, run
+from evidence.heave.asked import PUBLISHED
+from evidence.heave.baselines import DOUBLE_CORNER_HZ
+from evidence.heave.estimators import title
+from evidence.heave.evaluate import Task, run
+from evidence.heave.summary import Result, summary
 from evidence.scenarios import HORIZONS_S, Setting, Tilt, triplet
-from evidence.summary import Result, summary
 from heaved.simulate.sensors import SENSORS
 from heaved.simulate.shaking import NONE, SHAKES, Slams
 

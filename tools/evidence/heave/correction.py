@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from itertools import pairwise
 from math import isfinite, nan
 from typing import Final
@@ -22,6 +21,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from evidence.commands import in_order
 from heaved.estimation.heave.harmonic import observer as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.heave.sea.refit import look
@@ -180,8 +180,7 @@ def _rms(values: Array) -> float:
 def table(seeds: Sequence[int], jobs: int) -> list[Outcome]:
     """Every trial with every seed."""
     todo = [msgspec.structs.replace(trial, seed=seed) for trial in TRIALS for seed in seeds]
-    with ProcessPoolExecutor(jobs) as pool:
-        return list(pool.map(run, todo))
+    return in_order(run, todo, jobs)
 
 
 def report(outcomes: Sequence[Outcome]) -> str:

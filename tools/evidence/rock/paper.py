@@ -7,9 +7,8 @@ the limit is the optimal linear predictor of the same record, with the same nois
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Sequence
+from functools import partial
 from math import hypot, pi
 from pathlib import Path
 
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from evidence.commands import in_order
 from evidence.limits import prediction_limit
 from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S, STEP_S, Params, RockPredictor
 
@@ -222,14 +222,15 @@ def evaluate(
     return result
 
 
-def table(seeds: Sequence[int] = (1, 2), duration_s: float = 240.0) -> list[Row]:
+def table(seeds: Sequence[int], duration_s: float, jobs: int = 1) -> list[Row]:
     """Every scene by every method, roll and pitch."""
-    return [
-        row
-        for scene in SCENES
-        for name, params, rate_hz in METHODS
-        for row in evaluate(scene, name, params, rate_hz, seeds, duration_s, axes=(0, 1))
-    ]
+    todo = [(scene, *method) for scene in SCENES for method in METHODS]
+    rows = in_order(partial(_evaluate, seeds=seeds, duration_s=duration_s), todo, jobs)
+    return [row for of_scene in rows for row in of_scene]
+
+
+def _evaluate(case: tuple[Scene, str, Params | None, float], seeds: Sequence[int], duration_s: float) -> list[Row]:
+    return evaluate(*case, seeds, duration_s, axes=(0, 1))
 
 
 def report(rows: Sequence[Row]) -> str:
@@ -289,19 +290,3 @@ def figure(path: Path, seed: int = 1, duration_s: float = 60.0) -> None:
     below.legend(loc="upper right")
     fig.savefig(path, dpi=110)
     pyplot.close(fig)
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="rock", description="Rock prediction: the table and a figure.")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2])
-    parser.add_argument("--duration", type=float, default=240.0, metavar="S", help="seconds per record (default 240)")
-    parser.add_argument("--figure", type=Path, metavar="PNG", help="draw a record into this file")
-    arguments = parser.parse_args(argv)
-    print(report(table(arguments.seeds, arguments.duration)))
-    if arguments.figure:
-        figure(arguments.figure)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -14,10 +14,8 @@ import resource
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import lru_cache
 from math import inf, isfinite, isinf, isnan, nan, radians
-from multiprocessing import get_context
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -26,12 +24,13 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
-from evidence.disasters import DISASTERS, HONEST_OF, IMU, Disaster, spoiled
+from evidence.commands import completed
+from evidence.faults.disasters import DISASTERS, HONEST_OF, IMU, Disaster, spoiled
+from evidence.learning import learn
 from evidence.scenarios import Setting, build, triplet
 from heaved.estimation.common import bounds
 from heaved.estimation.heave.harmonic import observer as heave
 from heaved.estimation.heave.laser import correction, reference
-from heaved.estimation.heave.sea.refit import look
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.outputs.wire import motion_head
@@ -60,8 +59,6 @@ HOLDS_S: Final = 20.0
 """A state counts as there again when it holds for so long: what is still valid before it is found out does not."""
 ENCODED_EVERY: Final = 10
 """One frame in so many is put into the words of the stream as well, which has to be possible."""
-BLOCK_SAMPLES: Final = 64
-"""As a replay hands them over."""
 LARGEST_MEMORY: Final = 8 << 30
 """Of a process, bytes of its address space: what asks for more fails instead of taking the machine along."""
 STATES: Final = tuple(HeaveState)
@@ -189,24 +186,17 @@ def frames(pipe: Pipeline, delivered: Recording, polls_s: Array) -> Iterator[tup
     polls_s: times at which a sensor that answers every poll would have had a sample.
     """
     interval_s = float(np.median(np.diff(polls_s)))
-    block: list[Sample] = []
     last_s = inf
     for sample in delivered.samples():
         if sample.t_s - last_s > 1.5 * interval_s:
-            for frame in _through(pipe, block):
-                yield frame, False
-            block = []
             missed = polls_s[(polls_s > last_s + 0.5 * interval_s) & (polls_s < sample.t_s - 0.5 * interval_s)]
             for t_s in missed.tolist():
                 yield pipe.coast(t_s), True
         last_s = sample.t_s
-        block.append(_polled(sample))
-        if len(block) >= BLOCK_SAMPLES and isinstance(sample, ImuSample):
-            for frame in _through(pipe, block):
-                yield frame, False
-            block = []
-    for frame in _through(pipe, block):
-        yield frame, False
+        frame = pipe.step(_polled(sample))
+        learn(pipe)
+        if frame is not None:
+            yield frame, False
 
 
 def _polled(sample: Sample) -> Sample:
@@ -214,20 +204,6 @@ def _polled(sample: Sample) -> Sample:
     if isinstance(sample, ImuSample) and all(isnan(getattr(sample, name)) for name in IMU):
         return ImuSample(t_s=sample.t_s, fault=Fault.TIMEOUT)
     return sample
-
-
-def _through(pipe: Pipeline, block: Sequence[Sample]) -> Iterator[MotionFrame]:
-    for frame in pipe.run(block):
-        if (past := pipe.fit_due()) is not None:
-            pipe.accept_fit(look(past))
-        if (window := pipe.training_due()) is not None:
-            from heaved.workers.train_correction import (
-                fit,
-            )  # loads torch, which takes seconds: only when there is a laser
-
-            pipe.accept(fit(window))
-        if frame is not None:
-            yield frame
 
 
 def _named(error: Exception) -> str:
@@ -517,16 +493,11 @@ def tasks(
 
 def run_all(todo: Sequence[Task], jobs: int, watch: Callable[[Outcome], None] = lambda _: None) -> list[Outcome]:
     """Run in ``jobs`` processes of bounded memory; outcomes in the order of the tasks."""
-    found: dict[Task, Outcome] = {}
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_bounded) as pool:
-        pending = {pool.submit(run, task): task for task in todo}
-        try:
-            for done in as_completed(pending):
-                found[pending[done]] = done.result()
-                watch(found[pending[done]])
-        finally:
-            pool.shutdown(cancel_futures=True)
-    return [found[task] for task in todo]
+    found: dict[int, Outcome] = {}
+    for place, outcome in completed(run, todo, jobs, _bounded):
+        found[place] = outcome
+        watch(outcome)
+    return [found[place] for place in range(len(todo))]
 
 
 def _bounded() -> None:

@@ -18,10 +18,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from evidence import baselines
+from evidence.heave import baselines
+from evidence.learning import learn
 from heaved.estimation.heave.harmonic import observer as heave
 from heaved.estimation.heave.laser import correction, reference
-from heaved.estimation.heave.sea.refit import look
 from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.pipeline import Pipeline
 from heaved.samples import HeaveState, ImuSample, MotionFrame, Sample
@@ -138,14 +138,7 @@ def frames(pipe: Pipeline, samples: Sequence[Sample]) -> list[MotionFrame]:
     result = []
     for sample in samples:
         frame = pipe.step(sample)
-        if (past := pipe.fit_due()) is not None:
-            pipe.accept_fit(look(past))
-        if (window := pipe.training_due()) is not None:
-            from heaved.workers.train_correction import (
-                fit,
-            )  # loads torch, which takes seconds: only when there is a laser
-
-            pipe.accept(fit(window))
+        learn(pipe)
         if frame is not None:
             result.append(frame)
     return result

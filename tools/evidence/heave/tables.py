@@ -8,11 +8,11 @@ from typing import Final
 
 import numpy as np
 
-from evidence import baselines
-from evidence.estimators import CORRECTED, DOUBLE, IIR, INERTIAL, KF, UKF
+from evidence.heave import baselines
+from evidence.heave.estimators import CORRECTED, DOUBLE, IIR, INERTIAL, KF, UKF
+from evidence.heave.scores import SETTLED_SHARE
+from evidence.heave.summary import Result
 from evidence.scenarios import HORIZONS_S, grid, sea_limits, simulated_spectrum
-from evidence.scores import SETTLED_SHARE
-from evidence.summary import Result
 from heaved.samples import GRAVITY_MPS2
 from heaved.simulate.seaway import RAMPS, SEAS, TRAINS
 from heaved.simulate.sensors import LASER_NOISE_M, SENSORS, laser_pattern

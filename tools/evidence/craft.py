@@ -7,23 +7,17 @@ a spectrum of one peak, while the sea is JONSWAP, met at 18 m/s, moving hulls an
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
 from collections.abc import Sequence
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Final
-
-# To be said before numpy is loaded, here and in the workers.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from evidence.commands import Command, Options, add_runs, in_order
+from evidence.results import Output, Report
 from heaved.demo.craft_at_sea import hull
 from heaved.estimation.craft.dynamics import Craft, Vessel
 from heaved.estimation.craft.fusion import AttitudeEstimate, AttitudeFusion, Params
@@ -227,19 +221,8 @@ def table(
     methods: Sequence[Method] = METHODS,
     passage: Passage = PASSAGE,
 ) -> list[Row]:
-    """Every method on every part; ``jobs`` processes share the voyages.
-
-    Raises:
-        ValueError: jobs is less than 1.
-    """
-    if jobs < 1:
-        raise ValueError(f"jobs must be at least 1, got {jobs}")
-    work = partial(evaluate, methods=methods, passage=passage)
-    if jobs == 1:
-        by_seed = [work(seed) for seed in seeds]
-    else:
-        with get_context("spawn").Pool(jobs) as pool:
-            by_seed = pool.map(work, seeds, chunksize=1)
+    """Every method on every part; ``jobs`` processes share the voyages."""
+    by_seed = in_order(partial(evaluate, methods=methods, passage=passage), seeds, jobs)
     names = [name for name, _, _ in parts(passage)]
     # Filters that nothing is mixed into; five tunings include the three, so that the best is not one between them.
     alone = [m.name for m in methods if m.params.mode != "imm" and m.outlier_share == 0.0] or [methods[0].name]
@@ -364,17 +347,25 @@ def figure(path: Path, seed: int = 1, passage: Passage = PASSAGE) -> None:
 _DRAWN: Final = ((INSTANT, Params(mode="instant", bank="seas")), (EWMA, Params(mode="ewma")), (IMM, Params()))
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="attitude", description="Fused heave and pitch: the tables and a figure.")
-    parser.add_argument("--runs", type=int, default=50, help="voyages (default 50)")
-    parser.add_argument("--jobs", type=int, default=1, help="processes that share them (default 1)")
-    parser.add_argument("--figure", type=Path, metavar="PNG", help="draw a voyage into this file")
-    arguments = parser.parse_args(argv)
-    print(report(table(range(1, arguments.runs + 1), arguments.jobs)))
-    if arguments.figure:
-        figure(arguments.figure)
-    return 0
+# --- command line ----------------------------------------------------------------------------------------------------
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def run_attitude(options: Options, output: Output) -> Report:
+    """
+    Raises:
+        ValueError: the duration ends before the last change of sea.
+    """
+    passage = SHAKEN_PASSAGE if options.shake else PASSAGE
+    if options.duration is not None:
+        if options.duration <= passage.stages[-1][0]:
+            raise ValueError(f"the last change of sea is at {passage.stages[-1][0]:g} s: give a longer --duration")
+        passage = msgspec.structs.replace(passage, duration_s=options.duration)
+    seeds = range(1, options.runs + 1)
+    rows = table(seeds, options.jobs, SHAKEN if options.shake else METHODS, passage)
+    output.write("attitude", rows)
+    if output.figures and not options.shake:
+        figure(output.folder / "attitude.png", passage=passage)
+    return Report(report(rows), tuple(seeds))
+
+
+COMMANDS = {"attitude": Command(run_attitude, add_runs, "heave and pitch of a foil-assisted catamaran, simulated")}

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from evidence.estimators import Trace
+from evidence.heave.estimators import Trace
+from evidence.heave.scores import ForecastScore, Score, scores, settled_from_s, sigma_of
 from evidence.scenarios import Case, Seeds, Setting
-from evidence.scores import ForecastScore, Score, scores, settled_from_s, sigma_of
 
 
 class Result(msgspec.Struct, frozen=True, kw_only=True):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from evidence.estimators import INERTIAL, Trace, shares
+from evidence.heave.estimators import INERTIAL, Trace, shares
 from evidence.scenarios import Case
 from heaved.samples import HeaveState
 from heaved.simulate.sensors import laser_pattern

@@ -6,23 +6,25 @@ predictor for the known spectrum (``limits.prediction_limit``) with the same noi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from itertools import repeat
+from collections.abc import Callable, Sequence
+from functools import partial
 from math import nan
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from evidence.commands import in_order
 from evidence.limits import prediction_limit
-from evidence.rock_seas import F_HZ, RATE_HZ, SHIPS, Sea, Ship, gaussian, known_spectrum, motion, palmer, spectrum
+from evidence.rock.seas import F_HZ, RATE_HZ, SHIPS, Sea, Ship, gaussian, known_spectrum, motion, palmer, spectrum
 from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.estimation.rock.direct import DirectPredictor, Params
 from heaved.estimation.rock.lags import fading_taps
 
 Array = NDArray[np.float64]
+Found = TypeVar("Found")
 
 HORIZONS_S = Params().horizons_s
 SCORED_FROM_S = 120.0
@@ -55,9 +57,9 @@ class Disturbance(msgspec.Struct, frozen=True, kw_only=True):
 def direct(t_s: Array, x: Array, params: Params | None = None, rates: Array | None = None) -> tuple[Array, Array]:
     """Predictions and half-widths (n, H, channels) of measured columns x (n, channels), with their rates if given."""
     predictor = DirectPredictor(x.shape[1], params, rates=rates is not None)
-    given = repeat(None) if rates is None else rates.tolist()
+    given = [None] * len(x) if rates is None else rates.tolist()
     out, half = [], []
-    for t, row, rate in zip(t_s.tolist(), x.tolist(), given, strict=False):
+    for t, row, rate in zip(t_s.tolist(), x.tolist(), given, strict=True):
         out.append(predictor.step(t, row, rate))
         half.append(predictor.half_width)
     return np.array(out), np.array(half)
@@ -200,15 +202,23 @@ def real(path: Path) -> list[Row]:
     return rows
 
 
+def _of_ships(
+    work: Callable[..., list[Found]],
+    ships: Sequence[Ship],
+    seeds: Sequence[int],
+    duration_s: float,
+    jobs: int,
+) -> list[Found]:
+    rows = in_order(partial(work, seeds=seeds, duration_s=duration_s), ships, jobs)
+    return [row for of_ship in rows for row in of_ship]
+
+
 def table(seeds: Sequence[int], duration_s: float, jobs: int) -> list[Row]:
-    with ProcessPoolExecutor(jobs) as pool:
-        return [row for rows in pool.map(scene, SHIPS, repeat(seeds), repeat(duration_s)) for row in rows]
+    return _of_ships(scene, SHIPS, seeds, duration_s, jobs)
 
 
 def costs(seeds: Sequence[int], duration_s: float, jobs: int) -> list[Disturbance]:
-    ships = [ship for ship in SHIPS if ship.cubic == 0.0]
-    with ProcessPoolExecutor(jobs) as pool:
-        return [row for rows in pool.map(disturbances, ships, repeat(seeds), repeat(duration_s)) for row in rows]
+    return _of_ships(disturbances, [ship for ship in SHIPS if ship.cubic == 0.0], seeds, duration_s, jobs)
 
 
 def rates(ship: Ship, seeds: Sequence[int], duration_s: float) -> list[Disturbance]:
@@ -233,9 +243,7 @@ def rates(ship: Ship, seeds: Sequence[int], duration_s: float) -> list[Disturban
 
 
 def rates_table(seeds: Sequence[int], duration_s: float, jobs: int) -> list[Disturbance]:
-    ships = [ship for ship in SHIPS if ship.name in RATED]
-    with ProcessPoolExecutor(jobs) as pool:
-        return [row for rows in pool.map(rates, ships, repeat(seeds), repeat(duration_s)) for row in rows]
+    return _of_ships(rates, [ship for ship in SHIPS if ship.name in RATED], seeds, duration_s, jobs)
 
 
 def figure(path: Path, rows: Sequence[Row], seed: int = 1, duration_s: float = 240.0) -> None:
