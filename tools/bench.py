@@ -376,7 +376,7 @@ async def lateness_us(seconds: float) -> Array:
         return np.array([1e6 * await timer.wait_until(first_s + n * TICK_S) for n in range(round(seconds / TICK_S))])
 
 
-async def idle(window: TrainingWindow, seconds: float) -> tuple[Array, int]:
+async def idle(_: TrainingWindow, seconds: float) -> tuple[Array, int]:
     """No training."""
     return await lateness_us(seconds), 0
 

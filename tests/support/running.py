@@ -56,7 +56,8 @@ async def plant_of(
 ) -> AsyncIterator[tuple[SimulatedPlant, Config]]:
     """Simulated slaves for the devices of ``config``: (plant, ``config`` with the links where they are).
 
-    ``sea``: a name, or what moves the ship."""
+    ``sea``: a name, or what moves the ship.
+    """
     moves = seaway(sea, seed) if isinstance(sea, str) else sea
     plant = SimulatedPlant(config.device, Instruments(moves, seed=seed), any_port=True, seed=seed)
     await plant.start()

@@ -1,5 +1,6 @@
 """tools/accuracy.py faults: the judge finds the lies that were put there by hand, and nothing else; disasters are what
-their names say."""
+their names say.
+"""
 
 from __future__ import annotations
 
@@ -135,7 +136,8 @@ def judged(
 ) -> Outcome:
     """Frames that are right but from ``from_s`` to ``to_s``, a hundred of them, where they are changed."""
     motion, published = true_motion(), Published()
-    for made in right_frames():
+    for right in right_frames():
+        made = right
         if from_s - 1e-9 <= made.t_s < to_s - 1e-9:
             for change in changes:
                 made = change(made)

@@ -21,7 +21,7 @@ def section(command: str, text: str, *seeds: int) -> str:
     ("words", "command"),
     [
         (["gates", "--record"], "tools/accuracy.py gates"),
-        (["hull", "--runs", "16", "--jobs", "2", "--out", "/tmp/x", "--record"], "tools/accuracy.py hull --runs 16"),
+        (["hull", "--runs", "16", "--jobs", "2", "--out", "there", "--record"], "tools/accuracy.py hull --runs 16"),
         (["heave", "--jobs=2", "--laser", "50%", "T1", "--no-figures"], "tools/accuracy.py heave --laser 50% T1"),
         (["shake", "a b"], "tools/accuracy.py shake 'a b'"),
     ],

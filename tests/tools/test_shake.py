@@ -28,7 +28,8 @@ MEMORY_S = 150.0
 
 def optimal(sea: str, name: str, rate_hz: float) -> tuple[np.ndarray, float]:
     """Optimal weights on the last 150 s of samples, newest first, and their RMS error: R w = r, with the covariances
-    as Fourier sums of the densities."""
+    as Fourier sums of the densities.
+    """
     f = scenarios.grid(rate_hz)
     heave, omega = scenarios.simulated_spectrum(sea, f), 2.0 * np.pi * f
     noise = scenarios.accelerometer_noise(f, SENSOR, rate_hz, name)

@@ -173,7 +173,7 @@ def run(task: Task) -> Outcome:
         _remember(pipe, disaster, task)
         for frame, is_coasted in frames(pipe, delivered, honest.t_s):
             published.take(frame, is_coasted)
-    except Exception as error:  # Whatever it is, it would have ended the daemon or the replay: that is the finding.
+    except Exception as error:  # noqa: BLE001  # Whatever it is, it would have ended the daemon or the replay: that is the finding.
         crash = _named(error)
     resets = {" ".join(key): count for key, count in pipe.resets.items()}
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what is published may be anything
@@ -342,7 +342,7 @@ def _at(horizons_s: Iterable[float], found: Mapping[float, tuple[float, ...]], w
 
 
 def _largest(values: Iterable[float]) -> float:
-    return float(max((abs(value) for value in values if value == value), default=0.0))
+    return float(max((abs(value) for value in values if not isnan(value)), default=0.0))
 
 
 # --- judged ----------------------------------------------------------------------------------------------------------

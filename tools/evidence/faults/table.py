@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from math import inf, isfinite, nan
+from math import inf, isfinite, isnan, nan
 from typing import Final
 
 import msgspec
@@ -132,7 +132,7 @@ def _after(
 
 def _asked(ratios: Sequence[float], most: float | None) -> str:
     """The worst of them; the median before it where there are several."""
-    there = [ratio for ratio in ratios if ratio == ratio]
+    there = [ratio for ratio in ratios if not isnan(ratio)]
     text = _number(_worst(there), 2)
     if len(there) > 1:
         text = f"{_number(float(np.median(there)), 2)}, {text}"
@@ -140,13 +140,13 @@ def _asked(ratios: Sequence[float], most: float | None) -> str:
 
 
 def _worst(values: Iterable[float]) -> float:
-    there = [value for value in values if value == value]
+    there = [value for value in values if not isnan(value)]
     return max(there, default=nan)
 
 
 def _number(value: float, digits: int) -> str:
     if not isfinite(value):
-        return "–" if value != value else "∞"
+        return "–" if isnan(value) else "∞"
     return f"{value:.{digits}f}" if abs(value) < 1e4 else f"{value:.1e}"
 
 

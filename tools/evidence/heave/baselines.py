@@ -53,7 +53,8 @@ def vertical(sample: ImuSample) -> float:
 
 class Inertial:
     """The paper's inertial output, with the product's second-order high-pass: it leads, and a bias b stays in it as
-    b / omega_c^2 (0.2 m for 0.03 m/s2 and a corner of 16 s)."""
+    b / omega_c^2 (0.2 m for 0.03 m/s2 and a corner of 16 s).
+    """
 
     def __init__(self) -> None:
         self._chain = InertialDisplacement(HIGHPASS_PERIOD_S)
@@ -78,7 +79,7 @@ class Iir:
         self._sections = zpk2sos(*digital)  # type: ignore[arg-type]  # the stubs know of real poles only
         self._state: Array | None = None
 
-    def step(self, t_s: float, a_up_mps2: float) -> float:
+    def step(self, t_s: float, a_up_mps2: float) -> float:  # noqa: ARG002  # Filter
         if self._state is None:
             self._state = sosfilt_zi(self._sections) * a_up_mps2
         out, self._state = sosfilt(self._sections, [a_up_mps2], zi=self._state)

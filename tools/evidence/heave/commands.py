@@ -106,7 +106,7 @@ def run_table(options: Options, output: Output) -> Report:
     return Report(asked.table(lines, options.observer))
 
 
-def run_limits(options: Options, output: Output) -> Report:
+def run_limits(options: Options, _: Output) -> Report:
     """
     Raises:
         ValueError: a disturbance is not known.

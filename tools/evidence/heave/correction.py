@@ -138,7 +138,8 @@ def run(trial: Trial) -> Outcome:
 
 def _pipeline(trial: Trial) -> Pipeline:
     """The daemon's, with its defaults but for forecasts, which are not looked at, and the rock predictor, which shares
-    nothing with the heave: the cheapest there is."""
+    nothing with the heave: the cheapest there is.
+    """
     settings = {"forecast_horizons_s": (), "lead": {"enabled": trial.taught}}
     return Pipeline(
         heave=msgspec.convert(settings, heave.Params),

@@ -122,7 +122,8 @@ def traces(name: str, samples: Sequence[Sample], conditions: Conditions) -> list
 
 def pipeline(observer: str, conditions: Conditions) -> Pipeline:
     """The daemon's, with its defaults but for the observer and the horizons. The rock predictor, which shares nothing
-    with the heave, is the cheapest there is: the published method with one memory."""
+    with the heave, is the cheapest there is: the published method with one memory.
+    """
     settings = {"observer": observer, "forecast_horizons_s": conditions.horizons_s}
     return Pipeline(
         heave=msgspec.convert(settings, heave.Params),

@@ -54,7 +54,8 @@ def tasks(
     rows: Iterable[tuple[str, Setting]], names: tuple[str, ...], records: int, figures: Path | None = None
 ) -> list[Task]:
     """A task for each record: ``records`` triplets of a simulated scenario, every file of a real one (none where they
-    are absent); the first of each row is drawn."""
+    are absent); the first of each row is drawn.
+    """
     return [
         Task(
             scenario=scenario,

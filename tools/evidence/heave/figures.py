@@ -97,7 +97,7 @@ def heave_through_time(path: Path, case: Case, ours: Trace, others: Sequence[Tra
     figure, (above, below) = _panels(3.9, (1.15, 1.0))
     above.set_title(title, fontsize=8)
     _heave(above, case, ours, others)
-    _error(below, case, ours, others)
+    _error(below, case, ours)
     figure.savefig(path)
 
 
@@ -118,7 +118,7 @@ def _heave(axes: Axes, case: Case, ours: Trace, others: Sequence[Trace]) -> None
     _legend(axes)
 
 
-def _error(axes: Axes, case: Case, ours: Trace, others: Sequence[Trace]) -> None:
+def _error(axes: Axes, case: Case, ours: Trace) -> None:
     kept = case.scored
     t, error_m = case.recording.t_s[kept], (ours.heave_m - case.recording.truth.heave_m)[kept]
     assert ours.std_m is not None
@@ -238,7 +238,8 @@ def forecasts(path: Path, results: Sequence[Result], title: str) -> None:
 
 def _limit_ahead(result: Result) -> tuple[Array, Array]:
     """Horizons (s) and the least error (% of the deviation of the heave) at each: a curve for a sea whose spectrum is
-    known, the points of the records for another."""
+    known, the points of the records for another.
+    """
     if result.scenario in SEAS:
         horizons = np.linspace(0.0, 5.0, 41)
         rate_hz, sensor = result.setting.rate_hz, result.setting.sensor

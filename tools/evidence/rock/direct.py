@@ -163,7 +163,8 @@ def disturbances(ship: Ship, seeds: Sequence[int], duration_s: float) -> list[Di
 
 def _sea_change(ship: Ship, rng: np.random.Generator, duration_s: float) -> Array:
     """RMS in the minute after the sea has grown threefold and 3 s longer within a minute, over that of a predictor
-    that has known nothing but the new sea."""
+    that has known nothing but the new sea.
+    """
     new = msgspec.structs.replace(ship, seas=tuple(_longer(sea) for sea in ship.seas), std=3 * ship.std)
     t = np.arange(round(duration_s * RATE_HZ)) / RATE_HZ
     u = np.clip((t - 0.5 * duration_s) / 60.0, 0.0, 1.0)

@@ -1,5 +1,6 @@
 """The quiescence forecast on trial: hits, misses and false alarms, Brier scores beside climate and persistence, and how
-often what it gave a chance of p came true."""
+often what it gave a chance of p came true.
+"""
 
 from __future__ import annotations
 

@@ -145,9 +145,8 @@ def predicted(recording: Recording, *, gyros: bool) -> Predicted:
     for sample in recording.samples():
         if not isinstance(sample, ImuSample):
             continue
-        if not gyros:
-            sample = msgspec.structs.replace(sample, gx_radps=nan, gy_radps=nan, gz_radps=nan)
-        latest = chain.step(sample, good=True)
+        given = sample if gyros else msgspec.structs.replace(sample, gx_radps=nan, gy_radps=nan, gz_radps=nan)
+        latest = chain.step(given, good=True)
         assert isinstance(latest, RockPredictions)
         found.append(latest)
         stds.append(latest.stds_rad[kept, :2])
