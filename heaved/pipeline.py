@@ -34,11 +34,10 @@ from heaved.estimation.imu.vertical import Intake
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.motion_frame import Framer
 from heaved.estimation.quiet_windows import QuietWatch
-from heaved.estimation.rock.estimator import RockChain
+from heaved.estimation.rock.estimator import RockEstimator
 from heaved.estimation.rock.maximum_likelihood import Params as RockParams
 from heaved.estimation.stages import Stages
 from heaved.samples import (
-    Fault,
     ImuSample,
     LaserSample,
     MotionFrame,
@@ -131,7 +130,7 @@ class Pipeline:
         self._chain = HeaveChain(heave, laser, correction, has_laser=has_laser, lead_s=lead_s, max_rate_hz=MAX_RATE_HZ)
         self._conditioner = Conditioner()
         self._intake = Intake(self._chain, MAX_RATE_HZ)
-        self._rock = RockChain(rock)
+        self._rock = RockEstimator(rock)
         self._framer = Framer(
             self._intake,
             self._chain,
@@ -176,18 +175,7 @@ class Pipeline:
             return None
         self._imu_t_s = sample.t_s
         conditioned = self._conditioner.take(sample)
-        return conditioned, self._foresee(conditioned)
-
-    def _foresee(self, conditioned: Conditioned) -> Sequence[RockPrediction]:
-        """Predictions for the time of the sample, from when its angles were measured: earlier, with a slow sensor."""
-        sample, attitude = conditioned.sample, conditioned.attitude
-        self._rock.time_std_s = conditioned.attitude_std_s
-        if attitude is None or attitude.t_s == sample.t_s:
-            if attitude is None and conditioned.attitude_is_slow:
-                return self._rock.at(sample.t_s)
-            return self._rock.step(sample, good=sample.fault is Fault.NONE)
-        self._rock.step(msgspec.structs.replace(sample, t_s=attitude.t_s), good=True)
-        return self._rock.at(sample.t_s)
+        return conditioned, self._rock.step(conditioned)
 
     def _step(self, sample: Sample, first: tuple[Conditioned, Sequence[RockPrediction]] | None) -> MotionFrame | None:
         """All the rest."""

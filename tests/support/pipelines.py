@@ -10,6 +10,7 @@ import numpy as np
 from heaved.estimation.heave.harmonic import observer as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.heave.sea.refit import look
+from heaved.estimation.imu.conditioning import Conditioned
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.pipeline import Pipeline
@@ -28,8 +29,8 @@ class NoRock:
 
     resets: ClassVar[Counter[tuple[str, str]]] = Counter()
 
-    def step(self, sample: ImuSample, *, good: bool) -> tuple[RockPrediction, ...]:
-        return self.at(sample.t_s)
+    def step(self, conditioned: Conditioned) -> tuple[RockPrediction, ...]:
+        return self.at(conditioned.sample.t_s)
 
     def at(self, t_s: float) -> tuple[RockPrediction, ...]:
         return tuple(RockPrediction(horizon_s=h) for h in self.horizons_s)
