@@ -21,13 +21,12 @@ from heaved.estimation import quiescence
 from heaved.estimation.heave import saved_state as remembered
 from heaved.estimation.heave.estimator import HeaveChain
 from heaved.estimation.heave.forecast_check import ForecastCheck
-from heaved.estimation.heave.harmonic.observer import HarmonicObserver
-from heaved.estimation.heave.harmonic.observer import Params as HeaveParams
 from heaved.estimation.heave.laser.correction import Params as CorrectionParams
 from heaved.estimation.heave.laser.correction import Saved
 from heaved.estimation.heave.laser.reference import Params as LaserParams
+from heaved.estimation.heave.observer import SavedObserver, Verdict
+from heaved.estimation.heave.params import Params as HeaveParams
 from heaved.estimation.heave.sea.model import SeaModel
-from heaved.estimation.heave.sea.observer import SeaObserver
 from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
 from heaved.estimation.imu.conditioning import Conditioned, Conditioner
 from heaved.estimation.imu.vertical import Intake
@@ -241,11 +240,11 @@ class Pipeline:
         """The past, when it is time to fit the sea again; each is given out once."""
         return self._chain.observer.due()
 
-    def accept_fit(self, fit: SeaFit) -> str:
-        """Change over to a fitted sea: "accepted", "rejected" (it comes too late) or "failed"."""
+    def accept_fit(self, fit: SeaFit) -> Verdict:
+        """Change over to a fitted sea; rejected: it comes too late."""
         result = self._chain.observer.accept(fit)
         self._fitted[result] += 1
-        if result == "accepted":
+        if result is Verdict.ACCEPTED:
             self._fitted_t_s = fit.t_s
         return result
 
@@ -262,10 +261,10 @@ class Pipeline:
 
     def state(self) -> PipelineState:
         """What a restart shall remember."""
-        observer, taught = self._chain.observer, self._chain.lead
+        learned, taught = self._chain.observer.saved(), self._chain.lead
         return PipelineState(
-            frequencies_hz=observer.frequencies_hz if isinstance(observer, HarmonicObserver) else (),
-            sea=observer.model if isinstance(observer, SeaObserver) else None,
+            frequencies_hz=learned.frequencies_hz,
+            sea=learned.sea,
             lead_learned_s=taught.learned_s if taught.updates else None,
             gain_learned=taught.gain,
             correction=self._chain.correction.saved(),
@@ -278,11 +277,7 @@ class Pipeline:
             ValueError: the state does not fit the configuration; says what does not, and nothing was taken over.
         """
         check_state(state)
-        observer = self._chain.observer
-        if isinstance(observer, HarmonicObserver) and state.frequencies_hz:
-            observer.restore(state.frequencies_hz)
-        if isinstance(observer, SeaObserver) and state.sea is not None:
-            observer.restore(state.sea, age_s)
+        self._chain.observer.restore(SavedObserver(frequencies_hz=state.frequencies_hz, sea=state.sea), age_s)
         if state.correction is not None:
             try:
                 self._chain.correction.restore(state.correction)

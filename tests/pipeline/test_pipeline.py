@@ -12,10 +12,9 @@ import pytest
 from pipelines import column, imu_only, laser_only, numbers, pipeline, rms, run, sea
 from scipy.spatial.transform import Rotation
 
-from heaved.estimation.heave.harmonic import observer as heave
+from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction
 from heaved.estimation.heave.laser.network import Network, Output
-from heaved.estimation.heave.sea import observer as sea_observer
 from heaved.estimation.heave.sea.refit import SeaFit, look
 from heaved.estimation.lever_arm import Point
 from heaved.outputs import wire
@@ -592,14 +591,14 @@ def test_the_sea_is_remembered(seen: Pipeline, longer: Recording) -> None:
 @pytest.mark.parametrize(
     ("sea_params", "spoil", "message"),
     [
-        (sea_observer.Params(stages=4), {}, "chains of 7 does not fit"),
-        (sea_observer.Params(components=1), {}, "does not fit the configured 1 of 7"),
-        (sea_observer.Params(), {"level_m2phz": (nan, nan, nan)}, "level of the sea"),
+        (heave.SeaParams(stages=4), {}, "chains of 7 does not fit"),
+        (heave.SeaParams(components=1), {}, "does not fit the configured 1 of 7"),
+        (heave.SeaParams(), {"level_m2phz": (nan, nan, nan)}, "level of the sea"),
     ],
     ids=["stages", "components", "nan"],
 )
 def test_a_saved_sea_that_does_not_fit_is_refused_whole(
-    seen: Pipeline, sea_params: sea_observer.Params, spoil: dict[str, object], message: str
+    seen: Pipeline, sea_params: heave.SeaParams, spoil: dict[str, object], message: str
 ) -> None:
     state = seen.state()
     assert state.sea is not None

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from pipelines import pipeline, rms
 
+from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.estimator import Heave
-from heaved.estimation.heave.harmonic import observer as heave
 from heaved.estimation.heave.sea.refit import look
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.motion_frame import BEYOND_PHYSICS

@@ -13,8 +13,8 @@ from pipelines import run
 from heaved.client import report
 from heaved.config.read import ConfigError, parse
 from heaved.estimation import quiescence
+from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.forecast_check import DOUBT, ForecastCheck
-from heaved.estimation.heave.harmonic import observer as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.rock import maximum_likelihood as rock

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from pipelines import NoRock, numbers
 
-from heaved.estimation.heave.harmonic import observer as heave
+from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.heave.sea.refit import look
 from heaved.estimation.rock import maximum_likelihood as rock

@@ -7,7 +7,7 @@ from typing import ClassVar
 import msgspec
 import numpy as np
 
-from heaved.estimation.heave.harmonic import observer as heave
+from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.heave.sea.refit import look
 from heaved.estimation.lever_arm import Point

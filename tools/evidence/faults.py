@@ -29,7 +29,7 @@ from scipy.spatial.transform import Rotation
 from evidence.disasters import DISASTERS, HONEST_OF, IMU, Disaster, spoiled
 from evidence.scenarios import Setting, build, triplet
 from heaved.estimation.common import bounds
-from heaved.estimation.heave.harmonic import observer as heave
+from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.heave.sea.refit import look
 from heaved.estimation.lever_arm import Point

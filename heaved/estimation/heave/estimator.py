@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.heave.harmonic.observer import HarmonicObserver
-from heaved.estimation.heave.harmonic.observer import Params as HeaveParams
 from heaved.estimation.heave.laser import lead
 from heaved.estimation.heave.laser.correction import Params as CorrectionParams
 from heaved.estimation.heave.laser.correction import ResidualCorrection
 from heaved.estimation.heave.laser.learning import LaserTeacher
 from heaved.estimation.heave.laser.reference import Params as LaserParams
+from heaved.estimation.heave.observer import HeaveObserver
+from heaved.estimation.heave.params import Params as HeaveParams
 from heaved.estimation.heave.sea.observer import SeaObserver
 from heaved.predictions import HeaveForecasts
 from heaved.samples import DelayedHeave
@@ -64,13 +65,13 @@ class HeaveChain:
         """``lead_s``: how long after the last sample the published heave is for."""
         self._params, self._has_laser, self._lead_s = heave, has_laser, lead_s
         self._max_rate_hz = max_rate_hz
-        self.observer: HarmonicObserver | SeaObserver = self._new_observer()
+        self.observer: HeaveObserver = self._new_observer()
         self.correction = ResidualCorrection(correction, max_rate_hz)
         self.laser = LaserTeacher(laser, heave.lead, self.correction, max_rate_hz)
         self.good_t_s = nan
         self._resets_seen = 0
 
-    def _new_observer(self) -> HarmonicObserver | SeaObserver:
+    def _new_observer(self) -> HeaveObserver:
         p = self._params
         if p.observer == "harmonic":
             return HarmonicObserver(p, self._max_rate_hz)
@@ -88,18 +89,15 @@ class HeaveChain:
 
     def interrupt(self) -> None:
         """The vertical acceleration is made otherwise from now on: with the tilt removed, or without."""
-        if isinstance(self.observer, SeaObserver):
-            self.observer.cut()
+        self.observer.cut()
 
     def amend(self, t_s: Array, more_mps2: Array) -> None:
         """The vertical accelerations of the past at ``t_s`` (n,) were too little by ``more_mps2`` (n,)."""
-        if isinstance(self.observer, SeaObserver):
-            self.observer.amend(t_s, more_mps2)
+        self.observer.amend(t_s, more_mps2)
 
     def disturb(self, f_hz: Array, psd: Array) -> None:
         """The vertical acceleration has noise of one-sided density ``psd`` (n,), (m/s2)2/Hz, that it does not show."""
-        if isinstance(self.observer, SeaObserver):
-            self.observer.disturb(f_hz, psd)
+        self.observer.disturb(f_hz, psd)
 
     def _note(self, t_s: float) -> None:
         observer, taught = self.observer, self.laser.lead
@@ -149,7 +147,7 @@ class HeaveChain:
         """Of the observer, by (filter, reason), and steps of the level that it has found."""
         observer = self.observer
         found = Counter({("heave", reason): count for reason, count in observer.resets.items()})
-        if isinstance(observer, SeaObserver) and observer.steps:
+        if observer.steps:
             found["heave", "step of the level"] = observer.steps
         return found
 
