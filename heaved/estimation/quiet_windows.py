@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import hypot, isfinite, nan
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 
 from heaved.estimation import lever_arm as points
 from heaved.estimation.lever_arm import Attitude, Point
 from heaved.estimation.quiescence import MotionForecast, Params, Quiescence
-from heaved.samples import HeaveForecast, QuietForecast, RockPrediction
+from heaved.samples import HeaveForecast, ImuSample, MotionFrame, QuietForecast, RockPrediction
 
 OLD_S: Final = 3.0
 """Without samples for this long nothing is foreseen any more."""
 
 
-class QuietWatch:
+class QuietWindows:
     """Feed it every sample's motion; what is foreseen is renewed once a second."""
 
     def __init__(self, params: Params, point: Point | None) -> None:
@@ -26,16 +26,17 @@ class QuietWatch:
         self._point = point
         self._latest = QuietForecast(t_s=nan)
 
-    def step(
-        self,
-        t_s: float,
-        roll_rad: float,
-        pitch_rad: float,
-        heave_m: float,
-        rock: Sequence[RockPrediction],
-        forecast: Sequence[HeaveForecast],
-    ) -> None:
-        """Take the motion of the IMU at ``t_s`` (nan: not known), and what is predicted from there."""
+    @classmethod
+    def of(cls, params: Params | None, points: Sequence[Point]) -> Self | None:
+        """At the point that is named, or at the IMU; None: nobody asks for it."""
+        if params is None or not params.enabled:
+            return None
+        return cls(params, next((point for point in points if point.name == params.point), None))
+
+    def step(self, sample: ImuSample, frame: MotionFrame) -> None:
+        """Take the motion of the IMU as it was measured, and the frame of that moment with what is predicted."""
+        t_s, roll_rad, pitch_rad = sample.t_s, sample.roll_rad, sample.pitch_rad
+        heave_m, rock, forecast = frame.heave_m, frame.rock, frame.forecast
         quiescence = self._quiescence
         is_due = quiescence.is_due(t_s)
         ahead = self._ahead(rock, forecast) if is_due else None

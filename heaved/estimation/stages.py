@@ -236,7 +236,7 @@ class Stages:
 
     # --- input -------------------------------------------------------------------------------------------------------
 
-    def take(self, sample: ImuSample | RatesSample | CraftSample) -> None:
+    def step(self, sample: ImuSample | RatesSample | CraftSample) -> None:
         """Take what may concern a stage."""
         if isinstance(sample, CraftSample):
             if (attitude := self.attitude) is not None:
@@ -244,7 +244,7 @@ class Stages:
         elif (deformation := self.hull) is not None and sample.fault is Fault.NONE:
             self._guarded("hull", lambda: deformation.take(sample), None)
 
-    def take_frame(self, frame: MotionFrame) -> None:
+    def push_own(self, frame: MotionFrame) -> None:
         """Take our own heave and pitch; what comes of them is in the next frame."""
         if (attitude := self.attitude) is not None:
             self._guarded("attitude", lambda: attitude.take_own(frame), None)

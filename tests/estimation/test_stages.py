@@ -20,7 +20,7 @@ from heaved.estimation.hull import stage as hull
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.estimation.stages import AttitudeStage, HullStage, Stages
-from heaved.pipeline import Pipeline
+from heaved.pipeline import Pipeline, assemble
 from heaved.samples import CraftSample, Fault, ImuSample, MotionFrame, RatesSample, Sample
 from heaved.simulate.flexure import SCENES, Record, Scene, simulate
 from heaved.simulate.hydrofoil import Passage, sail
@@ -31,7 +31,7 @@ OWN = fusion.Params(enabled=True, source="own")
 
 
 def pipeline(stages: Stages | None = None, *, point: tuple[Point, ...] = ()) -> Pipeline:
-    return Pipeline(
+    return assemble(
         heave=NO_FORECASTS,
         laser=reference.Params(),
         correction=correction.Params(),
@@ -285,8 +285,8 @@ def test_a_refit_elsewhere_is_the_refit_inline() -> None:
     inline, elsewhere = Stages(params), Stages(params, refit_inline=False)
     jobs = 0
     for sample in bent(record):
-        inline.take(sample)
-        elsewhere.take(sample)
+        inline.step(sample)
+        elsewhere.step(sample)
         if (job := elsewhere.due_refit) is not None:
             jobs += 1
             assert elsewhere.accept(hull.refit(job))
@@ -393,16 +393,16 @@ def test_our_own_heave_and_pitch_drive_it_at_20_hz() -> None:
     assert abs(last.attitude.pitch_rad - last.pitch_rad) < math.radians(0.5)
     # Sensors of a craft are not listened to but for speed and flaps.
     before = stages.motion
-    stages.take(CraftSample(t_s=last.t_s + 1.0, heave_m=9.0, pitch_rad=0.3))
+    stages.step(CraftSample(t_s=last.t_s + 1.0, heave_m=9.0, pitch_rad=0.3))
     assert stages.motion is before
 
 
 def test_a_craft_of_nothing_but_faults_says_nothing() -> None:
     stages = Stages(None, ATTITUDE)
     for i in range(100):
-        stages.take(CraftSample(t_s=0.05 * i, fault=Fault.TIMEOUT))
-        stages.take(CraftSample(t_s=0.05 * i))
-        stages.take(CraftSample(t_s=math.nan, heave_m=1.0, pitch_rad=math.inf))
+        stages.step(CraftSample(t_s=0.05 * i, fault=Fault.TIMEOUT))
+        stages.step(CraftSample(t_s=0.05 * i))
+        stages.step(CraftSample(t_s=math.nan, heave_m=1.0, pitch_rad=math.inf))
     assert stages.motion is None
     assert stages.failure is None
 

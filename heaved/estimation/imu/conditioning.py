@@ -145,7 +145,7 @@ class Conditioner:
         """Readings refused because an acceleration jumped, or cannot be."""
         return sum(gate.rejected for gate in self._spikes)
 
-    def take(self, sample: ImuSample) -> Conditioned:
+    def step(self, sample: ImuSample) -> Conditioned:
         """Judge one sample, later than the last one."""
         t_s = sample.t_s
         if sample.fault is not Fault.NONE:
