@@ -175,7 +175,7 @@ class Pipeline:
             self._out_of_order += 1
             return None
         self._imu_t_s = sample.t_s
-        conditioned = self._conditioner.take(sample)
+        conditioned = self._conditioner.step(sample)
         return conditioned, self._foresee(conditioned)
 
     def _foresee(self, conditioned: Conditioned) -> Sequence[RockPrediction]:

@@ -14,11 +14,10 @@ from typing import Final
 from heaved.estimation.common.history import Trail
 from heaved.estimation.common.sample_rate import Arrivals
 from heaved.estimation.heave.estimator import HeaveChain
-from heaved.estimation.imu.attitude import Attitude, CarriedAttitude
+from heaved.estimation.imu.attitude import Attitude, AttitudePropagator, level_acceleration
 from heaved.estimation.imu.attitude_error import AttitudeError
 from heaved.estimation.imu.conditioning import NOTHING, Conditioned
 from heaved.estimation.imu.level_bias import LevelBias
-from heaved.estimation.imu.levelling import level_acceleration
 from heaved.samples import GRAVITY_MPS2, Fault, RockPrediction
 
 ATTITUDE_HOLD_S: Final = 0.5
@@ -57,7 +56,7 @@ class Intake:
         self.withheld = ""
         self.attitude_is_slow = False
         self.force_std_s = 0.0
-        self._carried = CarriedAttitude()
+        self._carried = AttitudePropagator()
         self._attitudes = Trail(int(max_rate_hz))
         self._tilt_removed, self._tilt_since_s = False, nan
         self._tilted_s = nan
@@ -72,7 +71,7 @@ class Intake:
         self.attitude_is_slow = conditioned.attitude_is_slow
         if (attitude := conditioned.attitude) is not None:
             self._attitudes.push((attitude.t_s, attitude.roll_rad, attitude.pitch_rad))
-        self._carried.take(conditioned.sample, attitude, rock)
+        self._carried.step(conditioned.sample, attitude, rock)
         t_s = conditioned.force_t_s
         if not isfinite(t_s):
             return
@@ -112,9 +111,9 @@ class Intake:
         if (noise := self._attitude_error.noise) is not None:
             self._attitude_error.noise = None
             self._chain.disturb(noise.f_hz, noise.psd)
-        self.arrivals.take(t_s)
+        self.arrivals.step(t_s)
         if tilt is not None:
-            bias.take(t_s, ax, ay, az, *tilt)
+            bias.step(t_s, ax, ay, az, *tilt)
 
     @property
     def attitude(self) -> Attitude:
