@@ -1,6 +1,6 @@
 """The vertical acceleration: bias, tilt and the attitude's own errors taken out of the specific force.
 
-Between readings of the attitude it is carried on (:mod:`heaved.estimation.imu.attitude`); the accelerometers may show
+Between readings of the attitude it is propagator on (:mod:`heaved.estimation.imu.attitude`); the accelerometers may show
 another moment than it does. What a frame says of the samples is known here: what was wrong with the last one, how often
 they come, how many are lost.
 """
@@ -15,12 +15,11 @@ import msgspec
 
 from heaved.estimation.common.history import Trail
 from heaved.estimation.common.sample_rate import Arrivals
-from heaved.estimation.imu.attitude import Attitude, CarriedAttitude
+from heaved.estimation.imu.attitude import Attitude, AttitudePropagator, level_acceleration
 from heaved.estimation.imu.attitude_error import Amendment, AttitudeError
 from heaved.estimation.imu.attitude_fit import Noise
 from heaved.estimation.imu.conditioning import NOTHING, Conditioned
 from heaved.estimation.imu.level_bias import LevelBias
-from heaved.estimation.imu.levelling import level_acceleration
 from heaved.samples import GRAVITY_MPS2, Fault, RockPrediction
 
 TOO_TILTED: Final = "no attitude or no horizontal acceleration: too much tilt in the acceleration to use it"
@@ -78,7 +77,7 @@ class Vertical:
         self.notes = NOTHING
         self.withheld = ""
         self.force_std_s = 0.0
-        self._carried = CarriedAttitude()
+        self._propagator = AttitudePropagator()
         self._attitudes = Trail(int(max_rate_hz))
         self._t_s = nan
         self._tilt_removed, self._tilt_since_s = False, nan
@@ -99,30 +98,30 @@ class Vertical:
         self.fault, self.notes, self.force_std_s = readings.fault, readings.notes, readings.force_std_s
         if (attitude := readings.attitude) is not None:
             self._attitudes.push((attitude.t_s, attitude.roll_rad, attitude.pitch_rad))
-        self._carried.take(readings.sample, attitude, rock)
+        self._propagator.step(readings.sample, attitude, rock)
         t_s, sample = readings.force_t_s, readings.sample
         if not isfinite(t_s):
             return None
         ax, ay, az = sample.ax_mps2, sample.ay_mps2, sample.az_mps2
-        has_tilt = t_s - self._carried.latest.t_s <= TUNING.attitude_hold_s and isfinite(ax + ay)
+        has_tilt = t_s - self._propagator.latest.t_s <= TUNING.attitude_hold_s and isfinite(ax + ay)
         is_of_another_kind = self._is_of_another_kind(t_s, has_tilt)
         if self.withheld:
             return None
-        self.arrivals.take(t_s)
+        self.arrivals.step(t_s)
         if not self._tilt_removed:
             self._t_s = t_s
             return VerticalAcceleration(t_s, az - GRAVITY_MPS2, is_of_another_kind)
         lag_s = lag_s if lag_s >= TUNING.lag_s else 0.0
         roll, pitch = self._attitude_of_acceleration(t_s - lag_s)
-        level_bias, carried, error = self._level_bias, self._carried, self._attitude_error
+        level_bias, propagator, error = self._level_bias, self._propagator, self._attitude_error
         x, y, up = level_acceleration(ax - level_bias.x_mps2, ay - level_bias.y_mps2, az, roll, pitch)
         # Angles moved back to where the accelerometers are would seem late against the gyroscopes.
-        are_of_gyros = carried.are_rates_measured and lag_s == 0.0
-        up = error.corrected(t_s, x, y, up, roll, pitch, *carried.rates, are_rates_measured=are_of_gyros)
+        are_of_gyros = propagator.are_rates_measured and lag_s == 0.0
+        up = error.corrected(t_s, x, y, up, roll, pitch, *propagator.rates, are_rates_measured=are_of_gyros)
         # A bias across the deck is not all vertical on a vessel that rolls; what is left of it is the observer's.
         up += bias_mps2 * (1.0 - cos(roll) * cos(pitch))
         self._note_tilt(t_s, up - (az - GRAVITY_MPS2))
-        level_bias.take(t_s, ax, ay, az, roll, pitch)
+        level_bias.step(t_s, ax, ay, az, roll, pitch)
         amendment, noise = error.amendment, error.noise
         error.amendment = error.noise = None
         return VerticalAcceleration(t_s, up, is_of_another_kind, amendment, noise)
@@ -156,7 +155,7 @@ class Vertical:
     @property
     def attitude(self) -> Attitude:
         """Roll, pitch and yaw of the last sample, or of when they were last known."""
-        return self._carried.latest
+        return self._propagator.latest
 
     def is_tilt_removed(self, t_s: float) -> bool:
         """Whether the vertical acceleration is free of the tilt, and the attitude known at ``t_s``."""
