@@ -33,7 +33,7 @@ from heaved.estimation.imu.conditioning import Conditioned, Conditioner
 from heaved.estimation.imu.vertical import Intake
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.motion_frame import Framer
-from heaved.estimation.quiet_windows import QuietWatch
+from heaved.estimation.quiescence import PointQuiescence
 from heaved.estimation.rock.estimator import RockChain
 from heaved.estimation.rock.maximum_likelihood import Params as RockParams
 from heaved.estimation.stages import Stages
@@ -141,9 +141,9 @@ class Pipeline:
             lead_s=lead_s,
             rock_horizons_s=self._rock.horizons_s,
         )
-        self._quiet: QuietWatch | None = None
+        self._quiet: PointQuiescence | None = None
         if quiet is not None and quiet.enabled:
-            self._quiet = QuietWatch(quiet, next((p for p in point if p.name == quiet.point), None))
+            self._quiet = PointQuiescence(quiet, next((p for p in point if p.name == quiet.point), None))
         self._check = ForecastCheck.of(heave.forecast_horizons_s, lead_s)
         self._imu_t_s = nan
         self._accepted_t_s = self._fitted_t_s = nan
@@ -195,7 +195,7 @@ class Pipeline:
             self._chain.laser.give(sample)
             return None
         if not isinstance(sample, ImuSample):
-            self.stages.take(sample)
+            self.stages.push(sample)
             return None
         if first is None:
             return None
@@ -204,13 +204,13 @@ class Pipeline:
         self._intake.take(conditioned, rock)
         if self._has_laser:
             self._chain.laser.teach(t, self._chain.observer)
-        self.stages.take(sample)
+        self.stages.push(sample)
         frame = self._frame(t, rock)
         if self._check is not None:
             self._check.step(t, frame.observer_m, frame.forecast)
         if self._quiet is not None:
             self._quiet.step(t, sample.roll_rad, sample.pitch_rad, frame.heave_m, rock, frame.forecast)
-        self.stages.take_frame(frame)
+        self.stages.push_frame(frame)
         return frame
 
     def coast(self, t_s: float) -> MotionFrame:

@@ -19,7 +19,7 @@ from heaved.estimation.heave.quality import COAST_S, Facts, judge
 from heaved.estimation.imu.attitude import UNKNOWN, predicted
 from heaved.estimation.imu.attitude import Attitude as Measured
 from heaved.estimation.imu.vertical import Intake
-from heaved.estimation.lever_arm import Attitude, Point
+from heaved.estimation.lever_arm import AttitudeMotion, Point
 from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S
 from heaved.estimation.stages import Stages
 from heaved.predictions import PlainForecasts
@@ -186,7 +186,7 @@ class Framer:
         roll, pitch = last.at(t_s)
         return msgspec.structs.replace(last, roll_rad=roll, pitch_rad=pitch)
 
-    def _moving(self, serving: Measured, t_s: float, predictions: tuple[RockPrediction, ...]) -> Attitude:
+    def _moving(self, serving: Measured, t_s: float, predictions: tuple[RockPrediction, ...]) -> AttitudeMotion:
         """The same for the moment that the heave of ``t_s`` is for, with rates and standard deviations.
 
         How well an angle is known is what the predictions for as long ahead are worth: too much for a measured one,
@@ -203,7 +203,7 @@ class Framer:
             roll_std, pitch_std = factor * roll_std, factor * pitch_std
         if self._lead_s > 0.0:
             roll, pitch = roll + self._lead_s * roll_rate, pitch + self._lead_s * pitch_rate
-        return Attitude(
+        return AttitudeMotion(
             roll,
             pitch,
             roll_rate,
@@ -212,7 +212,7 @@ class Framer:
             pitch_std if isfinite(pitch_std) else serving.pitch_std_rad,
         )
 
-    def _point_motions(self, heave: Heave, attitude: Attitude) -> tuple[PointMotion, ...]:
+    def _point_motions(self, heave: Heave, attitude: AttitudeMotion) -> tuple[PointMotion, ...]:
         """Each point, for the moment that the heave is for."""
         h, v, std_m, crane = heave.heave_m, heave.velocity_mps, heave.std_m, self._stages.crane
         return tuple([

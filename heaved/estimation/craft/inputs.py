@@ -1,8 +1,8 @@
-"""What of the craft's sensors can be believed: heave, pitch, speed and flaps, each with what is wrong with it. Pure."""
+"""What of the craft's sensors can be believed: heave, pitch, speed and flaps, each with what is wrong with it."""
 
 from __future__ import annotations
 
-from enum import Enum, IntEnum
+from enum import IntEnum, StrEnum
 from math import inf, isfinite, nan
 from typing import Final
 
@@ -10,12 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.craft.dynamics import Vessel
+from heaved.estimation.craft.tuning import TUNING
 
 Array = NDArray[np.float64]
-
-MOST_HEAVE_M: Final = 20.0
-MOST_PITCH_RAD: Final = 0.8
-"""Readings beyond are not of a craft that floats."""
 
 
 class Channel(IntEnum):
@@ -25,7 +22,7 @@ class Channel(IntEnum):
     PITCH = 1
 
 
-class Caution(Enum):
+class Caution(StrEnum):
     """What was wrong with the input, or why the estimate is worth less than usual."""
 
     SETTLING = "settling"
@@ -66,8 +63,8 @@ class CraftInputs:
 
     def readings(self, t_s: float, heave_m: float, pitch_rad: float, cautions: list[Caution]) -> tuple[float, float]:
         """Heave and pitch, nan where there is none that can be one; what is wrong is added to the cautions."""
-        heave = self._reading(Channel.HEAVE, t_s, heave_m, MOST_HEAVE_M, cautions)
-        return heave, self._reading(Channel.PITCH, t_s, pitch_rad, MOST_PITCH_RAD, cautions)
+        heave = self._reading(Channel.HEAVE, t_s, heave_m, TUNING.most_heave_m, cautions)
+        return heave, self._reading(Channel.PITCH, t_s, pitch_rad, TUNING.most_pitch_rad, cautions)
 
     def _reading(self, channel: Channel, t_s: float, value: float, most: float, cautions: list[Caution]) -> float:
         if value != self._last[channel]:
