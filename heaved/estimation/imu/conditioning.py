@@ -13,12 +13,12 @@ from typing import Final
 import msgspec
 
 from heaved.estimation.common.bounds import ANGLE_RATE_RADPS, HEAVE_ACCELERATION_MPS2
-from heaved.estimation.imu.acceleration_gates import SpikeGate, StuckGate
-from heaved.estimation.imu.angle_gate import AngleGate, wrapped
 from heaved.estimation.imu.attitude import Attitude
+from heaved.estimation.imu.gates import AngleGate, SpikeGate, wrapped
 from heaved.estimation.imu.measured_rate import MeasuredRate
 from heaved.estimation.imu.mounting import SignWatch, UnitsWatch
 from heaved.samples import GRAVITY_MPS2, Fault, ImuSample
+from heaved.unchanged import StuckDetector
 
 SIDEWAYS_MPS2: Final = 16.0
 """Specific force along the deck: that of HEAVE_ACCELERATION_MPS2 and of gravity at a heel of 55 degrees."""
@@ -129,13 +129,13 @@ class Conditioner:
         )
         self._force_stuck = (
             # Without one of these the tilt is not removed: what is measured counts as measured otherwise.
-            StuckGate(rests=True, by_chance=True),
-            StuckGate(rests=True, by_chance=True),
-            StuckGate(must_live=True),
+            StuckDetector(rests=True, by_chance=True),
+            StuckDetector(rests=True, by_chance=True),
+            StuckDetector(must_live=True),
         )
-        self._roll_stuck, self._pitch_stuck = StuckGate(rests=True), StuckGate(rests=True)
-        self._both_stuck = StuckGate(rests=True)
-        self._rate_stuck = StuckGate(rests=True)
+        self._roll_stuck, self._pitch_stuck = StuckDetector(rests=True), StuckDetector(rests=True)
+        self._both_stuck = StuckDetector(rests=True)
+        self._rate_stuck = StuckDetector(rests=True)
         self._roll_gate, self._pitch_gate, self._yaw_gate = AngleGate(), AngleGate(), AngleGate(inf)
         self._units, self._signs = UnitsWatch(), SignWatch()
         self._notes, self._noted_s = NOTHING, -inf
@@ -224,10 +224,10 @@ class Conditioner:
         stuck_x, stuck_y, stuck_z = self._force_stuck
         gate_x, gate_y, gate_z = self._spikes
         # A reading that repeats is not held against the last one: it is that.
-        is_stuck = stuck_z(t_s, az)
-        x = nan if stuck_x(t_s, ax, moves=False) else gate_x(t_s, ax)
-        y = nan if stuck_y(t_s, ay, moves=False) else gate_y(t_s, ay)
-        z = nan if is_stuck else gate_z(t_s, az - GRAVITY_MPS2)
+        is_stuck = stuck_z.step(t_s, az)
+        x = nan if stuck_x.step(t_s, ax, moves=False) else gate_x.step(t_s, ax)
+        y = nan if stuck_y.step(t_s, ay, moves=False) else gate_y.step(t_s, ay)
+        z = nan if is_stuck else gate_z.step(t_s, az - GRAVITY_MPS2)
         up = az - GRAVITY_MPS2
         is_wild = abs(up) > HEAVE_ACCELERATION_MPS2 or abs(ax) > SIDEWAYS_MPS2 or abs(ay) > SIDEWAYS_MPS2
         if is_wild or _is_refused(x, ax, stuck_x) or _is_refused(y, ay, stuck_y) or _is_refused(z, az, stuck_z):
@@ -246,18 +246,21 @@ class Conditioner:
         along, across, _ = self._force_stuck
         moves = along.spread > SWAYS_MPS2 or across.spread > SWAYS_MPS2
         # Through a coarse register either may rest at a crest for a second; both at once hardly do.
-        is_roll, is_pitch = self._roll_stuck(t_s, roll, moves=moves), self._pitch_stuck(t_s, pitch, moves=moves)
-        both = self._both_stuck(t_s, roll + UNLIKE * pitch, moves=moves)
+        is_roll, is_pitch = (
+            self._roll_stuck.step(t_s, roll, moves=moves),
+            self._pitch_stuck.step(t_s, pitch, moves=moves),
+        )
+        both = self._both_stuck.step(t_s, roll + UNLIKE * pitch, moves=moves)
         roll, pitch = nan if is_roll or both else roll, nan if is_pitch or both else pitch
         # One solution gives them together: what is wrong with one is not right in the others.
         leans_x, leans_y = GRAVITY_MPS2 * sin(pitch), GRAVITY_MPS2 * sin(roll)
         # Gravity along the deck confirms a first reading.
         is_confirmed = abs(sample.ax_mps2 - leans_x) < LEANS_MPS2 and abs(sample.ay_mps2 - leans_y) < LEANS_MPS2
-        trusts_roll = self._roll_gate(t_s, roll, is_confirmed=is_confirmed)
-        trusts_pitch = self._pitch_gate(t_s, pitch, is_confirmed=is_confirmed)
+        trusts_roll = self._roll_gate.step(t_s, roll, is_confirmed=is_confirmed)
+        trusts_pitch = self._pitch_gate.step(t_s, pitch, is_confirmed=is_confirmed)
         if (roll == roll and not trusts_roll) or (pitch == pitch and not trusts_pitch):
             return nan, nan, nan, t_s
-        if not isfinite(yaw) or not self._yaw_gate(t_s, yaw, is_confirmed=is_confirmed):
+        if not isfinite(yaw) or not self._yaw_gate.step(t_s, yaw, is_confirmed=is_confirmed):
             yaw = nan
         return roll, pitch, yaw, t_s
 
@@ -267,7 +270,7 @@ class Conditioner:
         if not max(abs(gx), abs(gy), abs(gz)) <= ANGLE_RATE_RADPS:
             return nan, nan, nan
         t_s = self._rates.take(t_s, gx, gy, gz)
-        if t_s != t_s or self._rate_stuck(t_s, gx):
+        if t_s != t_s or self._rate_stuck.step(t_s, gx):
             return nan, nan, nan
         return gx, gy, gz
 
@@ -291,6 +294,6 @@ class Conditioner:
             self._notes = notes
 
 
-def _is_refused(passed: float, value: float, stuck: StuckGate) -> bool:
+def _is_refused(passed: float, value: float, stuck: StuckDetector) -> bool:
     """Whether a reading was there, was no repetition, and was not passed."""
     return passed != passed and value == value and not stuck.is_stuck

@@ -16,8 +16,8 @@ from heaved.estimation.heave.laser.correction import ResidualCorrection
 from heaved.estimation.heave.laser.delayed_scale import DelayedOutput
 from heaved.estimation.heave.sea.observer import SeaObserver
 from heaved.estimation.heave.sea.propagate import Motion
-from heaved.estimation.imu.acceleration_gates import StuckGate
 from heaved.samples import Fault, LaserSample
+from heaved.unchanged import StuckDetector
 
 Array = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class LaserTeacher:
         self.lead = lead.LeadTracker(comparison)
         self.delayed = DelayedOutput(laser.noise_std_m)
         self.fault = Fault.NONE
-        self._stuck = StuckGate(must_live=True)
+        self._stuck = StuckDetector(must_live=True)
         self._waiting: deque[LaserSample] = deque(maxlen=1024)
         self._outputs = Ring(int(LATE_S * max_rate_hz), 5)
         """Time, observer output X*, published heave, and the unshifted observer's heave and velocity."""
@@ -106,7 +106,7 @@ class LaserTeacher:
         if not sample.t_s > self._read_t_s:
             return
         self._read_t_s = sample.t_s
-        if self._stuck(sample.t_s, sample.laser_m) and sample.fault is Fault.NONE:
+        if self._stuck.step(sample.t_s, sample.laser_m) and sample.fault is Fault.NONE:
             self.fault = Fault.STUCK
         row = self._outputs.interpolate(sample.t_s)
         settled = observer.settled_s >= REFERENCE_AFTER_S and observer.refreshes > 0
