@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import IntEnum, StrEnum
-from math import inf, isfinite, nan
+from math import isfinite, nan
 from typing import Final
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from heaved.estimation.craft.dynamics import Vessel
 from heaved.estimation.craft.tuning import TUNING
+from heaved.unchanged import Unchanged
 
 Array = NDArray[np.float64]
 
@@ -55,8 +56,7 @@ class CraftInputs:
         self._vessel = vessel
         self._stuck_after_s = stuck_after_s
         self._foils = tuple(foil.area_m2 > 0.0 for foil in (vessel.fore_foil, vessel.aft_foil))
-        self._last = [nan, nan]
-        self._changed_t_s = [-inf, -inf]
+        self._unchanged = (Unchanged(), Unchanged())
         self.impossible = [0, 0]
         self.speed_mps = vessel.service_speed_mps
         self.flaps_rad = np.zeros((2, 1))
@@ -67,14 +67,13 @@ class CraftInputs:
         return heave, self._reading(Channel.PITCH, t_s, pitch_rad, TUNING.most_pitch_rad, cautions)
 
     def _reading(self, channel: Channel, t_s: float, value: float, most: float, cautions: list[Caution]) -> float:
-        if value != self._last[channel]:
-            self._last[channel], self._changed_t_s[channel] = value, t_s
+        same_s = self._unchanged[channel].push(t_s, value)
         if not isfinite(value):
             cautions.append(MISSING[channel])
         elif abs(value) > most:
             cautions.append(REJECTED[channel])
             self.impossible[channel] += 1
-        elif 0.0 < self._stuck_after_s <= t_s - self._changed_t_s[channel]:
+        elif 0.0 < self._stuck_after_s <= same_s:
             cautions.append(STUCK[channel])
         else:
             return value
@@ -97,4 +96,5 @@ class CraftInputs:
 
     def forget_times(self) -> None:
         """Time has been set: since when a reading has not changed is not known."""
-        self._last = [nan, nan]
+        for unchanged in self._unchanged:
+            unchanged.clear()

@@ -87,7 +87,7 @@ class HullDeformation:
         self._slow = Ring(int(TUNING.forecast_window_s * self._out_hz), 4)
         """Slow rates midships."""
         self._streams: TwoStreams | None = None
-        self._checks = (RateCheck(p.rate_hz), RateCheck(p.rate_hz))
+        self._checks = (RateCheck(), RateCheck())
         self._consistency = Consistency(p)
         self.resets: Counter[ResetReason] = Counter()
         self.latest: HullEstimate | None = None
@@ -176,8 +176,8 @@ class HullDeformation:
         self._t_s = t_s
         row = np.empty(7)
         row[0] = t_s
-        row[1:4] = self._checks[0].checked(midships_radps)
-        row[4:] = self._checks[1].checked(local_radps)
+        row[1:4] = self._checks[0].checked(t_s, midships_radps)
+        row[4:] = self._checks[1].checked(t_s, local_radps)
         self._ring.push(row)
         ahead = self._pair.ahead
         rows = self._ring.last(self._pair.back + ahead + 1)

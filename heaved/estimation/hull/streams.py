@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from heaved.estimation.common.ring import Ring
 from heaved.estimation.hull.tuning import TUNING
+from heaved.unchanged import Unchanged
 
 Array = NDArray[np.float64]
 
@@ -43,15 +44,19 @@ class Stream:
         self._grid_step_s = grid_step_s
         self._max_rate_hz = max_rate_hz
         self._ring = Ring(int(TUNING.kept_s * max_rate_hz), 4)
-        self._last: tuple[float, float, float] | None = None
+        self._unchanged = Unchanged()
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin anew."""
+        self._ring.clear()
+        self._unchanged.clear()
         self.t_s = -inf
         """Stamp of the newest reading, repeated ones included."""
         self.period_s = nan
         """Usual time between different readings; nan before there are two."""
-        self.repeated = 0
-        """Successive readings that were exactly the one before."""
-        self._fresh_t_s = -inf
-        self._bends, self._bent = np.zeros(3), 0
+        self._kept_t_s = -inf
+        self._usual_square, self._squares = np.zeros(3), 0
 
     def push(self, t_s: float, rates_radps: Array) -> None:
         """Take a reading (3,); out of order or not finite ones are dropped, and those above the largest rate.
@@ -66,35 +71,23 @@ class Stream:
         if t_s <= self.t_s:
             return
         self.t_s = t_s
-        if (x, y, z) == self._last:
-            self.repeated += 1
+        self._unchanged.push(t_s, (x, y, z))
+        since_s = t_s - self._kept_t_s
+        if self._unchanged.repeats or since_s < 0.5 / self._max_rate_hz:
             return
-        self.repeated = 0
-        self._last = (x, y, z)
-        since = t_s - self._fresh_t_s
-        if since < 0.5 / self._max_rate_hz:
-            return
-        if since < 1.0:
-            longer = since - self.period_s if isfinite(self.period_s) else since
-            if longer == since:
-                self.period_s = since
-            self.period_s += (TUNING.shorter_period_weight if longer < 0.0 else TUNING.longer_period_weight) * (
-                since - self.period_s
-            )
-        self._fresh_t_s = t_s
+        self._kept_t_s = t_s
+        if since_s < 1.0:
+            longer_s = since_s - self.period_s if isfinite(self.period_s) else 0.0
+            weight = TUNING.shorter_period_weight if longer_s < 0.0 else TUNING.longer_period_weight
+            self.period_s = since_s - (1.0 - weight) * longer_s
         self._ring.push((t_s, x, y, z))
         if self._is_fast:
             self._gate()
 
-    def clear(self) -> None:
-        self._ring.clear()
-        self._last, self.t_s, self._fresh_t_s, self.period_s, self.repeated = None, -inf, -inf, nan, 0
-        self._bent = 0
-
     @property
     def stuck(self) -> bool:
         """Nothing but repetitions for a second."""
-        return self.repeated > 0 and self.t_s - self._fresh_t_s >= TUNING.stuck_s
+        return _is_stuck(self._unchanged)
 
     @property
     def _is_fast(self) -> bool:
@@ -156,16 +149,16 @@ class Stream:
         here = square[1]
         if not np.isfinite(here).all():
             return
-        if self._bent == 0:
-            self._bends = here
-        self._bent += 1
+        if self._squares == 0:
+            self._usual_square = here
+        self._squares += 1
         # A jump that is there to stay is let in by and by: each that is refused makes the scale twice as wide.
-        usual = self._bends
-        self._bends = usual + TUNING.usual_distance_weight * (
+        usual = self._usual_square
+        self._usual_square = usual + TUNING.usual_distance_weight * (
             np.minimum(here, TUNING.stream_gate_std**2 * usual) - usual
         )
         is_far = (here > TUNING.stream_gate_std**2 * usual) & ~(here < np.maximum(square[0], square[2]))
-        if self._bent > TUNING.usual_distance_from and bool(is_far.any()):
+        if self._squares > TUNING.usual_distance_from and bool(is_far.any()):
             self._ring.strike(float(self._ring.last(3)[0, 0]), slice(1, 4))
 
 
@@ -199,33 +192,29 @@ class TwoStreams:
 class RateCheck:
     """What is wrong with an IMU, seen in its rates on the common time base alone: missing, stuck, slower than asked."""
 
-    def __init__(self, rate_hz: float) -> None:
-        self._rate_hz = rate_hz
-        self._last: tuple[float, ...] | None = None
-        self.repeats = 0
+    def __init__(self) -> None:
+        self._unchanged = Unchanged()
         self._missing = self._repeated = 0.0
 
-    def checked(self, rates_radps: Array) -> Array:
+    def checked(self, t_s: float, rates_radps: Array) -> Array:
         """The reading (3,), or nan where it says nothing: not finite, beyond any ship, or exactly the one before.
 
         A gyro with noise does not repeat itself; a slave that is asked faster than it samples does, and a repeated
         value is late by an unknown time.
         """
-        x, y, z = now = tuple(rates_radps.tolist())
-        missing = (
-            not (isfinite(x) and isfinite(y) and isfinite(z)) or max(abs(x), abs(y), abs(z)) > TUNING.largest_radps
-        )
-        repeated = not missing and now == self._last
+        values = rates_radps.tolist()
+        missing = not all(abs(rate) <= TUNING.largest_radps for rate in values)
         self._missing += TUNING.share_weight * (missing - self._missing)
-        if not missing:
-            self.repeats = self.repeats + 1 if repeated else 0
-            self._repeated += TUNING.share_weight * (repeated - self._repeated)
-            self._last = now
-        return _NOTHING if missing or repeated else rates_radps
+        if missing:
+            return _NOTHING
+        self._unchanged.push(t_s, tuple(values))
+        repeated = self._unchanged.repeats > 0
+        self._repeated += TUNING.share_weight * (repeated - self._repeated)
+        return _NOTHING if repeated else rates_radps
 
     @property
     def stuck(self) -> bool:
-        return self.repeats >= TUNING.stuck_s * self._rate_hz
+        return _is_stuck(self._unchanged)
 
     @property
     def missing(self) -> bool:
@@ -234,3 +223,8 @@ class RateCheck:
     @property
     def slow(self) -> bool:
         return self._repeated > TUNING.repeated_share and not self.stuck
+
+
+def _is_stuck(unchanged: Unchanged) -> bool:
+    """Nothing but repetitions for a second."""
+    return unchanged.repeats > 0 and unchanged.t_s - unchanged.since_s >= TUNING.stuck_s - 1e-6
