@@ -37,7 +37,7 @@ from heaved.estimation.imu.conditioning import Conditioner
 from heaved.estimation.imu.vertical import Vertical
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.motion_frame import MotionFrames
-from heaved.estimation.quiet_windows import QuietWindows
+from heaved.estimation.quiescence import PointQuiescence
 from heaved.estimation.rock.estimator import RockEstimator
 from heaved.estimation.rock.maximum_likelihood import Params as RockParams
 from heaved.estimation.stages import Stages
@@ -69,7 +69,7 @@ class Pipeline:
         stages: Stages,
         frames: MotionFrames,
         check: ForecastCheck | None = None,
-        quiet: QuietWindows | None = None,
+        quiet: PointQuiescence | None = None,
     ) -> None:
         """``stages`` may be handed on to another pipeline. ``frames`` makes frames of these very estimators."""
         self.conditioner = conditioner
@@ -95,7 +95,7 @@ class Pipeline:
             self.laser.push(sample)
             return None
         if not isinstance(sample, ImuSample):
-            self.stages.step(sample)
+            self.stages.push(sample)
             return None
         if sample.t_s <= self._t_s:
             self._out_of_order += 1
@@ -107,13 +107,13 @@ class Pipeline:
         if up is not None:
             self.heave.step(up)
         self.laser.step(t_s, self.heave.observer)
-        self.stages.step(readings.sample)
+        self.stages.push(readings.sample)
         frame = self._frame(t_s, rock)
         if self.check is not None:
             self.check.step(t_s, frame.observer_m, frame.forecast)
         if self.quiet is not None:
             self.quiet.step(readings.sample, frame)
-        self.stages.push_own(frame)
+        self.stages.push_frame(frame)
         return frame
 
     def coast(self, t_s: float) -> MotionFrame:
@@ -238,7 +238,7 @@ def assemble(
         stages=stages,
         frames=MotionFrames(vertical, heaving, stages, point=point, rock_horizons_s=rocking.horizons_s),
         check=ForecastCheck.of(heave.forecast_horizons_s, lead_s),
-        quiet=QuietWindows.of(quiet, point),
+        quiet=PointQuiescence.of(quiet, point),
     )
 
 

@@ -17,10 +17,9 @@ from heaved.estimation.common.bounds import HEAVE_ACCELERATION_MPS2, HEAVE_M, HE
 from heaved.estimation.heave.estimator import Heave, HeaveEstimator
 from heaved.estimation.heave.quality import TUNING as QUALITY
 from heaved.estimation.heave.quality import Facts, judge
-from heaved.estimation.imu.attitude import UNKNOWN, predicted
-from heaved.estimation.imu.attitude import Attitude as Measured
+from heaved.estimation.imu.attitude import UNKNOWN, Attitude, predicted
 from heaved.estimation.imu.vertical import Vertical
-from heaved.estimation.lever_arm import Attitude, Point
+from heaved.estimation.lever_arm import AttitudeMotion, Point
 from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S
 from heaved.estimation.stages import Stages
 from heaved.predictions import PlainForecasts
@@ -181,7 +180,7 @@ class MotionFrames:
             self._delayed = found, msgspec.structs.replace(found, std_m=std_m) if isfinite(std_m) else None
         return self._delayed[1] if self._delayed is not None else None
 
-    def _serving(self, t_s: float, rock: Sequence[RockPrediction]) -> Measured:
+    def _serving(self, t_s: float, rock: Sequence[RockPrediction]) -> Attitude:
         """Roll and pitch of a moment: as of the last sample, or moved on as predicted or for an instant in line."""
         last = self._vertical.attitude
         if last.t_s == t_s:
@@ -193,7 +192,7 @@ class MotionFrames:
         roll, pitch = last.at(t_s)
         return msgspec.structs.replace(last, roll_rad=roll, pitch_rad=pitch)
 
-    def _moving(self, serving: Measured, t_s: float, predictions: tuple[RockPrediction, ...]) -> Attitude:
+    def _moving(self, serving: Attitude, t_s: float, predictions: tuple[RockPrediction, ...]) -> AttitudeMotion:
         """The same for the moment that the heave of ``t_s`` is for, with rates and standard deviations.
 
         How well an angle is known is what the predictions for as long ahead are worth: too much for a measured one,
@@ -210,7 +209,7 @@ class MotionFrames:
             roll_std, pitch_std = factor * roll_std, factor * pitch_std
         if (lead_s := self._heave.lead_s) > 0.0:
             roll, pitch = roll + lead_s * roll_rate, pitch + lead_s * pitch_rate
-        return Attitude(
+        return AttitudeMotion(
             roll,
             pitch,
             roll_rate,
@@ -219,7 +218,7 @@ class MotionFrames:
             pitch_std if isfinite(pitch_std) else serving.pitch_std_rad,
         )
 
-    def _point_motions(self, heave: Heave, attitude: Attitude) -> tuple[PointMotion, ...]:
+    def _point_motions(self, heave: Heave, attitude: AttitudeMotion) -> tuple[PointMotion, ...]:
         """Each point, for the moment that the heave is for."""
         h, v, std_m, crane = heave.heave_m, heave.velocity_mps, heave.std_m, self._stages.crane
         return tuple([

@@ -27,8 +27,9 @@ from heaved.devices.profile import encode, profile_faults
 from heaved.devices.recording import STAGE_COLUMNS, Recording, RecordingError
 from heaved.devices.station import Reading, Station
 from heaved.estimation.craft import fusion
-from heaved.estimation.hull import stage as hull
-from heaved.estimation.hull.stage import HullDeformation, refit
+from heaved.estimation.hull import estimate as hull
+from heaved.estimation.hull.estimator import HullDeformation
+from heaved.estimation.hull.refit import refit
 from heaved.outputs import stage_wire, wire
 from heaved.outputs.records import AttitudeStatus, HeaveStatus, HullStatus, QualityRecord, StatusRecord
 from heaved.replay.replay import replay

@@ -1,6 +1,6 @@
 """The vertical acceleration: bias, tilt and the attitude's own errors taken out of the specific force.
 
-Between readings of the attitude it is propagator on (:mod:`heaved.estimation.imu.attitude`); the accelerometers may show
+Between readings of the attitude it is carried on (:mod:`heaved.estimation.imu.attitude`); the accelerometers may show
 another moment than it does. What a frame says of the samples is known here: what was wrong with the last one, how often
 they come, how many are lost.
 """
