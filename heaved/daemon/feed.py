@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from heaved.daemon.utc_clock import UtcClock
-from heaved.outputs import stage_wire, wire
+from heaved.outputs import wire
 from heaved.outputs.stream import Publisher
 from heaved.samples import CraftMotion, DelayedHeave, HullAngles, MotionFrame, SeaState
 
@@ -34,11 +34,11 @@ class Feed:
         if hull is not None and hull is not self._hull:
             self._hull = hull
             if self._publisher.is_watched("HULL"):
-                self._publisher.publish_record(stage_wire.hull_record(hull, self._utc.utc_s(hull.t_s)))
+                self._publisher.publish_record(wire.hull_record(hull, self._utc.utc_s(hull.t_s)))
         if attitude is not None and attitude is not self._attitude:
             self._attitude = attitude
             if self._publisher.is_watched("ATTITUDE"):
-                self._publisher.publish_record(stage_wire.attitude_record(attitude, self._utc.utc_s(attitude.t_s)))
+                self._publisher.publish_record(wire.attitude_record(attitude, self._utc.utc_s(attitude.t_s)))
 
     def outlook(self, frame: MotionFrame) -> None:
         """SEA when it has been fitted again, and QUIET; to be called once a second."""

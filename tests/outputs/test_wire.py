@@ -13,7 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from heaved.outputs import wire
-from heaved.outputs.records import DeviceStatus, ErrorRecord, HeaveStatus, QualityRecord, StatusRecord, VersionRecord
+from heaved.outputs.records import DeviceStatus, ErrorRecord, HeaveStatus, StatusRecord, VersionRecord
 from heaved.outputs.requests import (
     ACCEPTED,
     MAX_REQUEST_BYTES,
@@ -244,7 +244,7 @@ def test_records_that_are_not_known_are_left_out() -> None:
     device = DeviceStatus(name="imu", role="imu", up=False)
     status = StatusRecord(
         release="1", uptime_s=1.0, frames=0, heave=HeaveStatus(), devices=(device,), clients=0, dropped=0,
-        quality=QualityRecord(
+        quality=Quality(
             heave=HeaveState.INVALID, laser=LaserState.OFF, correction=CorrectionState.OFF, reasons=()
         ),
     )  # fmt: skip
