@@ -74,7 +74,7 @@ async def frames(publisher: Publisher, heave: HeaveState = HeaveState.VALID) -> 
 
     async def publish() -> None:
         while True:
-            publisher.publish(make_frame(publisher.clock(), heave), utc_s=1.7e9)
+            publisher.publish(make_frame(publisher.clock(), heave))
             await asyncio.sleep(0.005)
 
     task = asyncio.create_task(publish())

@@ -100,7 +100,7 @@ class Served:
         """Publish frames whose times follow the clock, which goes on with them."""
         for _ in range(count):
             self.clock.now_s += period_s
-            self.publisher.publish(make_frame(self.clock.now_s), utc_s=1.7e9 + self.clock.now_s)
+            self.publisher.publish(make_frame(self.clock.now_s))
 
 
 class Peer:
@@ -157,6 +157,7 @@ async def serve() -> AsyncIterator[Serve]:
             "version": "1.2.3",
             "status": make_status,
             "metrics": counts,
+            "utc_s": lambda t_s: 1.7e9 + t_s,
             "clock": clock,
         }
         publisher = Publisher(**{**options, **changes})
