@@ -49,7 +49,7 @@ def test_columns_are_the_sequence_of_their_records(
     assert tuple(columns[1:]) == records[1:]
     assert list(reversed(columns)) == list(reversed(records))
     assert records[1] in columns
-    assert columns.index(records[2]) == 2  # type: ignore[arg-type]
+    assert columns.index(records[2]) == 2
     assert columns == records
     assert records == columns
     assert columns != records[:2]

@@ -162,7 +162,10 @@ def follow(made: Voyage, trim: tuple[float, float], fusion: AttitudeFusion) -> T
     truth = made.truth.T - np.array([trim[0], 0.0, 0.0, 0.0])
     measured = (made.measured_heave_m - trim[0], made.measured_pitch_rad)
     columns = (made.t_s, *measured, made.speed_mps, made.flap_fore_rad, made.flap_aft_rad)
-    estimates, filters, moments, covariances = [], [], [], []
+    estimates: list[CraftMotion] = []
+    filters: list[Array] = []
+    moments: list[Array] = []
+    covariances: list[Array] = []
     for sample in zip(*(column.tolist() for column in columns), strict=True):
         estimate, now = fusion.step(*sample), fusion.filters
         if estimate is None or now is None:

@@ -15,7 +15,7 @@ import argparse
 import multiprocessing
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from math import pi
 from pathlib import Path
 
@@ -254,7 +254,7 @@ def reached_s(t_s: Array, error_arcsec: Array) -> tuple[float, float, float]:
     return _triple(times)
 
 
-def _triple(values: Sequence[float]) -> tuple[float, float, float]:
+def _triple(values: Iterable[float]) -> tuple[float, float, float]:
     x, y, z = (float(v) for v in values)
     return x, y, z
 

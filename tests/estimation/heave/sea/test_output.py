@@ -95,15 +95,16 @@ def test_forecasts_are_heave_and_deviation_of_each_horizon(heave: SeaHeave) -> N
 def test_forecasts_of_many_moments_are_those_of_each(heave: SeaHeave) -> None:
     """Of several beats and models, some with something left of a model before, some with the laser's scale."""
     heave.set_lead(0.0)
-    forecasts = []
+    forecasts: list[SeaForecasts] = []
     for k in range(12):
         if k % 3 == 0:
             heave.filter.x, heave.filter.t_s = 1.1 * heave.filter.x, BEAT_S + k
             heave.moved()
         if k == 6:
             heave.splice = Splice(0.2, -0.1, BEAT_S + k)
-        forecasts.append(heave.forecast(BEAT_S + k - k % 3 + 0.011 * k, 1.0 + 0.1 * k, 1.0 - 0.01 * k))
-    assert isinstance(forecasts[0], SeaForecasts)
+        forecast = heave.forecast(BEAT_S + k - k % 3 + 0.011 * k, 1.0 + 0.1 * k, 1.0 - 0.01 * k)
+        assert isinstance(forecast, SeaForecasts)
+        forecasts.append(forecast)
     together = SeaForecasts.numbers(forecasts)
     assert together.shape == (12, len(HORIZONS_S), 2)
     for one, row in zip(forecasts, together, strict=True):
