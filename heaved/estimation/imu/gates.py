@@ -9,7 +9,7 @@ told from the motion. Readings that no longer change are those of :mod:`heaved.u
 
 from __future__ import annotations
 
-from math import exp, inf, isfinite, isnan, nan, pi, radians, sqrt
+from math import exp, inf, isfinite, isnan, nan, pi, radians
 from typing import Final
 
 import msgspec

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from math import cos, inf, isfinite, nan
 from typing import Final
 
-from heaved.estimation.common.history import Trail
+from heaved.estimation.common.ring import History
 from heaved.estimation.common.sample_rate import Arrivals
 from heaved.estimation.heave.estimator import HeaveChain
 from heaved.estimation.imu.attitude import Attitude, AttitudePropagator, level_acceleration
@@ -57,7 +57,7 @@ class Intake:
         self.attitude_is_slow = False
         self.force_std_s = 0.0
         self._carried = AttitudePropagator()
-        self._attitudes = Trail(int(max_rate_hz))
+        self._attitudes = History(int(max_rate_hz))
         self._tilt_removed, self._tilt_since_s = False, nan
         self._tilted_s = nan
         self._lingers_until_s = -inf
@@ -95,9 +95,7 @@ class Intake:
             carried = self._carried
             # Angles moved back to where the accelerometers are would seem late against the gyroscopes.
             are_of_gyros = carried.are_rates_measured and self._chain.lead.learned_s > -LAG_S
-            level = self._attitude_error.corrected(
-                t_s, x, y, level, *tilt, *carried.rates, are_rates_measured=are_of_gyros
-            )
+            level = self._attitude_error.step(t_s, x, y, level, *tilt, *carried.rates, are_rates_measured=are_of_gyros)
             # A bias across the deck is not all vertical on a vessel that rolls; what is left of it is the observer's.
             level += self._chain.observer.bias_mps2 * (1.0 - cos(tilt[0]) * cos(tilt[1]))
             share = min((t_s - self._chain.good_t_s) / TILT_MEMORY_S, 1.0)
