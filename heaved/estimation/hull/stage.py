@@ -24,7 +24,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.common.ring import Ring
+from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.common.rotations import ARCSEC, crane_base_attitude, to_euler
 from heaved.estimation.hull.band import COLUMNS, SHORTEST, Band, Pair, Reading
 from heaved.estimation.hull.consistency import FORECAST_EVERY_S, FORECAST_WINDOW_S, WORST_MISFIT, Watch
@@ -103,11 +103,11 @@ class HullDeformation:
             np.full(3, p.flexure_mu_radps),
             np.full(3, 2.0 * pi * p.flexure_hz),
         )
-        self._ring = Ring(int((max(p.refit_after_s, FORECAST_WINDOW_S) + 2.0 * LONGEST_START_S) * p.rate_hz), 7)
+        self._ring = RingBuffer(int((max(p.refit_after_s, FORECAST_WINDOW_S) + 2.0 * LONGEST_START_S) * p.rate_hz), 7)
         self._pair = self._new_pair()
         self._out_hz = self._pair.out_hz
         self._least_noise = sqrt(2.0 * self._out_hz) * p.gyro_noise_deg_rth * DEG_RTH
-        self._slow = Ring(int(FORECAST_WINDOW_S * self._out_hz), 4)
+        self._slow = RingBuffer(int(FORECAST_WINDOW_S * self._out_hz), 4)
         """Slow rates midships."""
         self._streams: TwoStreams | None = None
         self._health = (Health(p.rate_hz), Health(p.rate_hz))

@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.common.ring import Ring
+from heaved.estimation.common.ring import RingBuffer
 
 Array = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ class Stream:
     def __init__(self, grid_step_s: float, max_rate_hz: float) -> None:
         self._grid_step_s = grid_step_s
         self._max_rate_hz = max_rate_hz
-        self._ring = Ring(int(KEPT_S * max_rate_hz), 4)
+        self._ring = RingBuffer(int(KEPT_S * max_rate_hz), 4)
         self._last: tuple[float, float, float] | None = None
         self.t_s = -inf
         """Stamp of the newest reading, repeated ones included."""
