@@ -21,8 +21,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.estimation.common import down_sampler
 from heaved.estimation.common.bounds import HEAVE_M
-from heaved.estimation.common.down_sampler import BEAT_MIN_S, BEAT_S, Beat
+from heaved.estimation.common.down_sampler import DownSampler
 from heaved.estimation.heave.laser.aiding import Aiding
 from heaved.estimation.heave.sea.blows import Blows
 from heaved.estimation.heave.sea.bumpless_transfer import Splice
@@ -97,7 +98,7 @@ class SeaObserver:
         """Holds the same without the laser, when that is aiding: the smoother's weights are those without it."""
         self._candidates: tuple[Candidate, ...] = ()
         self._trial: Trial | None = None
-        self._beat = Beat()
+        self._down_sampler = DownSampler()
         self._disturbance: tuple[Array, Array] | None = None
         self._start_over()
 
@@ -106,13 +107,13 @@ class SeaObserver:
         self.t_s = nan
         self.acceleration_mps2 = nan
         self._bias_mps2 = nan
-        self._beat = Beat(self._beat.period_s)
+        self._down_sampler = DownSampler(self._down_sampler.period_s)
         self._record.clear()
         self._looked_s = nan
         self.refreshes = 0
         self.sea: SeaState | None = None
         self.delayed: DelayedHeave | None = None
-        self._trust = SeaTrust(int((self._params.delay_s + 5.0) / BEAT_MIN_S))
+        self._trust = SeaTrust(int((self._params.delay_s + 5.0) / down_sampler.TUNING.least_s))
         self._smoother: FixedLagSmoother | None = None
         self._ripening: deque[DelayedHeave] = deque()
         """Delayed heave of a past with holes, not yet as old as it shall be."""
@@ -141,7 +142,7 @@ class SeaObserver:
             self._record.start(t_s)
         self.t_s = t_s
         self.acceleration_mps2 = a_up_mps2 - self._bias_mps2
-        beat = self._beat.take(t_s, a_up_mps2)
+        beat = self._down_sampler.step(t_s, a_up_mps2)
         if beat is not None:
             self._take(*beat)
 
@@ -196,7 +197,7 @@ class SeaObserver:
         self._straddling -= 1
         size_mps2 = self._blows.take(t_s, a_mps2)
         if size_mps2 > 0.0:
-            self._straddling = 2 if self._beat.averaged > 1 else 1
+            self._straddling = 2 if self._down_sampler.averaged > 1 else 1
             if self._heave is not None and isfinite(self._heave.filter.t_s):
                 self._guard.strike(self._heave.filter, t_s, a_mps2, size_mps2**2)
                 if self._guard.blow_s is not None:
@@ -351,8 +352,8 @@ class SeaObserver:
             delay_s=p.delay_s,
             looked_s=self._looked_s,
             candidates=self._candidates,
-            period_s=self._beat.period_s,
-            averaged=self._beat.averaged,
+            period_s=self._down_sampler.period_s,
+            averaged=self._down_sampler.averaged,
             cuts_s=self._record.cuts_s,
             spoilt_s=self._record.spoilt_s,
             blows_s=self._record.blows_s,
@@ -543,7 +544,7 @@ class SeaObserver:
         """The model in use, for a restart to begin with."""
         return None if self._heave is None else self._heave.filter.system.model
 
-    def restore(self, model: SeaModel, age_s: float = nan, dt_s: float = BEAT_S) -> None:
+    def restore(self, model: SeaModel, age_s: float = nan, dt_s: float = down_sampler.TUNING.length_s) -> None:
         """Begin with the model of an earlier run, ``age_s`` old; call before the first sample.
 
         Raises:
