@@ -23,7 +23,7 @@ from heaved.daemon import daemon as daemon_module
 from heaved.daemon.daemon import Daemon, run
 from heaved.daemon.realtime import set_real_time
 from heaved.daemon.state import StateFile
-from heaved.outputs.access import ListenError
+from heaved.outputs.listen import ListenError
 from heaved.pipeline import Pipeline, PipelineState
 from heaved.samples import CorrectionState, HeaveState, LaserState, MotionFrame, Quality
 from heaved.simulate.faults import FaultKind, PlannedFault

@@ -11,7 +11,7 @@ from heaved.daemon.daemon import make_pipeline
 from heaved.daemon.metrics import Metrics
 from heaved.daemon.status import status_line, status_record
 from heaved.outputs import wire
-from heaved.outputs.records import HeaveStatus, QualityRecord, StatusRecord
+from heaved.outputs.records import HeaveStatus, StatusRecord
 from heaved.samples import (
     CorrectionState,
     Fault,
@@ -24,7 +24,7 @@ from heaved.samples import (
 )
 
 CONFIG = load(data_directory() / "demo.toml")
-QUALITY = QualityRecord(heave=HeaveState.VALID, laser=LaserState.VALID, correction=CorrectionState.OFF)
+QUALITY = Quality(heave=HeaveState.VALID, laser=LaserState.VALID, correction=CorrectionState.OFF)
 
 
 @pytest.fixture

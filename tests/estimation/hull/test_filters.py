@@ -10,9 +10,11 @@ import pytest
 
 from heaved.estimation.common.rotations import ARCSEC, from_euler, passive, rotation_vector
 from heaved.estimation.hull.alignment import align
+from heaved.estimation.hull.estimate import Method
 from heaved.estimation.hull.euler import EulerFilter, euler_rate_matrix
 from heaved.estimation.hull.markov import Flexure
-from heaved.estimation.hull.so3 import GATE, At, Noise, So3Filter
+from heaved.estimation.hull.so3 import At, Noise, So3Filter
+from heaved.estimation.hull.tuning import TUNING
 
 FLEXURE = Flexure(np.full(3, 5 * ARCSEC), np.full(3, 0.1), np.full(3, 2 * pi * 0.16))
 NOISE = Noise(
@@ -101,14 +103,14 @@ def test_folding_changes_the_linearisation_and_not_the_deformation() -> None:
 def test_an_impossible_reading_is_gated_and_a_broken_covariance_is_said() -> None:
     filter = so3_filter()
     x, P = filter.x.copy(), filter.P.copy()
-    assert filter.update(MOTION, np.array([5.0, 5.0, 5.0]), NOTHING) > GATE
+    assert filter.update(MOTION, np.array([5.0, 5.0, 5.0]), NOTHING) > TUNING.gate_nis
     assert np.array_equal(filter.x, x)
     assert np.array_equal(filter.P, P)
     filter.P = -P
     assert np.isnan(filter.update(MOTION, MOUNT @ MOTION[0], NOTHING))
 
 
-@pytest.mark.parametrize("kind", ["ckf", "ukf"])
+@pytest.mark.parametrize("kind", [Method.CKF, Method.UKF])
 def test_the_euler_filter_measures_what_the_kinematics_say(kind) -> None:
     """C(eta) w1 + the local rate of the frame, the latter by differencing C: [w x] = -dC/dt C'."""
     filter = EulerFilter(kind, (0.3, -0.5, 2.0), FLEXURE, NOISE)
@@ -125,7 +127,7 @@ def test_the_euler_filter_measures_what_the_kinematics_say(kind) -> None:
     assert filter.residual(MOTION, z) == pytest.approx(C.T @ turning, abs=1e-9)
 
 
-@pytest.mark.parametrize("kind", ["ckf", "ukf"])
+@pytest.mark.parametrize("kind", [Method.CKF, Method.UKF])
 def test_near_the_truth_the_euler_filter_is_the_default_one(kind) -> None:
     """The same linear problem in two coordinates: the deviations about the hull's axes agree."""
     noise = Noise(
