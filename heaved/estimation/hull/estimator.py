@@ -25,7 +25,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.common.ring import Ring
+from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.common.rotations import ARCSEC, to_euler
 from heaved.estimation.hull.consistency import Consistency
 from heaved.estimation.hull.estimate import HullEstimate, HullState, Method, Params, ResetReason, Start
@@ -78,13 +78,13 @@ class HullDeformation:
             np.full(3, p.flexure_mu_radps),
             np.full(3, 2.0 * pi * p.flexure_hz),
         )
-        self._ring = Ring(
+        self._ring = RingBuffer(
             int((max(p.refit_after_s, TUNING.forecast_window_s) + 2.0 * TUNING.longest_start_s) * p.rate_hz), 7
         )
         self._pair = self._new_pair()
         self._out_hz = self._pair.out_hz
         self._least_noise = sqrt(2.0 * self._out_hz) * p.gyro_noise_deg_rth * DEG_RTH
-        self._slow = Ring(int(TUNING.forecast_window_s * self._out_hz), 4)
+        self._slow = RingBuffer(int(TUNING.forecast_window_s * self._out_hz), 4)
         """Slow rates midships."""
         self._streams: TwoStreams | None = None
         self._checks = (RateCheck(), RateCheck())

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.common.ring import Ring
+from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.heave.laser import lead, reference
 from heaved.estimation.heave.laser.correction import ResidualCorrection
 from heaved.estimation.heave.laser.delayed_scale import DelayedOutput
@@ -51,9 +51,9 @@ class LaserTeacher:
         self.fault = Fault.NONE
         self._stuck = StuckDetector(must_live=True)
         self._waiting: deque[LaserSample] = deque(maxlen=1024)
-        self._outputs = Ring(int(LATE_S * max_rate_hz), 5)
+        self._outputs = RingBuffer(int(LATE_S * max_rate_hz), 5)
         """Time, observer output X*, published heave, and the unshifted observer's heave and velocity."""
-        self._compared = Ring(int(comparison.window_s * max_rate_hz), 4)
+        self._compared = RingBuffer(int(comparison.window_s * max_rate_hz), 4)
         """Time of a reading, the unshifted observer's heave and velocity then, the signed reading."""
         self._output_t_s = nan
         self._read_t_s = self._taken_t_s = -inf
@@ -114,7 +114,7 @@ class LaserTeacher:
         self._read_t_s = sample.t_s
         if self._stuck.step(sample.t_s, sample.laser_m) and sample.fault is Fault.NONE:
             self.fault = Fault.STUCK
-        row = self._outputs.interpolate(sample.t_s)
+        row = self._outputs.at(sample.t_s)
         settled = observer.settled_s >= REFERENCE_AFTER_S and observer.refreshes > 0
         usable = settled and isfinite(row[1] + sample.laser_m) and sample.t_s > self._taken_t_s
         if self.fault is not Fault.NONE or not usable:

@@ -21,8 +21,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.estimation.common import down_sampler
 from heaved.estimation.common.bounds import HEAVE_M
-from heaved.estimation.common.down_sampler import BEAT_MIN_S, BEAT_S, Beat
+from heaved.estimation.common.down_sampler import DownSampler
 from heaved.estimation.heave.laser.aiding import Aiding
 from heaved.estimation.heave.observer import UNKNOWN, LaserAided, Motion, SavedObserver, Verdict
 from heaved.estimation.heave.params import SeaParams
@@ -77,7 +78,7 @@ class SeaObserver:
         """Holds the same without the laser, when that is aiding: the smoother's weights are those without it."""
         self._candidates: tuple[Candidate, ...] = ()
         self._trial: Trial | None = None
-        self._beat = Beat()
+        self._down_sampler = DownSampler()
         self._disturbance: tuple[Array, Array] | None = None
         self._start_over()
 
@@ -86,13 +87,13 @@ class SeaObserver:
         self.t_s = nan
         self.acceleration_mps2 = nan
         self._bias_mps2 = nan
-        self._beat = Beat(self._beat.period_s)
+        self._down_sampler = DownSampler(self._down_sampler.period_s)
         self._record.clear()
         self._looked_s = nan
         self.refreshes = 0
         self.sea: SeaState | None = None
         self.delayed: DelayedHeave | None = None
-        self._trust = SeaTrust(int((self._params.delay_s + 5.0) / BEAT_MIN_S))
+        self._trust = SeaTrust(int((self._params.delay_s + 5.0) / down_sampler.TUNING.least_s))
         self._smoother: FixedLagSmoother | None = None
         self._ripening: deque[DelayedHeave] = deque()
         """Delayed heave of a past with holes, not yet as old as it shall be."""
@@ -121,7 +122,7 @@ class SeaObserver:
             self._record.start(t_s)
         self.t_s = t_s
         self.acceleration_mps2 = a_up_mps2 - self._bias_mps2
-        beat = self._beat.take(t_s, a_up_mps2)
+        beat = self._down_sampler.step(t_s, a_up_mps2)
         if beat is not None:
             self._take(*beat)
 
@@ -176,7 +177,7 @@ class SeaObserver:
         self._straddling -= 1
         size_mps2 = self._blows.take(t_s, a_mps2)
         if size_mps2 > 0.0:
-            self._straddling = 2 if self._beat.averaged > 1 else 1
+            self._straddling = 2 if self._down_sampler.averaged > 1 else 1
             if self._heave is not None and isfinite(self._heave.filter.t_s):
                 self._guard.strike(self._heave.filter, t_s, a_mps2, size_mps2**2)
                 if self._guard.blow_s is not None:
@@ -336,8 +337,8 @@ class SeaObserver:
             delay_s=p.delay_s,
             looked_s=self._looked_s,
             candidates=self._candidates,
-            period_s=self._beat.period_s,
-            averaged=self._beat.averaged,
+            period_s=self._down_sampler.period_s,
+            averaged=self._down_sampler.averaged,
             cuts_s=self._record.cuts_s,
             spoilt_s=self._record.spoilt_s,
             blows_s=self._record.blows_s,
@@ -541,7 +542,7 @@ class SeaObserver:
             found = f"{len(model.damping)} chains of {model.stages}"
             raise ValueError(f"saved sea of {found} does not fit the configured {p.components} of {p.stages}")
         system = SeaSystem(model)
-        steady = system.steady(BEAT_S) if isfinite(heave_std(model)) else None
+        steady = system.steady(down_sampler.TUNING.length_s) if isfinite(heave_std(model)) else None
         if steady is None:
             raise ValueError("the filter of the saved sea does not converge")
         self._install(system, steady, nan, np.zeros(len(system.H)), system.stationary.copy())

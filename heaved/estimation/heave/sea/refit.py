@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.common import down_sampler as beat
+from heaved.estimation.common import down_sampler
 from heaved.estimation.heave.sea import batch_filter as sea_run
 from heaved.estimation.heave.sea import gap_bridge as sea_bridge
 from heaved.estimation.heave.sea import noise as sea_resonances
@@ -413,7 +413,7 @@ def _fit_all(
                 longest.append(most)
     if not lengths:
         raise np.linalg.LinAlgError("no stretch of it is long enough")
-    passed = partial(beat.passed, period_s=window.period_s, averaged=window.averaged)
+    passed = partial(down_sampler.passed, period_s=window.period_s, averaged=window.averaged)
     spectra = [sea_fit.spectrum(parts, rate, passed) for parts in stretches]
     few = [most < FEW_COMPONENTS_BELOW_S * rate for most in longest]
     last = max(window.candidates, key=lambda one: one.window_s, default=None)
