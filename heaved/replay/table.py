@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from heaved.config import Config
 from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S
-from heaved.predictions import HeaveForecasts, RockPredictions, bounded_heaves, turned
+from heaved.predictions import RockPredictions, turned
 from heaved.replay.decimals import lines
 from heaved.samples import DelayedHeave, HeaveState, MotionFrame
 
@@ -164,10 +164,11 @@ class DelayedColumn:
 
 def _forecast_numbers(frames: Sequence[MotionFrame], horizons_s: tuple[float, ...]) -> Array:
     """(n, 2 H): heave and its standard deviation, horizon by horizon."""
-    forecasts = [HeaveForecasts.of(frame.forecast, horizons_s) for frame in frames]
-    groups = [list(alike) for _, alike in groupby(forecasts, type)]
-    numbers = np.concatenate([alike[0].numbers(alike) for alike in groups])
-    return bounded_heaves(numbers).reshape(len(frames), -1)
+    rows = []
+    for frame in frames:
+        found = {one.horizon_s: (one.heave_m, one.std_m) for one in frame.forecast}
+        rows.append([found.get(h, (nan, nan)) for h in horizons_s])
+    return np.array(rows).reshape(len(frames), -1)
 
 
 def _rock_numbers(frames: Sequence[MotionFrame], horizons_s: tuple[float, ...]) -> Array:

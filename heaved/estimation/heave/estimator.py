@@ -24,8 +24,7 @@ from heaved.estimation.heave.laser.reference import Params as LaserParams
 from heaved.estimation.heave.observer import HeaveObserver
 from heaved.estimation.heave.params import Params as HeaveParams
 from heaved.estimation.heave.sea.observer import SeaObserver
-from heaved.predictions import HeaveForecasts
-from heaved.samples import DelayedHeave
+from heaved.samples import DelayedHeave, HeaveForecast
 
 Array = NDArray[np.float64]
 
@@ -40,7 +39,7 @@ class Heave(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     observer_m: float
     correction_m: float
     lead_s: float
-    forecast: HeaveForecasts
+    forecast: tuple[HeaveForecast, ...]
 
 
 class HeaveChain:

@@ -24,22 +24,28 @@ from numpy.typing import NDArray
 from heaved.estimation.common.bounds import HEAVE_M
 from heaved.estimation.common.down_sampler import BEAT_MIN_S, BEAT_S, Beat
 from heaved.estimation.heave.laser.aiding import Aiding
-from heaved.estimation.heave.observer import UNKNOWN, LaserAided, Motion, SavedObserver, Verdict
+from heaved.estimation.heave.observer import (
+    UNKNOWN,
+    LaserAided,
+    Motion,
+    SavedObserver,
+    Verdict,
+    foretold,
+    nothing_foretold,
+)
 from heaved.estimation.heave.params import SeaParams
 from heaved.estimation.heave.sea.blows import Blows
-from heaved.estimation.heave.sea.bumpless_transfer import Splice
 from heaved.estimation.heave.sea.consistency import NEEDED_S, SeaTrust
 from heaved.estimation.heave.sea.disturbances import Guard
 from heaved.estimation.heave.sea.drift import DRIFTS_S, DriftWatch
 from heaved.estimation.heave.sea.filter import GaugeError, SeaFilter
 from heaved.estimation.heave.sea.model import SeaModel, SeaSystem, Steady, heave_std
-from heaved.estimation.heave.sea.output import SeaHeave
+from heaved.estimation.heave.sea.output import BumplessTransfer, SeaHeave
 from heaved.estimation.heave.sea.record import SeaRecord
 from heaved.estimation.heave.sea.refit import Candidate, SeaFit, SeaWindow
 from heaved.estimation.heave.sea.smoother import FixedLagSmoother
 from heaved.estimation.heave.sea.trial import Trial
-from heaved.predictions import HeaveForecasts, PlainForecasts
-from heaved.samples import DelayedHeave, SeaState
+from heaved.samples import DelayedHeave, HeaveForecast, SeaState
 
 Array = NDArray[np.float64]
 
@@ -234,7 +240,7 @@ class SeaObserver:
             smoother.push(t_s - i * dt, nan, 0.0)
         # The weights are those of the steady filter: what an unsure one predicted has no place among them.
         smoother.push(t_s, predicted_m if heave.is_converged else nan, innovation)
-        said_m = float(heave.filter.system.heave.dot(heave.filter.x)) + heave.splice.at(t_s)[0]
+        said_m = float(heave.filter.system.heave.dot(heave.filter.x)) + heave.transfer.at(t_s)[0]
         self._trust.divergence.say(t_s, said_m, heave.state_std_m)
         delayed = smoother.value()
         while self._ripening and self._ripening[0].t_s <= t_s - self._params.delay_s:
@@ -259,7 +265,7 @@ class SeaObserver:
         if self._aiding.take(self._heave, t_s, laser_m, std_m) or self._aiding.is_active != was_active:
             self._moved(self._heave)
         if self._aiding.is_active != was_active:
-            self._splice(self._heave, before)
+            self._transfer(self._heave, before)
 
     def stop_aiding(self, t_s: float, why: str) -> None:
         """The readings are of another target from ``t_s`` on."""
@@ -267,19 +273,19 @@ class SeaObserver:
             before = self.at(0.0)
             self._aiding.stop(self._heave, t_s, why)
             self._moved(self._heave)
-            self._splice(self._heave, before)
+            self._transfer(self._heave, before)
 
     def aiding_remark(self, t_s: float) -> str:
         """Why a laser does not aid, for people; or nothing."""
         return self._aiding.remark(t_s)
 
-    def _splice(self, heave: SeaHeave, before: Motion) -> None:
+    def _transfer(self, heave: SeaHeave, before: Motion) -> None:
         """Go over from what was said ``before`` without a jump."""
         if isfinite(before.heave_m):
             after = self.at(0.0)
             dh, dv = before.heave_m - after.heave_m, before.velocity_mps - after.velocity_mps
-            left_m, left_mps = heave.splice.at(self.t_s)
-            heave.splice = Splice(dh + left_m, dv + left_mps, self.t_s)
+            left_m, left_mps = heave.transfer.at(self.t_s)
+            heave.transfer = BumplessTransfer(dh + left_m, dv + left_mps, self.t_s)
 
     def _moved(self, heave: SeaHeave) -> None:
         """The state has changed: what follows from it."""
@@ -384,7 +390,7 @@ class SeaObserver:
             said_m = float(aided.value.dot((1.0, before.heave_m, before.velocity_mps))) + before.heave_m
             heave.filter.aid(heave.row(self.t_s)[0], said_m, old.state_std_m**2)
             heave.moved()
-        self._splice(heave, before)
+        self._transfer(heave, before)
         if fit.sea is not None:
             self.sea = msgspec.structs.replace(
                 fit.sea,
@@ -441,18 +447,20 @@ class SeaObserver:
 
     def forecast(
         self, shift_s: float, learned_lead_s: float = 0.0, scale: float = 1.0, gain: float = 1.0
-    ) -> HeaveForecasts:
+    ) -> tuple[HeaveForecast, ...]:
         """Heave and :meth:`error_std_m` for each horizon of the constructor after a moment ``shift_s`` after the last
         sample, both times ``gain``: what the laser has shown of the sensor's scale."""
         horizons_s = self._horizons_s
         if self._heave is None or not self._is_told:
-            return PlainForecasts.unknown(horizons_s)
+            return nothing_foretold(horizons_s)
         self._heave.set_lead(learned_lead_s)
         if shift_s == 0.0:
             return self._heave.forecast(self.t_s, scale, gain)
-        shifts = [shift_s + h for h in horizons_s]
-        heaves = [gain * self._heave.at(self.t_s, shift).heave_m for shift in shifts]
-        return PlainForecasts(horizons_s, heaves, [gain * self.error_std_m(shift, scale) for shift in shifts])
+        found = []
+        for h in horizons_s:
+            heave_m, std_m = self._heave.at(self.t_s, shift_s + h).heave_m, self.error_std_m(shift_s + h, scale)
+            found.append(foretold(h, gain * heave_m, gain * std_m))
+        return tuple(found)
 
     def unshifted(self) -> Motion:
         """What the laser is compared with: nothing learned taken out."""
