@@ -25,10 +25,10 @@ from heaved.samples import HeaveForecast
 
 Array = NDArray[np.float64]
 
-STALE_BEAT_S: Final = 1.0
-"""Samples that come without a beat for this long are not in the heave any more."""
+STALE_S: Final = 1.0
+"""Samples that come without a step of the filter for this long are not in the heave any more."""
 MARGIN_S: Final = 3.0
-"""Beyond the longest horizon: how early a sensor may be, and the age of the last beat."""
+"""Beyond the longest horizon: how early a sensor may be, and the age of the state."""
 CONVERGED: Final = UNSURE
 """The covariance has converged when the error of the heave is within this factor of that of the steady filter."""
 TIME_S: Final = 1.5
@@ -144,9 +144,9 @@ class SeaHeave:
     # --- heave -------------------------------------------------------------------------------------------------------
 
     def at(self, t_s: float, shift_s: float) -> Motion:
-        """Heave ``shift_s`` after a sample at ``t_s``; nan when there was no beat for too long."""
+        """Heave ``shift_s`` after a sample at ``t_s``; nan when the filter has not stepped for too long."""
         late = t_s - self.filter.t_s
-        if not late <= STALE_BEAT_S:
+        if not late <= STALE_S:
             return UNKNOWN
         place = self._places.get(shift_s)
         if place is not None:
@@ -169,7 +169,7 @@ class SeaHeave:
     def forecast(self, t_s: float, scale: float = 1.0, gain: float = 1.0) -> tuple[HeaveForecast, ...]:
         """:meth:`at` and ``scale`` times :meth:`std_m` for all the horizons, both times ``gain``."""
         d = t_s - self.filter.t_s
-        if not d <= STALE_BEAT_S:
+        if not d <= STALE_S:
             return self._unknown
         if not self._near:
             self._made_ready()
@@ -197,7 +197,7 @@ class SeaHeave:
     def std_m(self, t_s: float, shift_s: float) -> float:
         """Standard deviation of the error of :meth:`at`: from the covariance of the filter, times :attr:`scale`."""
         late_s = t_s - self.filter.t_s
-        if not late_s <= STALE_BEAT_S:
+        if not late_s <= STALE_S:
             return nan
         place = self._places.get(shift_s)
         if place is not None:
@@ -209,7 +209,7 @@ class SeaHeave:
         return std_m
 
     def _stds(self, late_s: float) -> Stds:
-        """For what is always asked for, to the next half of a beat: nearer than that they are not known."""
+        """For what is always asked for, to the next half of the filter's step: nearer than that they are not known."""
         half_s = 0.5 * self.filter.steady.dt_s
         age = round(late_s / half_s)
         by_age = self._steady_by_age if self.filter.is_steady else self._by_age
@@ -220,7 +220,7 @@ class SeaHeave:
         return found
 
     def _modelled_m(self, late_s: float, shifts_s: Sequence[float]) -> list[float]:
-        """Standard deviation by the model, ``late_s`` after the beat and so much later."""
+        """Standard deviation by the model, ``late_s`` after the state and so much later."""
         early_s = self._learned_s if isfinite(self._learned_s) else 0.0
         taus = [shift + late_s - early_s for shift in shifts_s]
         if self.filter.is_steady:
@@ -236,7 +236,7 @@ class SeaHeave:
 
     @property
     def state_std_m(self) -> float:
-        """Standard deviation of the heave of the state itself, at the last beat, by the covariance alone."""
+        """Standard deviation of the heave of the state itself, by the covariance alone."""
         return self.steady_std_m if self.filter.is_steady else _std(self.filter.system.heave, self.filter.covariance)
 
     @property

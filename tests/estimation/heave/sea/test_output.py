@@ -15,7 +15,7 @@ from heaved.estimation.heave.sea.output import (
     CONVERGED,
     LEAST_M,
     NO_TRANSFER,
-    STALE_BEAT_S,
+    STALE_S,
     TIME_S,
     BumplessTransfer,
     SeaHeave,
@@ -130,7 +130,7 @@ def test_it_is_converged_when_the_heave_is_nearly_as_sure_as_it_will_be(heave: S
 
 
 def test_without_a_beat_for_too_long_nothing_is_known(heave: SeaHeave) -> None:
-    t_s = BEAT_S + STALE_BEAT_S + 0.01
+    t_s = BEAT_S + STALE_S + 0.01
     assert isnan(heave.at(t_s, 0.0).heave_m)
     assert isnan(heave.std_m(t_s, 0.5))
     forecast = heave.forecast(t_s)
