@@ -19,12 +19,12 @@ from pipelines import pipeline, rms
 
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.estimator import Heave, HeaveEstimator
+from heaved.estimation.heave.observer import foretold
 from heaved.estimation.heave.quality import BEYOND_PHYSICS
 from heaved.estimation.heave.sea.refit import look
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.motion_frame import MotionFrames
 from heaved.pipeline import Pipeline
-from heaved.predictions import PlainForecasts
 from heaved.samples import GRAVITY_MPS2, HeaveState, ImuSample, MotionFrame
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import REGISTER_STEPS, measure
@@ -311,7 +311,7 @@ def test_what_no_vessel_does_is_not_published_and_counted_once(
         observer_m=usual.heave_m,
         correction_m=0.0,
         lead_s=0.0,
-        forecast=PlainForecasts((1.0, 2.0), [25.0, 0.5], [0.1, 0.1]),
+        forecast=(foretold(1.0, 25.0, 0.1), foretold(2.0, 0.5, 0.1)),
     )
     told_to = Told(pipe.heave, told)
     frames = MotionFrames(pipe.vertical, told_to, pipe.stages, point=(TIP,), rock_horizons_s=pipe.rock.horizons_s)

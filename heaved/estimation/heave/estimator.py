@@ -25,8 +25,7 @@ from heaved.estimation.heave.observer import HeaveObserver, SavedObserver
 from heaved.estimation.heave.params import Params as HeaveParams
 from heaved.estimation.heave.sea.observer import SeaObserver
 from heaved.estimation.imu.vertical import VerticalAcceleration
-from heaved.predictions import HeaveForecasts
-from heaved.samples import DelayedHeave, TrainingWindow
+from heaved.samples import DelayedHeave, HeaveForecast, TrainingWindow
 
 Array = NDArray[np.float64]
 
@@ -41,7 +40,7 @@ class Heave(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     observer_m: float
     correction_m: float
     lead_s: float
-    forecast: HeaveForecasts
+    forecast: tuple[HeaveForecast, ...]
 
 
 class HeaveEstimator:

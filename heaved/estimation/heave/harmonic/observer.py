@@ -25,11 +25,10 @@ from heaved.estimation.common import sigma
 from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.common.spectrum import dominant_frequencies, heave_spectrum
 from heaved.estimation.heave.harmonic.inertial_displacement import InertialDisplacement
-from heaved.estimation.heave.observer import LaserAided, Motion, SavedObserver, Verdict
+from heaved.estimation.heave.observer import LaserAided, Motion, SavedObserver, Verdict, foretold
 from heaved.estimation.heave.params import Params
 from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
-from heaved.predictions import HeaveForecasts, PlainForecasts
-from heaved.samples import DelayedHeave, SeaState
+from heaved.samples import DelayedHeave, HeaveForecast, SeaState
 
 Array = NDArray[np.float64]
 
@@ -333,13 +332,14 @@ class HarmonicObserver:
 
     def forecast(
         self, shift_s: float, learned_lead_s: float = 0.0, scale: float = 1.0, gain: float = 1.0
-    ) -> HeaveForecasts:
+    ) -> tuple[HeaveForecast, ...]:
         """Heave and :meth:`error_std_m` for each horizon after a moment ``shift_s`` after the last sample, both times
         ``gain``: what the laser has shown of the sensor's scale."""
-        horizons_s = self._params.forecast_horizons_s
-        shifts = [shift_s + h for h in horizons_s]
-        heaves = [gain * self.at(shift, learned_lead_s).heave_m for shift in shifts]
-        return PlainForecasts(horizons_s, heaves, [gain * self.error_std_m(shift, scale) for shift in shifts])
+        found = []
+        for h in self._params.forecast_horizons_s:
+            heave_m, std_m = self.at(shift_s + h, learned_lead_s).heave_m, self.error_std_m(shift_s + h, scale)
+            found.append(foretold(h, gain * heave_m, gain * std_m))
+        return tuple(found)
 
     def unshifted(self) -> Motion:
         """The one-step observer: eq. (14) with m = 0, as the comparison with the laser wants it."""

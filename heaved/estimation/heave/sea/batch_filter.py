@@ -8,18 +8,16 @@ end: what the steady gain, which runs in blocks, makes of that minute is correct
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Sequence
 from math import isnan, sqrt
 from typing import Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from heaved.estimation.heave.sea.filter import SeaFilter
 from heaved.estimation.heave.sea.model import SeaSystem, Steady
+from heaved.estimation.heave.sea.record import EvenRecord, stretches_of
 
 Array = NDArray[np.float64]
 
@@ -34,118 +32,6 @@ CHUNK: Final = 16
 UNSURE: Final = 1.1
 """Standard deviation of the predicted heave over that of the steady filter, from which its smoother's weights are not
 those of the moment any more (with 1.5 the delayed heave is off by 6 of its standard deviations after a gap of 1 s)."""
-HOLE: Final = 3.5
-"""Neighbours further apart than this many intervals have a hole between them; closer ones are interpolated."""
-BRIDGED_S: Final = 0.3
-"""So are those closer than this: a quarter of the shortest wave that is fitted."""
-ON_THE_GRID: Final = 1e-3
-"""Deviation, in intervals, up to which a sample is taken as it is."""
-LOSSY: Final = 0.1
-"""Share of neighbours more than an interval apart beyond which nothing is interpolated but at the samples."""
-SHORTEST_S: Final = 0.01
-"""The grid is never finer than this, whatever the stamps are."""
-NEAR_WHOLE: Final = 0.15
-"""Neighbours are whole intervals apart when they are off by less than that share of one,"""
-MOST: Final = 0.95
-"""and that many of them are."""
-QUANTILES: Final = (0.25, 0.1)
-"""Of the distances between neighbours, where the interval is looked for beside their median, which is several intervals
-with half the samples lost or more."""
-
-
-class Record(msgspec.Struct, frozen=True, eq=False):
-    """Vertical acceleration on an even grid that ends at the last sample."""
-
-    end_s: float
-    """Time of the last value."""
-    dt_s: float
-    a_mps2: Array
-    """(n,); in a hole, a straight line."""
-    is_known: NDArray[np.bool_]
-    """(n,); False in a hole."""
-    cuts: tuple[int, ...] = ()
-    """First samples after a step of the level: nothing is known of the bias there."""
-    blows: tuple[int, ...] = ()
-    """First samples after a blow: nothing is known of what rings."""
-
-    def last(self, count: int) -> Record:
-        """The newest ``count`` samples."""
-        left_out = max(len(self.a_mps2) - count, 0)
-        cuts, blows = (
-            tuple([place - left_out for place in places if place > left_out]) for places in (self.cuts, self.blows)
-        )
-        return Record(self.end_s, self.dt_s, self.a_mps2[left_out:], self.is_known[left_out:], cuts, blows)
-
-    def opened(self, system: SeaSystem, P: Array, place: int) -> Array:
-        """``P`` (n, n) before the sample at ``place``, by what is not known any more there."""
-        if place in self.cuts or place in self.blows:
-            return system.opened(P, bias=place in self.cuts, resonances=place in self.blows)
-        return P
-
-    def cut(
-        self,
-        cuts_s: Sequence[tuple[float, float]],
-        spoilt_s: Sequence[tuple[float, float]] = (),
-        blows_s: Sequence[float] = (),
-    ) -> Record:
-        """With a cut at the end of each of the spans ``cuts_s`` (s), nothing known within them and ``spoilt_s``, and a
-        blow before each of ``blows_s``."""
-        first_s = self.end_s - self.dt_s * (len(self.a_mps2) - 1)
-        is_known, places = self.is_known.copy(), set()
-        for i, span in enumerate((*cuts_s, *spoilt_s)):
-            begin, end = (min(max(round((t_s - first_s) / self.dt_s), 0), len(is_known)) for t_s in span)
-            is_known[begin:end] = False
-            if i < len(cuts_s) and 0 < end < len(is_known):
-                places.add(end)
-        blows = {round((t_s - first_s) / self.dt_s) for t_s in blows_s}
-        struck = tuple([place for place in sorted(blows) if 0 < place < len(is_known)])
-        return msgspec.structs.replace(self, is_known=is_known, cuts=tuple(sorted(places)), blows=struck)
-
-
-def even(t_s: Array, a_mps2: Array) -> Record:
-    """Samples at increasing, not quite even times (n,), n >= 8, on an even grid of their own usual interval.
-
-    A cubic spline through neighbours: at ten samples to a wave its error is 1e-4 of the wave.
-    """
-    gaps = np.diff(t_s)
-    usual = max(_usual(gaps), SHORTEST_S)
-    dt = max(float(np.mean(gaps[gaps < 1.5 * usual])), SHORTEST_S)
-    steps, longest = np.rint(gaps / dt), max(HOLE, BRIDGED_S / dt)
-    if np.mean(steps > 1.0) > LOSSY:
-        longest = 1.5  # Noise between so few samples would be made up by the spline, and told as measured.
-    is_even = bool(np.all(np.abs(gaps - dt * steps) < ON_THE_GRID * dt)) and bool(np.all(steps >= 1.0))
-    if is_even and abs((t_s[-1] - t_s[0]) / np.sum(steps) - dt) * np.sum(steps) < 0.1 * dt:
-        index = np.concatenate(([0.0], np.cumsum(steps))).astype(np.int64)
-        grid = np.arange(index[-1] + 1)
-        values, known = np.interp(grid, index, a_mps2), np.zeros(len(grid), dtype=np.bool_)
-        known[index] = True
-        near = np.repeat(steps <= longest, steps.astype(np.int64))
-        known[1:] |= near
-        if not known[index].all() or len(index) < len(grid):
-            values = _filled(grid.astype(np.float64), values, known, index.astype(np.float64), a_mps2)
-        return Record(float(t_s[-1]), dt, values, known)
-    count = int((t_s[-1] - t_s[0]) / dt) + 1
-    times = t_s[-1] - dt * np.arange(count - 1, -1, -1.0)
-    after = np.clip(np.searchsorted(t_s, times - 1e-9), 1, len(t_s) - 1)
-    at_sample = np.minimum(t_s[after] - times, times - t_s[after - 1]) <= 0.5 * dt
-    known = (gaps[after - 1] <= longest * dt) | at_sample
-    return Record(float(t_s[-1]), dt, _filled(times, np.interp(times, t_s, a_mps2), known, t_s, a_mps2), known)
-
-
-def _usual(gaps: Array) -> float:
-    """The longest distance (s) of which most of ``gaps`` (n,) are whole multiples; their median where there is none."""
-    found = [float(np.median(gaps)), *(float(np.quantile(gaps, q)) for q in QUANTILES)]
-    for usual in found:
-        steps = gaps / max(usual, SHORTEST_S)
-        whole = np.rint(steps)
-        if np.mean((whole >= 1.0) & (np.abs(steps - whole) < NEAR_WHOLE)) >= MOST:
-            return usual
-    return found[0]
-
-
-def _filled(times: Array, line: Array, known: NDArray[np.bool_], t_s: Array, a_mps2: Array) -> Array:
-    """The spline where it is ``known``, the straight ``line`` in the holes."""
-    return np.where(known, CubicSpline(t_s, a_mps2)(times), line)
 
 
 class Run(msgspec.Struct, frozen=True, eq=False):
@@ -165,7 +51,7 @@ class Run(msgspec.Struct, frozen=True, eq=False):
 def run(
     system: SeaSystem,
     steady: Steady,
-    record: Record,
+    record: EvenRecord,
     *,
     full_start: bool = True,
     full_holes: bool = True,
@@ -187,7 +73,7 @@ def run(
     if not full_start:
         x[-1] = float(np.mean(record.a_mps2))
     blocks = _Blocks(system, steady)
-    for first, end, is_known in stretches(record, record.blows):
+    for first, end, is_known in stretches_of(record, record.blows):
         if full_holes and (first in record.cuts or first in record.blows):
             if P is None:
                 P = steady.P - np.outer(steady.K, steady.K) * steady.S
@@ -223,7 +109,7 @@ MEDIAN_OF_SQUARES: Final = 0.455
 """Of squared standard normal numbers."""
 
 
-def one_by_one(f: SeaFilter, record: Record, judged: int) -> tuple[Run, float]:
+def one_by_one(f: SeaFilter, record: EvenRecord, judged: int) -> tuple[Run, float]:
     """What :func:`run` gives, for a record of more holes than can be taken as exceptions: by the live filter ``f`` from
     its start; and the variance of the last ``judged`` innovations over the model's, robustly.
 
@@ -247,16 +133,6 @@ def one_by_one(f: SeaFilter, record: Record, judged: int) -> tuple[Run, float]:
     told = innovation[-judged:][record.is_known[-judged:]] ** 2 / steady.S
     excess = float(np.median(told)) / MEDIAN_OF_SQUARES if len(told) else 1.0
     return Run(f.x, None if f.P is None else f.P.copy(), predicted, innovation), excess
-
-
-def stretches(record: Record, places: Sequence[int] = ()) -> Iterator[tuple[int, int, bool]]:
-    """(first, end, is_known) of each stretch that is all known or all unknown, without a cut, or one of ``places``, in
-    it."""
-    is_known = record.is_known
-    changes = 1 + np.flatnonzero(np.diff(is_known.astype(np.int8)))
-    edges = {*changes.tolist(), *record.cuts, *places, 0, len(is_known)}
-    for first, end in itertools.pairwise(sorted(edges)):
-        yield first, end, bool(is_known[first])
 
 
 def _corrected(

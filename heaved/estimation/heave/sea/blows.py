@@ -1,7 +1,7 @@
 """Blows: slams, a load that is set down, a wave against the bow. Told by how suddenly it begins to ring.
 
-The second difference of the beats hardly sees the waves; what is left, noise and steady vibration, has a usual size. A
-blow stands far out of it within one beat, and out of the ringing of the one before, which only dies away.
+The second difference of the samples hardly sees the waves; what is left, noise and steady vibration, has a usual size.
+A blow stands far out of it within one sample, and out of the ringing of the one before, which only dies away.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ LEAST_MPS2: Final = 0.05
 """A smaller one costs nothing."""
 
 
-class Blows:
-    """Give it every beat."""
+class BlowDetector:
+    """Step it with every sample."""
 
     def __init__(self) -> None:
         self._last: tuple[float, float] | None = None
@@ -36,8 +36,8 @@ class Blows:
         self._usual2 = self._seconds = self._ringing = 0.0
         self._struck_s = -inf
 
-    def take(self, t_s: float, a_mps2: float) -> float:
-        """Size (m/s2) of the blow that has struck just before this beat, or while it was measured; 0: there was
+    def step(self, t_s: float, a_mps2: float) -> float:
+        """Size (m/s2) of the blow that has struck just before this sample, or while it was measured; 0: there was
         none."""
         last, before = self._last, self._before
         self._last, self._before = (t_s, a_mps2), last

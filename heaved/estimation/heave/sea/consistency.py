@@ -1,12 +1,20 @@
-"""How far the sea observer trusts itself: what its innovations and the delayed heave say, as a factor and in words."""
+"""How far the sea observer can be trusted: what its innovations and the delayed heave say, as a factor and in words.
+
+A model that was not fitted to what comes now, from an earlier run or from before a long gap, is on trial first. The sea
+of an hour ago is often that of now, and then serves at once; when it is not, its standard deviations are those of
+another sea. What can be told in seconds is whether the acceleration is as large as the model has it, and whether it
+comes as the model foretells it from sample to sample. Long swell cannot be told in seconds: until the first fit of its
+own the model is trusted less than one that was fitted.
+"""
 
 from __future__ import annotations
 
-from math import inf, sqrt
+from math import inf, isfinite, nan, sqrt
 from typing import Final
 
-from heaved.estimation.heave.sea.smoother import Divergence
-from heaved.samples import SeaState, vibration_in_words
+from heaved.estimation.common.ring import History
+from heaved.estimation.heave.sea.model import SeaSystem
+from heaved.samples import DelayedHeave, SeaState, vibration_in_words
 
 CHANGED: Final = 3.0
 """Whiteness of the innovations above which the sea is changing: the next fit comes sooner."""
@@ -34,10 +42,66 @@ KNOWN_YOUTH: Final = 1.8
 """Of a model that was fitted to six of the longest waves or more."""
 LONGEST_PEAK_S: Final = 28.0
 """Longer waves than this are not told from the drift of the sensor."""
+CHECK_TIME_S: Final = 60.0
+"""Memory of the comparison with what was published."""
+CHECK_MIN_S: Final = 20.0
+"""Seconds of it before it says anything: several waves."""
+TOLD_S: Final = 10.0
+"""Nothing is said before."""
+SETTLES_S: Final = 2.0
+"""Innovations of the first seconds are those of a filter that knows nothing."""
+LARGEST: Final = 4.0
+"""Mean square of acceleration or innovations, over that of the model, from which it is another sea. (In ten seconds of
+waves of eight the first scatters by a factor of two.)"""
+DOUBT: Final = 1.5
+"""Published over modelled standard deviation where the model is fresh,"""
+DOUBT_PER_HOUR: Final = 0.5
+MOST_DOUBT: Final = 3.0
+"""and where it is old, or of unknown age."""
 
 
-class SeaTrust:
-    """Give it every fit and every beat; between beats nothing of it changes.
+class Divergence:
+    """RMS difference of real-time and delayed heave, over the modelled standard deviation; 1 when that was right."""
+
+    def __init__(self, capacity: int = 1) -> None:
+        """``capacity``: how much that was said is kept until the delayed heave of its time is known."""
+        self._square, self._seconds, self._t_s = 1.0, 0.0, nan
+        self._square_m2 = 0.0
+        self._said = History(capacity)
+
+    @property
+    def ratio(self) -> float:
+        """1 until enough has been compared."""
+        return sqrt(self._square) if self._seconds >= CHECK_MIN_S else 1.0
+
+    @property
+    def rms_m(self) -> float:
+        """The same difference in metres."""
+        return sqrt(self._square_m2)
+
+    def say(self, t_s: float, realtime_m: float, modelled_std_m: float) -> None:
+        """What is said in real time for ``t_s``, later than the last one."""
+        self._said.push((t_s, realtime_m, modelled_std_m))
+
+    def check(self, delayed: DelayedHeave) -> None:
+        """:meth:`compare` with what was said for that moment, as far as it is known."""
+        _, realtime_m, modelled_std_m = self._said.at(delayed.t_s) or (delayed.t_s, nan, nan)
+        self.compare(delayed, realtime_m, modelled_std_m)
+
+    def compare(self, delayed: DelayedHeave, realtime_m: float, modelled_std_m: float) -> None:
+        """``realtime_m``: what was said in real time for the very moment of ``delayed``."""
+        dt = min(delayed.t_s - self._t_s, 1.0) if isfinite(self._t_s) else 0.0
+        self._t_s = delayed.t_s
+        if not (isfinite(realtime_m) and modelled_std_m > 0.0 and dt > 0.0):
+            return
+        self._seconds = min(self._seconds + dt, CHECK_TIME_S)
+        square = (realtime_m - delayed.heave_m) ** 2 / modelled_std_m**2
+        self._square += dt / self._seconds * (square - self._square)
+        self._square_m2 += dt / self._seconds * ((realtime_m - delayed.heave_m) ** 2 - self._square_m2)
+
+
+class Consistency:
+    """Step it with every sample of the filter, and tell it of every fit.
 
     Attributes:
         divergence: of real-time and delayed heave.
@@ -46,9 +110,9 @@ class SeaTrust:
         youth: the same for what the spectrum of few waves leaves open alone; inf before the first fit.
     """
 
-    def __init__(self, delayed_beats: int) -> None:
-        """``delayed_beats``: by which the delayed heave is late, at most."""
-        self.divergence = Divergence(delayed_beats)
+    def __init__(self, delayed_samples: int) -> None:
+        """``delayed_samples``: by which the delayed heave is late, at most."""
+        self.divergence = Divergence(delayed_samples)
         self.surprise = self.factor = 1.0
         self._whiteness, self._waves, self._is_still = 1.0, inf, False
         self._is_stubborn = False
@@ -66,8 +130,8 @@ class SeaTrust:
         self._whiteness, self._waves = whiteness, waves
         self._is_still = waves < STILL_LIKELIHOOD or error_m > STILL_SHARE * sea_std_m
 
-    def beat(self, surprise: float, is_recovering: bool, sea: SeaState | None) -> None:
-        """What the filter says after a beat."""
+    def step(self, surprise: float, is_recovering: bool, sea: SeaState | None) -> None:
+        """What the filter says after a sample."""
         self.surprise = max(self._whiteness, surprise)
         ratio = self.divergence.ratio
         shown = min(max(1.0, sqrt(0.5 * self.surprise), ratio), FACTOR_LIMIT)
@@ -112,3 +176,44 @@ class SeaTrust:
         """What people should know, and no reason to trust the output less."""
         still = ("still: no motion above the noise of the sensor",) if self._is_still else ()
         return (*still, *self._shaken)
+
+
+class Trial:
+    """A model on trial; step it with every sample until the first fit.
+
+    Attributes:
+        is_told: whether anything may be said from the model.
+        is_another: whether the sea has turned out to be another one.
+        factor: by which errors are larger than the model says.
+    """
+
+    def __init__(self, system: SeaSystem, age_s: float) -> None:
+        """``age_s``: of the model; nan: not known."""
+        self._acceleration2 = float(system.H[:-1] @ system.stationary[:-1, :-1] @ system.H[:-1])
+        self._acceleration2 += 2.0 * system.model.noise_psd
+        self._doubt = min(DOUBT + DOUBT_PER_HOUR * age_s / 3600.0, MOST_DOUBT) if isfinite(age_s) else MOST_DOUBT
+        self._began_s: float | None = None
+        self._count = 0
+        self._sum = self._square = self._innovation2 = 0.0
+        self.is_told = self.is_another = False
+        self.factor = self._doubt
+
+    def step(self, t_s: float, a_mps2: float, scaled: float) -> None:
+        """A sample: its acceleration, and its innovation over the deviation of that."""
+        if self._began_s is None:
+            self._began_s = t_s
+        since_s = t_s - self._began_s
+        if since_s < SETTLES_S:
+            return
+        self._count += 1
+        self._sum += a_mps2
+        self._square += a_mps2 * a_mps2
+        self._innovation2 += scaled * scaled
+        if since_s < TOLD_S:
+            return
+        n = self._count
+        spread = (self._square / n - (self._sum / n) ** 2) / self._acceleration2
+        surprise = self._innovation2 / n
+        self.is_told = True
+        self.is_another = max(spread, surprise) > LARGEST
+        self.factor = self._doubt * sqrt(max(spread, surprise, 1.0))

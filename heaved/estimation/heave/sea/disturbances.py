@@ -9,16 +9,17 @@ since are gone through again with a bias of which nothing is known. If that expl
 noise: its variance is taken from the innovations and added to the sensor's own for as long as it lasts, so that the
 state is known only as well as it then can be.
 
-A blow (:mod:`sea_blows`) is a burst at first, from its first reading on. The hull rings, and the model may have
-resonances for that: as soon as the readings since then are explained by the filter as it was before, but with nothing
-known of what rings, it goes on from there, as if there had been no burst.
+A blow (:mod:`heaved.estimation.heave.sea.blows`) is a burst at first, from its first reading on. The hull rings, and
+the model may have resonances for that: as soon as the readings since then are explained by the filter as it was before,
+but with nothing known of what rings, it goes on from there, as if there had been no burst.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from enum import Enum, auto
 from math import inf, sqrt
-from typing import Final, Literal, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +73,15 @@ RETRY_S: Final = 0.5
 """In a burst, so many readings are tried as those after a step, so often."""
 
 
-After = Literal["step", "blow", "burst"]
+class After(Enum):
+    """What readings may come after."""
+
+    STEP = auto()
+    """Of the level: nothing is known of the bias."""
+    BLOW = auto()
+    """Nothing is known of what rings."""
+    BURST = auto()
+    """All is as before."""
 
 
 class Explanation(NamedTuple):
@@ -86,8 +95,8 @@ class Explanation(NamedTuple):
     """Time of the first that counts."""
 
 
-class Guard:
-    """Steps a filter.
+class DisturbanceDetector:
+    """Steps a filter, and takes it back to where it was before what has turned out not to be of the sea.
 
     Attributes:
         step_s: from the first reading that may be of two levels to the first after a step, when the last reading has
@@ -190,15 +199,16 @@ class Guard:
         patterns = self._patterns
         if patterns is None or self._steady is not f.steady:
             self._steady, self._patterns = f.steady, (patterns := _patterns(f))
-        squares = patterns.dot(self._scaled[self._next : self._next + LATE[-1]]) ** 2
+        looked = patterns.dot(self._scaled[self._next : self._next + LATE[-1]])
         share = f.steady.dt_s / USUAL_S
         found = 0
-        for i, part in enumerate((squares[: len(SOON)], squares[len(SOON) :])):
-            limit = TOO_LARGE**2 * max(self._usual[i], 1.0)
-            k = int(part.argmax())
-            if not found and part[k] > limit:
-                found = (SOON, LATE)[i][k]
-            self._usual[i] += share * (min(float(part.mean()), limit) - self._usual[i])
+        for i, (part, counts) in enumerate(((looked[: len(SOON)], SOON), (looked[len(SOON) :], LATE))):
+            limit, total = TOO_LARGE**2 * max(self._usual[i], 1.0), float(part.dot(part))
+            if not found and total > limit:  # Else none of them is.
+                k = int(abs(part).argmax())
+                if part[k] ** 2 > limit:
+                    found = counts[k]
+            self._usual[i] += share * (min(total / len(counts), limit) - self._usual[i])
         if f.withheld:
             return f.withheld if f.withheld >= PATIENCE else 0
         return found if found <= len(self._past) else 0
@@ -220,7 +230,7 @@ class Guard:
 
     def _is_step(self, f: SeaFilter, count: int) -> bool:
         """Whether a step explains the last ``count`` readings; if it does, the filter has gone through them again."""
-        found = self._explanation(f, count, "step")
+        found = self._explanation(f, count, After.STEP)
         if found is not None:
             self.step_s = self._past[-count - 1][0], found.from_s
             self._go_on(f, found)
@@ -236,17 +246,18 @@ class Guard:
         """What the filter makes of the last ``count`` readings from where it was before, if it explains them without
         more noise than its own; it is left as it was. After a step nothing is known of the bias, after a blow nothing
         of what rings, and the readings about it are left out: the mean of some before and some after it is neither."""
-        if count + (after == "step") > len(self._past):
+        count += after is After.STEP
+        if count > len(self._past):
             return None
-        readings = list(self._past)[-count - (after == "step") :]
+        readings = list(self._past)[-count:]
         now = f.state()
         f.restore(readings[0][2])
         f.withheld, f.burst_variance = 0, 0.0
         first = FIRST
-        if after == "step":
+        if after is After.STEP:
             f.open_bias()
             readings = readings[MIXED:]
-        elif after == "blow":
+        elif after is After.BLOW:
             f.open_resonances()
             readings, first = readings[1:], RINGING
         square = left = told = 0.0
@@ -266,8 +277,8 @@ class Guard:
         """What the burst is that lasts still: a blow, or a step, if either explains all of it; or it is over."""
         count = len(self._past)
         if self._is_struck and count <= RINGS_STILL:
-            blow = self._explanation(f, count, "blow") if f.system.model.resonances else None
-            step = self._explanation(f, count - 1, "step")
+            blow = self._explanation(f, count, After.BLOW) if f.system.model.resonances else None
+            step = self._explanation(f, count - 1, After.STEP)
             if blow is not None and (step is None or blow.square < LIKELIER * step.square):
                 self.blow_s = self._past[0][0]  # What stands there is in part of after it.
                 self._go_on(f, blow)
@@ -279,7 +290,7 @@ class Guard:
         else:
             self._learn_ringing()
         since = sum(1 for at_s, _, _ in self._past if at_s >= self._burst_s)
-        over = self._explanation(f, RETRIED, "burst")
+        over = self._explanation(f, RETRIED, After.BURST)
         if over is not None:
             f.restore(over.state)
             self._learn_ringing()

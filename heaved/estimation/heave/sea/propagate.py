@@ -25,7 +25,7 @@ ORDER: Final = 6
 """Derivatives used: at 0.1 s and 0.6 Hz the next one is 1e-7."""
 
 
-class Outlook:
+class Propagation:
     """Rows of one model over tau from -BACK_S to ``ahead_s``."""
 
     def __init__(self, system: SeaSystem, ahead_s: float) -> None:

@@ -19,14 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.common import down_sampler
-from heaved.estimation.heave.sea import batch_filter as sea_run
-from heaved.estimation.heave.sea import gap_bridge as sea_bridge
-from heaved.estimation.heave.sea import noise as sea_resonances
-from heaved.estimation.heave.sea import whittle_fit as sea_fit
+from heaved.estimation.heave.sea import batch_filter, gap_bridge, noise, whittle_fit
 from heaved.estimation.heave.sea.filter import SeaFilter
-from heaved.estimation.heave.sea.gap_smoother import smoothed
 from heaved.estimation.heave.sea.model import SeaModel, SeaSystem, Steady
+from heaved.estimation.heave.sea.record import EvenRecord, even, stretches_of
 from heaved.estimation.heave.sea.sea_state import longest_period_s, sea_state
+from heaved.estimation.heave.sea.smoother import smoothed
 from heaved.samples import SeaState
 
 Array = NDArray[np.float64]
@@ -187,19 +185,19 @@ def look(window: SeaWindow) -> SeaFit:
     if (t[-1] - t[0]) > SLOWEST_S * (len(t) - 1) and float(np.median(np.diff(t))) > SLOWEST_S:
         return SeaFit(number=window.number, message="the samples are too far apart to show waves")
     try:
-        return _look(window, sea_run.even(t, a).cut(window.cuts_s, window.spoilt_s, window.blows_s))
+        return _look(window, even(t, a).cut(window.cuts_s, window.spoilt_s, window.blows_s))
     except np.linalg.LinAlgError as error:
         return SeaFit(number=window.number, message=f"the record has no spectrum that can be fitted: {error}")
 
 
-def _look(window: SeaWindow, record: sea_run.Record) -> SeaFit:
+def _look(window: SeaWindow, record: EvenRecord) -> SeaFit:
     """
     Raises:
         LinAlgError: no model can be made of the record.
     """
     whole = _bridged(window, record, is_drawn=True)
     recent = record.last(round(min(window.windows_s) / record.dt_s))
-    drawn = whole.last(len(recent.is_known)).is_known & ~sea_bridge.closed(recent.is_known, record.dt_s, LONG_HOLE_S)
+    drawn = whole.last(len(recent.is_known)).is_known & ~gap_bridge.closed(recent.is_known, record.dt_s, LONG_HOLE_S)
     if window.candidates and np.mean(drawn) > FEW_IN_LONG_HOLES:
         return SeaFit(number=window.number, message="the record has too many holes")
     parts = unbroken(whole, round(max(window.windows_s) / record.dt_s))
@@ -243,22 +241,22 @@ def _look(window: SeaWindow, record: sea_run.Record) -> SeaFit:
     )
 
 
-def _has_many_holes(record: sea_run.Record) -> bool:
+def _has_many_holes(record: EvenRecord) -> bool:
     """More than can be taken as exceptions."""
     known = record.is_known
     return int(np.count_nonzero(known[:-1] & ~known[1:])) * MANY_HOLES_S > len(known) * record.dt_s
 
 
-def _longest_bridge(record: sea_run.Record) -> float:
+def _longest_bridge(record: EvenRecord) -> float:
     """Longest holes (s) that are bridged: as short as stretches without holes are there to be fitted."""
-    closed = sea_bridge.closed(record.is_known, record.dt_s, LONG_HOLE_S)
-    stretches = sea_run.stretches(msgspec.structs.replace(record, is_known=closed))
+    closed = gap_bridge.closed(record.is_known, record.dt_s, LONG_HOLE_S)
+    stretches = stretches_of(msgspec.structs.replace(record, is_known=closed))
     most = LONG_S / record.dt_s
     fitted = sum([end - first for first, end, is_known in stretches if is_known and end - first > most])
-    return LONG_HOLE_S if fitted > MOSTLY * len(closed) else sea_bridge.LONGEST_S
+    return LONG_HOLE_S if fitted > MOSTLY * len(closed) else gap_bridge.LONGEST_S
 
 
-def _bridged(window: SeaWindow, record: sea_run.Record, *, is_drawn: bool) -> sea_run.Record:
+def _bridged(window: SeaWindow, record: EvenRecord, *, is_drawn: bool) -> EvenRecord:
     """The record with its holes bridged, as far as they are short: what a spectrum can be had of when it ``is_drawn``.
 
     The model that bridges them is the last one; without one it is found with the holes bridged by straight lines first.
@@ -271,11 +269,11 @@ def _bridged(window: SeaWindow, record: sea_run.Record, *, is_drawn: bool) -> se
     model, whole = (None if best is None else best.model), record
     for _ in range(1 if model is not None else ROUGH):
         if model is None:
-            lines = msgspec.structs.replace(whole, is_known=sea_bridge.closed(whole.is_known, whole.dt_s, longest_s))
+            lines = msgspec.structs.replace(whole, is_known=gap_bridge.closed(whole.is_known, whole.dt_s, longest_s))
             model = _fit_all(window, lines, {}, record.is_known)[0][-1].model
         # Not across a cut: the level is another one there.
         parts = [
-            sea_bridge.bridged(record.a_mps2[first:end], record.is_known[first:end], record.dt_s, model, rng, longest_s)
+            gap_bridge.bridged(record.a_mps2[first:end], record.is_known[first:end], record.dt_s, model, rng, longest_s)
             for first, end in itertools.pairwise([0, *record.cuts, len(record.a_mps2)])
         ]
         a, is_known = (np.concatenate(columns) for columns in zip(*parts, strict=True))
@@ -284,11 +282,11 @@ def _bridged(window: SeaWindow, record: sea_run.Record, *, is_drawn: bool) -> se
 
 
 def _settled(
-    candidate: Candidate, recent: sea_run.Record, settle: int, judged: int
-) -> tuple[Candidate, SeaSystem, Steady, sea_run.Run] | str:
+    candidate: Candidate, recent: EvenRecord, settle: int, judged: int
+) -> tuple[Candidate, SeaSystem, Steady, batch_filter.Run] | str:
     """The candidate, with the noise that its innovations show, and what its filter makes of the recent past; or why
     there is no such filter."""
-    found: tuple[Candidate, SeaSystem, Steady, sea_run.Run] | None = None
+    found: tuple[Candidate, SeaSystem, Steady, batch_filter.Run] | None = None
     excess = 1.0
     while found is None or not NOISE_IS_KNOWN[0] <= excess <= NOISE_IS_KNOWN[1]:
         is_last, candidate = found is not None, _noisier(candidate, excess)
@@ -306,20 +304,20 @@ def _settled(
 
 
 def _run(
-    system: SeaSystem, steady: Steady, recent: sea_run.Record, settle: int, judged: int
-) -> tuple[sea_run.Run, float]:
+    system: SeaSystem, steady: Steady, recent: EvenRecord, settle: int, judged: int
+) -> tuple[batch_filter.Run, float]:
     """The filter over the recent past; and variance of the innovations over the model's, where noise is known by that
     alone, else 1."""
     if not _has_many_holes(recent):
-        return sea_run.run(system, steady, recent, full_start=len(recent.a_mps2) < settle, kept=judged), 1.0
+        return batch_filter.run(system, steady, recent, full_start=len(recent.a_mps2) < settle, kept=judged), 1.0
     # It begins with all that is not known of the state: nothing has to settle.
     recent = recent.last(judged + round(START_S / recent.dt_s))
     f = SeaFilter(system, steady, nan, np.zeros(len(system.H)), system.stationary)
-    done, excess = sea_run.one_by_one(f, recent, judged)
+    done, excess = batch_filter.one_by_one(f, recent, judged)
     return done, excess if np.mean(recent.is_known[-judged:]) < NOISE_KNOWN else 1.0
 
 
-def _delayed(window: SeaWindow, system: SeaSystem, steady: Steady, recent: sea_run.Record, settle: int) -> Array:
+def _delayed(window: SeaWindow, system: SeaSystem, steady: Steady, recent: EvenRecord, settle: int) -> Array:
     """What :attr:`SeaFit.delayed` holds."""
     count = round(window.delay_s / recent.dt_s)
     known = recent.is_known
@@ -327,7 +325,7 @@ def _delayed(window: SeaWindow, system: SeaSystem, steady: Steady, recent: sea_r
     if is_whole or not known[:-count].any():
         return np.empty((0, 3))
     last = int(np.flatnonzero(known[:-count])[-1])
-    before = sea_run.Record(
+    before = EvenRecord(
         recent.end_s - (len(known) - 1 - last) * recent.dt_s,
         recent.dt_s,
         recent.a_mps2[: last + 1],
@@ -348,7 +346,7 @@ def _noisier(candidate: Candidate, factor: float) -> Candidate:
     return msgspec.structs.replace(candidate, model=msgspec.structs.replace(candidate.model, noise_psd=noise_psd))
 
 
-def _scores(window: SeaWindow, record: sea_run.Record, is_known: NDArray[np.bool_]) -> dict[float, float]:
+def _scores(window: SeaWindow, record: EvenRecord, is_known: NDArray[np.bool_]) -> dict[float, float]:
     """Each length's score with what came since the last look; ``is_known`` (n,): what of that was measured."""
     fresh = 0
     if window.candidates and isfinite(window.looked_s):  # Not after a reset: the candidates outlive the past.
@@ -366,7 +364,7 @@ def _scores(window: SeaWindow, record: sea_run.Record, is_known: NDArray[np.bool
         steady = _steady(system, candidate, record.dt_s)
         if steady is None:
             continue
-        done = sea_run.run(system, steady, recent, full_start=False, full_holes=not is_whole, kept=fresh)
+        done = batch_filter.run(system, steady, recent, full_start=False, full_holes=not is_whole, kept=fresh)
         likelihood = _likelihood(candidate.model, steady, np.where(measured, done.innovation[-fresh:], nan))
         found[candidate.window_s] = SCORE_MEMORY * candidate.score + (likelihood if np.isfinite(likelihood) else -1e9)
     best = max(found.values(), default=0.0)
@@ -394,7 +392,7 @@ def _likelihood(model: SeaModel, steady: Steady, innovation: Array) -> float:
 
 
 def _fit_all(
-    window: SeaWindow, record: sea_run.Record, scores: dict[float, float], is_measured: NDArray[np.bool_]
+    window: SeaWindow, record: EvenRecord, scores: dict[float, float], is_measured: NDArray[np.bool_]
 ) -> tuple[tuple[Candidate, ...], list[float], list[float], float]:
     """A model for each length that the record reaches, the longest that it does not reach gets all there is; the share
     of each model's variance that was measured; seconds that each was fitted to; how much likelier than noise the waves
@@ -414,25 +412,25 @@ def _fit_all(
     if not lengths:
         raise np.linalg.LinAlgError("no stretch of it is long enough")
     passed = partial(down_sampler.passed, period_s=window.period_s, averaged=window.averaged)
-    spectra = [sea_fit.spectrum(parts, rate, passed) for parts in stretches]
+    spectra = [whittle_fit.spectrum(parts, rate, passed) for parts in stretches]
     few = [most < FEW_COMPONENTS_BELOW_S * rate for most in longest]
     last = max(window.candidates, key=lambda one: one.window_s, default=None)
     bias_walk_psd = window.bias_walk_psd if last is None else last.model.bias_walk_psd
 
-    def fit(models: dict[float, SeaModel]) -> dict[float, sea_fit.Fitted]:
-        fitted: dict[float, sea_fit.Fitted] = {}
+    def fit(models: dict[float, SeaModel]) -> dict[float, whittle_fit.Fitted]:
+        fitted: dict[float, whittle_fit.Fitted] = {}
         for are_few in set(few):
             components = min(2, window.components) if are_few else window.components
             of = [i for i, is_few in enumerate(few) if is_few == are_few]
             warm = [models.get(lengths[i]) for i in of]
-            made = sea_fit.fit([spectra[i] for i in of], window.stages, components, bias_walk_psd, warm)
+            made = whittle_fit.fit([spectra[i] for i in of], window.stages, components, bias_walk_psd, warm)
             fitted.update(zip([lengths[i] for i in of], made, strict=True))
         return fitted
 
     # What shakes the sensor now is in the newest past: all lengths are told of it.
     if not earlier:
         earlier = {length: one.model for length, one in fit({}).items()}
-    shaking, noise_psd = sea_resonances.resonances(
+    shaking, noise_psd = noise.resonances(
         _newest_above(record, is_measured, spectra[0], passed),
         earlier.get(lengths[0]),
         min([NOISE_MOST_PSD, *(sp.noise_psd for sp in spectra)]),
@@ -459,11 +457,11 @@ def _fit_all(
     candidates = tuple(
         Candidate(window_s=length, model=fitted[length].model, score=scores.get(length, unknown)) for length in lengths
     )
-    shares = [sea_fit.measured_share(sp, fitted[length].model) for sp, length in zip(spectra, lengths, strict=True)]
+    shares = [whittle_fit.measured_share(sp, fitted[length].model) for sp, length in zip(spectra, lengths, strict=True)]
     return candidates, shares, [sum(map(len, parts)) / rate for parts in stretches], fitted[lengths[0]].waves
 
 
-def _walk(window: SeaWindow, record: sea_run.Record, is_measured: NDArray[np.bool_], model: SeaModel) -> float:
+def _walk(window: SeaWindow, record: EvenRecord, is_measured: NDArray[np.bool_], model: SeaModel) -> float:
     """The walk of the bias (m/s2)2/s that the record shows beside the waves of ``model``, or the one that this has."""
     measured = msgspec.structs.replace(record, is_known=is_measured)
     stretch = max(unbroken(measured, len(is_measured)), key=len, default=np.empty(0))
@@ -474,24 +472,24 @@ def _walk(window: SeaWindow, record: sea_run.Record, is_measured: NDArray[np.boo
         return expected_psd
     if len(stretch) * record.dt_s < WALK_SEEN_S or record.blows:
         return model.bias_walk_psd
-    return sea_fit.bias_walk(stretch, 1.0 / record.dt_s, model, expected_psd)
+    return whittle_fit.bias_walk(stretch, 1.0 / record.dt_s, model, expected_psd)
 
 
 def _newest_above(
-    record: sea_run.Record,
+    record: EvenRecord,
     is_measured: NDArray[np.bool_],
-    shortest: sea_fit.Spectrum,
+    shortest: whittle_fit.Spectrum,
     passed: Callable[[Array], Array],
-) -> sea_resonances.Above:
+) -> noise.Above:
     """The periodogram above the waves of what is shaken as now: that of the ``shortest`` length, or of less of it."""
     alike_s = SHAKEN_ALIKE_S[0] if record.blows else _shaken_alike_s(record, is_measured)
     parts = unbroken(record, round(alike_s / record.dt_s))
     if alike_s == SHAKEN_ALIKE_S[0] or max(map(len, parts), default=0) * record.dt_s < 0.5 * SHAKEN_ALIKE_S[-1]:
         return shortest.above
-    return sea_fit.spectrum(parts, 1.0 / record.dt_s, passed).above
+    return whittle_fit.spectrum(parts, 1.0 / record.dt_s, passed).above
 
 
-def _shaken_alike_s(record: sea_run.Record, is_measured: NDArray[np.bool_]) -> float:
+def _shaken_alike_s(record: EvenRecord, is_measured: NDArray[np.bool_]) -> float:
     """How long (s) it has been shaken as it is now: the longest of some lengths in which the second differences, that
     see no waves, are on the whole as large as in the last seconds."""
     squares = np.diff(record.a_mps2, n=2) ** 2
@@ -509,14 +507,14 @@ def _shaken_alike_s(record: sea_run.Record, is_measured: NDArray[np.bool_]) -> f
     return SHAKEN_ALIKE_S[0]
 
 
-def unbroken(record: sea_run.Record, count: int) -> list[Array]:
+def unbroken(record: EvenRecord, count: int) -> list[Array]:
     """The stretches without a hole or a cut among the last ``count`` samples, oldest first.
 
     A spectrum cannot bridge a hole: whatever stands in it has power at low frequencies, four decades above the skirt of
     the waves that the error of the heave depends on.
     """
     newest = record.last(count)
-    return [newest.a_mps2[first:end] for first, end, is_known in sea_run.stretches(newest) if is_known]
+    return [newest.a_mps2[first:end] for first, end, is_known in stretches_of(newest) if is_known]
 
 
 def whiteness(innovation: Array, steady: Steady) -> float:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from seas import Kalman, model, simulated
 
-from heaved.estimation.heave.sea.batch_filter import BLOCK, FULL_S, UNSURE, Record, even, run
+from heaved.estimation.heave.sea.batch_filter import BLOCK, FULL_S, UNSURE, run
 from heaved.estimation.heave.sea.model import SeaSystem, Steady, measurement_variance
+from heaved.estimation.heave.sea.record import EvenRecord
 
 DT_S = 0.05
 Array = np.ndarray
@@ -32,8 +33,8 @@ def sea(system: SeaSystem) -> tuple[Array, Array]:
     return states @ system.heave, a
 
 
-def record(a: Array, known: Array | None = None) -> Record:
-    return Record(DT_S * (len(a) - 1), DT_S, a, np.ones(len(a), dtype=np.bool_) if known is None else known)
+def record(a: Array, known: Array | None = None) -> EvenRecord:
+    return EvenRecord(DT_S * (len(a) - 1), DT_S, a, np.ones(len(a), dtype=np.bool_) if known is None else known)
 
 
 @pytest.mark.parametrize("count", [8000, 8000 - 1, 8000 - BLOCK + 1, 5])
@@ -167,55 +168,3 @@ def test_a_record_that_begins_with_a_hole_begins_after_it(
     theirs, _ = full(system, sea[1][:4000], known)
     assert np.isfinite(done.x).all()
     assert abs(system.heave @ (done.x - theirs.x)) < 0.02 * np.std(sea[0])
-
-
-# --- an even grid ----------------------------------------------------------------------------------------------------
-
-
-def signal(t: Array) -> Array:
-    return np.asarray(0.8 * np.sin(0.8 * t) + 0.3 * np.sin(2.2 * t + 1.0))
-
-
-def grid_of(made: Record) -> Array:
-    return made.end_s - made.dt_s * np.arange(len(made.a_mps2) - 1, -1, -1.0)
-
-
-@pytest.mark.parametrize("jitter", [0.0, 1e-4, 0.05, 0.2])
-def test_jittered_samples_are_put_on_the_grid(jitter: float) -> None:
-    rng = np.random.default_rng(3)
-    t = 1e4 + DT_S * (np.arange(4000) + rng.uniform(-jitter, jitter, 4000))
-    made = even(t, signal(t))
-    assert made.end_s == t[-1]
-    assert made.dt_s == pytest.approx(DT_S, rel=1e-3)
-    assert len(made.a_mps2) == pytest.approx(4000, abs=2)
-    assert made.is_known.all()
-    inner = slice(20, -20)
-    assert np.max(np.abs(made.a_mps2 - signal(grid_of(made)))[inner]) < (1e-4 if jitter > 1e-3 else 2e-5)
-
-
-@pytest.mark.parametrize("jitter", [0.0, 0.1])
-def test_missing_samples_are_filled_and_holes_are_holes(jitter: float) -> None:
-    rng = np.random.default_rng(4)
-    kept = rng.random(4000) > 0.05
-    kept[1000:1060] = kept[2000:2200] = False
-    kept[[0, 999, 1060, 1999, 2200, 3999]] = True
-    i = np.flatnonzero(kept)
-    t = DT_S * (i + rng.uniform(-jitter, jitter, len(i)))
-    made = even(t, signal(t))
-    at = grid_of(made)
-    deep = ((at > 50.2) & (at < 52.7)) | ((at > 100.2) & (at < 109.7))
-    near = ((at > 49.8) & (at < 53.2)) | ((at > 99.7) & (at < 110.2))
-    assert not made.is_known[deep].any()
-    assert made.is_known[~near].all()
-    inner = ~near & (at > 1.0) & (at < 199.0)
-    assert np.max(np.abs(made.a_mps2 - signal(at))[inner]) < 3e-3
-    assert np.sqrt(np.mean((made.a_mps2 - signal(at))[inner] ** 2)) < 2e-4
-    assert np.max(np.abs(made.a_mps2)) < 1.2  # nothing swings in a hole
-
-
-def test_a_clock_that_drifts_is_followed() -> None:
-    """One part in a thousand fast: over ten minutes that is twelve samples."""
-    t = DT_S * 1.001 * np.arange(12_000, dtype=np.float64)
-    made = even(t, signal(t))
-    assert made.dt_s == pytest.approx(DT_S * 1.001, rel=1e-6)
-    assert np.max(np.abs(made.a_mps2 - signal(grid_of(made)))) < 1e-4

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from seas import model, simulated
 
-from heaved.estimation.heave.sea.disturbances import BURST_S, Guard
+from heaved.estimation.heave.sea.disturbances import BURST_S, DisturbanceDetector
 from heaved.estimation.heave.sea.filter import SeaFilter
 from heaved.estimation.heave.sea.model import SeaSystem
 
@@ -37,15 +37,16 @@ def ran(system: SeaSystem, sea: tuple[Array, Array], added: Array) -> Ran:
     states, a = sea
     steady = system.steady(DT_S)
     assert steady is not None
-    f, guard = SeaFilter(system, steady, -DT_S, np.zeros(len(system.H)), system.stationary.copy()), Guard()
+    f = SeaFilter(system, steady, -DT_S, np.zeros(len(system.H)), system.stationary.copy())
+    detector = DisturbanceDetector()
     error, std, steps, burst = [], [], [], []
     for k in range(COUNT):
-        guard.step(f, k * DT_S, a[k] + added[k])
-        if guard.step_s is not None:
-            steps.append(guard.step_s)
+        detector.step(f, k * DT_S, a[k] + added[k])
+        if detector.step_s is not None:
+            steps.append(detector.step_s)
         error.append(float(system.heave @ (f.x - states[k])))
         std.append(float(np.sqrt(system.heave @ f.covariance @ system.heave)))
-        burst.append(guard.is_burst)
+        burst.append(detector.is_burst)
     return Ran(np.array(error), np.array(std), steps, np.array(burst))
 
 

@@ -7,8 +7,9 @@ import pytest
 from seas import model, simulated
 
 from heaved.estimation.heave.sea import whittle_fit as sea_fit
-from heaved.estimation.heave.sea.drift import DRIFTS_S, DriftWatch, drift_variances, drift_weights
+from heaved.estimation.heave.sea.drift import DRIFTS_S, DriftDetector, drift_variances, drift_weights
 from heaved.estimation.heave.sea.model import SeaSystem
+from heaved.estimation.heave.sea.record import SeaRecord
 
 DT_S, COUNT = 0.05, 12_000
 T = DT_S * np.arange(COUNT)
@@ -40,17 +41,19 @@ def test_a_step_of_the_level_is_one_and_a_line_half_its_length() -> None:
 def test_a_warm_up_is_seen_within_half_a_minute(slope: float, sea: Array) -> None:
     begin = 8000
     a = sea + slope * np.maximum(T - T[begin], 0.0)
-    watch = DriftWatch(model(), DT_S)
-    seen = []
-    for k in range(4000, COUNT, 20):
-        watch.look(T[k], np.column_stack((T, a))[max(0, k - 2500) : k + 1])
-        seen.append(watch.is_drifting)
-    assert not any(seen[: (begin - 4000) // 20])
+    detector = DriftDetector(model(), DT_S)
+    record, seen = SeaRecord(130.0, 40.0, 30.0), []
+    for k in range(1500, COUNT, 20):
+        for i in range(k - 20, k):
+            record.push(T[i], a[i])
+        detector.step(T[k - 1], record)
+        seen.append(detector.is_drifting)
+    assert not any(seen[: (begin - 1500) // 20])
     if slope == 0.0:
         assert not any(seen)
     else:
-        assert any(seen[(begin - 4000) // 20 : (begin - 4000) // 20 + 40])
-        assert watch.factor > 3.0
+        assert any(seen[(begin - 1500) // 20 : (begin - 1500) // 20 + 40])
+        assert detector.factor > 3.0
 
 
 @pytest.mark.parametrize("walk", [3e-5, 2e-4, 1e-3])
