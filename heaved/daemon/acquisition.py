@@ -12,6 +12,7 @@ from heaved.daemon.device_health import DeviceHealth, RateMeter
 from heaved.daemon.metrics import DeviceMetrics, Metrics
 from heaved.devices.bus import PollResult
 from heaved.devices.profile import DeviceSpec
+from heaved.estimation.heave.observer import Verdict
 from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
 from heaved.estimation.hull.refit import RefitJob, RefitResult
 from heaved.pipeline import Pipeline
@@ -177,9 +178,9 @@ class Acquisition:
             result = self.pipeline.accept_fit(fit)
         except Exception as error:
             self._bug("accept_fit", error)
-            result = "failed"
+            result = Verdict.FAILED
         self._metrics.sea_fits.labels(result).inc()
-        if result == "accepted":
+        if result == Verdict.ACCEPTED:
             self.fitted_s = self._clock()
         if result != self.last_fit:
             self.last_fit = result

@@ -72,7 +72,8 @@ class _Way(Enum):
 
 def _divided(count: int, cuts: Sequence[int], taken: Collection[int]) -> tuple[int, ...]:
     """Lengths of the parts of a block, none of them taken, as long as they can be from the start on: what belongs
-    together is then mostly read at one moment. Empty: there are none."""
+    together is then mostly read at one moment. Empty: there are none.
+    """
     rest: dict[int, tuple[int, ...]] = {count: ()}
     for start in (*reversed(cuts), 0):
         for end in sorted(rest, reverse=True):
@@ -161,6 +162,7 @@ class Contact:
         }
 
     def silent(self, now_s: float) -> bool:
+        """Whether it has missed enough requests, for long enough."""
         return self._misses >= SILENT_AFTER_POLLS and now_s - self._answered_s >= SILENT_AFTER_S
 
     def answered(self, now_s: float) -> None:
@@ -187,7 +189,8 @@ class Contact:
 
     def heard(self, now_s: float, count: int) -> None:
         """It sent ``count`` registers that nobody waited for: what was under way, or something that it sends unasked,
-        and then may send again."""
+        and then may send again.
+        """
         if self._pending.pop(count, None) is None:
             self._expect(now_s, count)
 
@@ -198,7 +201,8 @@ class Contact:
 
     def reopened(self, now_s: float) -> None:
         """The line is new, and has been silent for ``quiet_s``: only what is held back till the next request may come,
-        and comes before its answer."""
+        and comes before its answer.
+        """
         self._misses = 0
         self._refused.clear()
         self._pending.clear()

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 from math import exp, hypot, inf, isfinite, log, nan, radians
-from typing import Annotated, Final
+from typing import Annotated, Final, Self
 
 import msgspec
 import numpy as np
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from heaved.estimation import lever_arm
 from heaved.estimation.lever_arm import AttitudeMotion, Point
-from heaved.samples import HeaveForecast, QuietForecast, QuietWindow, RockPrediction
+from heaved.samples import HeaveForecast, ImuSample, MotionFrame, QuietForecast, QuietWindow, RockPrediction
 
 Array = NDArray[np.float64]
 
@@ -251,16 +251,17 @@ class PointQuiescence:
         self._point = point
         self._latest = QuietForecast(t_s=nan)
 
-    def step(
-        self,
-        t_s: float,
-        roll_rad: float,
-        pitch_rad: float,
-        heave_m: float,
-        rock: Sequence[RockPrediction],
-        forecast: Sequence[HeaveForecast],
-    ) -> None:
-        """Take the motion of the IMU at ``t_s`` (nan: not known), and what is predicted from there."""
+    @classmethod
+    def of(cls, params: Params | None, points: Sequence[Point]) -> Self | None:
+        """At the point that is named, or at the IMU; None: nobody asks for it."""
+        if params is None or not params.enabled:
+            return None
+        return cls(params, next((point for point in points if point.name == params.point), None))
+
+    def step(self, sample: ImuSample, frame: MotionFrame) -> None:
+        """Take the motion of the IMU as it was measured, and the frame of that moment with what is predicted."""
+        t_s, roll_rad, pitch_rad = sample.t_s, sample.roll_rad, sample.pitch_rad
+        heave_m, rock, forecast = frame.heave_m, frame.rock, frame.forecast
         quiescence = self._quiescence
         is_due = quiescence.is_due(t_s)
         ahead = self._ahead(rock, forecast) if is_due else None

@@ -25,7 +25,7 @@ from heaved.config import Config
 from heaved.devices.recording import Recording
 from heaved.estimation.heave.sea.refit import SeaWindow, look
 from heaved.estimation.stages import Stages
-from heaved.pipeline import Pipeline
+from heaved.pipeline import Pipeline, assemble
 from heaved.replay.table import Table
 from heaved.samples import HeaveState, MotionFrame, Sample
 from heaved.text import printable
@@ -134,7 +134,7 @@ def replay(
 
 
 def _pipeline(config: Config, has_laser: bool) -> Pipeline:
-    return Pipeline(
+    return assemble(
         heave=config.heave,
         laser=config.laser,
         correction=config.correction,
@@ -165,7 +165,8 @@ class _Run:
         """The frames of all samples up to ``until_s``, in order."""
         pipeline, samples = self._pipeline, self._samples(recording, until_s)
         while block := list(islice(samples, BLOCK_SAMPLES)):
-            for frame in pipeline.run(block):
+            for sample in block:
+                frame = pipeline.step(sample)
                 if (past := pipeline.fit_due()) is not None:
                     self._fits[self._fit(past)] += 1
                 if (window := pipeline.training_due()) is not None:

@@ -18,7 +18,7 @@ from heaved.estimation.hull.refit import refit
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.estimation.stages import HullStage, Stages
-from heaved.pipeline import Pipeline
+from heaved.pipeline import Pipeline, assemble
 from heaved.samples import CraftSample, Fault, ImuSample, MotionFrame, RatesSample, Sample
 from heaved.simulate.flexure import SCENES, Record, Scene, simulate
 
@@ -28,7 +28,7 @@ OWN = fusion.Params(enabled=True, source=fusion.Source.OWN)
 
 
 def pipeline(stages: Stages | None = None, *, point: tuple[Point, ...] = ()) -> Pipeline:
-    return Pipeline(
+    return assemble(
         heave=NO_FORECASTS,
         laser=reference.Params(),
         correction=correction.Params(),

@@ -15,9 +15,8 @@ from hypothesis import strategies as st
 
 from heaved.config import Config
 from heaved.devices.recording import COLUMNS, RecordingError
-from heaved.estimation.heave.harmonic import observer as heave
+from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, lead
-from heaved.estimation.heave.sea import observer as sea_observer
 from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.replay.replay import OutputError, Summary, _Run, replay
 from heaved.replay.table import MAX_STEP_S, Table
@@ -249,7 +248,7 @@ def test_the_column_is_the_delayed_heave(tmp_path: Path) -> None:
 def test_rows_that_wait_for_a_delayed_heave_are_not_kept_for_ever(times: str) -> None:
     """Whatever their times, a bounded number: twice what the longest wait at the highest rate has."""
     written: list[str] = []
-    table = Table(Config(heave=heave.Params(sea=sea_observer.Params(delay_s=10.0))), written.append)
+    table = Table(Config(heave=heave.Params(sea=heave.SeaParams(delay_s=10.0))), written.append)
     quality = Quality(heave=HeaveState.SETTLING, laser=LaserState.OFF, correction=CorrectionState.OFF)
     step_s = 1e-7 if times == "at one moment" else 86400.0
     most = 2 * 10 * 250

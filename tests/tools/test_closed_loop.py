@@ -13,7 +13,7 @@ import pytest
 from evidence import asked, closed_loop
 from evidence.closed_loop_figure import hook_motion
 
-from heaved.estimation.heave.harmonic.observer import Params
+from heaved.estimation.heave.params import Params
 
 OBSERVER = Params().observer
 SETTINGS = {

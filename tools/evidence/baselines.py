@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy.signal import bilinear_zpk, butter, sosfilt, sosfilt_zi, zpk2sos
 
 from heaved.estimation.common import sigma
-from heaved.estimation.heave.harmonic import observer as heave
+from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.harmonic.inertial_displacement import InertialDisplacement
-from heaved.estimation.imu.levelling import up_acceleration
+from heaved.estimation.imu.attitude import up_acceleration
 from heaved.samples import GRAVITY_MPS2, ImuSample
 
 Array = NDArray[np.float64]

@@ -94,7 +94,8 @@ class AttitudeError:
         roll_radps: float, pitch_radps: float, *, are_rates_measured: bool,
     ) -> float:  # fmt: skip
         """The vertical acceleration at ``t_s`` without the two errors, from the level frame of the measured angles
-        (forward, port, up), these angles, and their rates, which gyroscopes may have measured."""
+        (forward, port, up), these angles, and their rates, which gyroscopes may have measured.
+        """
         if t_s >= self._until_s:
             self._close(t_s)
         elapsed_s = t_s - self._t_s

@@ -96,7 +96,8 @@ class Noise(msgspec.Struct, frozen=True, eq=False):
 
 def runs(rows: Array) -> list[Run]:
     """The record in runs. ``rows`` (n, 8): number of a row (time over ROW_S) and its means: acceleration up, to port
-    and forward in the measured level frame, roll, pitch and their rates."""
+    and forward in the measured level frame, roll, pitch and their rates.
+    """
     ends = np.flatnonzero(np.diff(rows[:, 0]) > HOLE_S / ROW_S) + 1
     return [_run(part) for part in np.split(rows, ends) if len(part) > 1]
 
@@ -127,7 +128,8 @@ def _run(part: Array) -> Run:
 
 def spectra(record: Sequence[Run], size: int = round(PIECE_S / ROW_S)) -> Complex | None:
     """(pieces, frequencies, 6) of what is made in every piece of ``size`` rows, a frequency for each 1 / (size ROW_S);
-    None: there is no run that long."""
+    None: there is no run that long.
+    """
     window = np.hanning(size + 1)[:-1, None]
     pieces = []
     for run in record:
@@ -140,7 +142,8 @@ def spectra(record: Sequence[Run], size: int = round(PIECE_S / ROW_S)) -> Comple
 
 def below_waves(found: Complex, belief: Belief) -> tuple[Array, Array]:
     """What the vertical acceleration below the waves says of the two, from the :func:`spectra`: information, and that
-    times its mean. The products are made linear about what it comes to with the ``belief``."""
+    times its mean. The products are made linear about what it comes to with the ``belief``.
+    """
     information, right = np.zeros((2, 2)), np.zeros(2)
     if len(found) < PIECES:
         return information, right
@@ -220,7 +223,8 @@ def turned(record: Sequence[Run]) -> Belief:
 
 def averaged(belief: Belief, information: Array, right: Array) -> tuple[Array, Array]:
     """Mean and covariance of the two from a belief and more information, when either may as well be what it is by the
-    belief: the average over the four cases, each weighed by how likely it makes the record (Bayes)."""
+    belief: the average over the four cases, each weighed by how likely it makes the record (Bayes).
+    """
     null = np.array(belief.null)
     information = belief.information + information
     right = belief.right + right - information @ null

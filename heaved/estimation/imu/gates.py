@@ -9,7 +9,7 @@ told from the motion. Readings that no longer change are those of :mod:`heaved.u
 
 from __future__ import annotations
 
-from math import exp, inf, isfinite, nan, pi, radians, sqrt
+from math import exp, inf, isfinite, isnan, nan, pi, radians
 from typing import Final
 
 import msgspec
@@ -91,21 +91,21 @@ class SpikeGate:
 
     def step(self, t_s: float, value: float) -> float:
         """The value, or nan for a spike. Not finite: nan. The first steps are only learned from."""
-        tuning = self._tuning
         if not isfinite(value):
             return nan
         if abs(value) > self._most:
             self.rejected += 1
             return nan
-        step, elapsed_s = value - self._value, t_s - self._t_s
-        if isfinite(step) and elapsed_s <= tuning.stale_s:
-            limit = max(tuning.width * sqrt(self._mean_square), tuning.floor_mps2)
-            if self._steps >= tuning.learned and abs(step) > limit and elapsed_s < tuning.lasting_s:
+        tuning, step, elapsed_s = self._tuning, value - self._value, t_s - self._t_s
+        if elapsed_s <= tuning.stale_s:
+            square, usual = step * step, tuning.width**2 * self._mean_square
+            limit = usual if usual > tuning.floor_mps2**2 else tuning.floor_mps2**2
+            if square > limit and self._steps >= tuning.learned and elapsed_s < tuning.lasting_s:
                 self.rejected += 1
                 return nan
             self._steps += 1
-            weight = max(tuning.memory, 1.0 / self._steps)
-            self._mean_square += weight * (min(step * step, 4.0 * limit * limit) - self._mean_square)
+            weight = tuning.memory if self._steps * tuning.memory > 1.0 else 1.0 / self._steps
+            self._mean_square += weight * ((square if square < 4.0 * limit else 4.0 * limit) - self._mean_square)
         self._t_s, self._value = t_s, value
         return value
 
@@ -151,7 +151,7 @@ class AngleGate:
         tuning = self._tuning
         if not abs(angle_rad) <= self._most:
             self._row.clear()
-            self.rejected += angle_rad == angle_rad
+            self.rejected += not isnan(angle_rad)
             return False
         elapsed_s = t_s - self._t_s
         if elapsed_s > tuning.stale_s:
@@ -176,8 +176,7 @@ class AngleGate:
             self._usual_s += (elapsed_s - self._usual_s) / self._count
         else:
             self._usual_off *= 1.0 + tuning.adjusted if far > self._usual_off else 1.0 - tuning.adjusted
-            if self._usual_off < tuning.least_rad:
-                self._usual_off = tuning.least_rad
+            self._usual_off = max(self._usual_off, tuning.least_rad)
             self._usual_s += tuning.adjusted * (elapsed_s - self._usual_s)
         self._rate += off * (1.0 - exp(-elapsed_s / tuning.slope_s)) / elapsed_s
         self._t_s, self._angle = t_s, angle_rad

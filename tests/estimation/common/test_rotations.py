@@ -22,7 +22,7 @@ from heaved.estimation.common.rotations import (
     rotation_vector,
     to_euler,
 )
-from heaved.estimation.imu.levelling import up_acceleration
+from heaved.estimation.imu.attitude import up_acceleration
 from heaved.samples import GRAVITY_MPS2
 
 angles = st.floats(-3.0, 3.0)

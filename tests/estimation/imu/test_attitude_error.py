@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
 from heaved.estimation.imu import attitude_fit
-from heaved.estimation.imu.attitude import angle_rates
+from heaved.estimation.imu.attitude import angle_rates, level_acceleration
 from heaved.estimation.imu.attitude_error import AttitudeError
 from heaved.estimation.imu.attitude_fit import NOTHING, Belief, averaged
-from heaved.estimation.imu.levelling import level_acceleration
 from heaved.samples import ImuSample
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import SENSORS, Recording, record

@@ -7,11 +7,12 @@ from math import inf, isfinite, nan
 
 import numpy as np
 import pytest
+from evidence.rock_shaken import unjudged
 from scipy.linalg import solve_discrete_lyapunov
 
 from heaved.estimation.common.bounds import ANGLE_RAD
 from heaved.estimation.rock import maximum_likelihood as rock
-from heaved.estimation.rock.estimator import RockChain
+from heaved.estimation.rock.estimator import RockEstimator
 from heaved.estimation.rock.holes import NODES, ORDER, Autoregression, HoleFilter
 from heaved.predictions import Limits
 from heaved.samples import ImuSample
@@ -41,11 +42,11 @@ def measured(rate_hz, seed, end_s):
 
 def predict(t, x, params=None, gyro=None):
     """Feed (n, 2) roll and pitch; predictions and deviations (n, H, 2), and the chain."""
-    chain = RockChain(params or rock.Params())
+    chain = RockEstimator(params or rock.Params())
     predicted, std = [], []
     for k, (moment, (roll, pitch)) in enumerate(zip(t.tolist(), x.tolist(), strict=True)):
         rates = {} if gyro is None else {"gx_radps": gyro[k, 0], "gy_radps": -gyro[k, 1], "gz_radps": 0.0}
-        found = chain.step(ImuSample(t_s=moment, roll_rad=roll, pitch_rad=pitch, **rates), good=True)
+        found = chain.step(unjudged(ImuSample(t_s=moment, roll_rad=roll, pitch_rad=pitch, **rates)))
         predicted.append([(p.roll_rad, p.pitch_rad) for p in found])
         std.append([(p.roll_std_rad, p.pitch_std_rad) for p in found])
     return np.array(predicted), np.array(std), chain
@@ -225,7 +226,7 @@ def test_memory_is_bounded_whatever_the_stamps(name):
     """What is as long as some seconds of samples, or the samples of a block."""
     t = STAMPS[name]
     predicted, std, chain = predict(t, truth(t, 3))
-    predictor = chain._direct.predictor
+    predictor = chain._predictor.predictor
     assert predictor._taking is None or predictor._interval_s >= 1e-3
     assert predictor.fed is None or predictor.fed._window.x.size < 2e6
     error = errors(t, predicted, 3)

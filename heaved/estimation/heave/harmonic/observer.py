@@ -16,9 +16,8 @@ from __future__ import annotations
 from cmath import phase
 from collections import Counter
 from math import cos, exp, hypot, isfinite, nan, pi, sin, sqrt
-from typing import Annotated, Final, Literal
+from typing import Final
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,9 +25,8 @@ from heaved.estimation.common import sigma
 from heaved.estimation.common.ring import Ring
 from heaved.estimation.common.spectrum import dominant_frequencies, heave_spectrum
 from heaved.estimation.heave.harmonic.inertial_displacement import InertialDisplacement
-from heaved.estimation.heave.laser import lead
-from heaved.estimation.heave.sea import observer as sea
-from heaved.estimation.heave.sea.propagate import Motion
+from heaved.estimation.heave.observer import LaserAided, Motion, SavedObserver, Verdict
+from heaved.estimation.heave.params import Params
 from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
 from heaved.predictions import HeaveForecasts, PlainForecasts
 from heaved.samples import DelayedHeave, SeaState
@@ -53,57 +51,22 @@ LEAD_SLEW_S: Final = 2.0
 """Time constant with which a new lead and gain are brought in, so that no refresh shows as a step."""
 
 
-class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """``[heave]``: the observer."""
-
-    observer: Literal["harmonic", "sea"] = "sea"
-    """"harmonic": a few sinusoids, as the paper has it; "sea": the spectrum of the sea."""
-    components: Annotated[int, msgspec.Meta(ge=1, le=8)] = 1
-    """Sinusoids in the model (n)."""
-    window_s: Annotated[float, msgspec.Meta(ge=15, le=120)] = 30.0
-    """Record in which their frequencies are looked for (N)."""
-    refresh_s: Annotated[float, msgspec.Meta(ge=1, le=60)] = 10.0
-    """Interval of that search (delta t)."""
-    band_hz: tuple[float, float] = (0.04, 0.6)
-    """Wave band."""
-    initial_period_s: Annotated[float, msgspec.Meta(ge=1, le=30)] = 8.0
-    """Assumed until the first search."""
-    highpass_period_s: Annotated[float, msgspec.Meta(ge=5, le=100)] = 16.0
-    """Corner of the double integration. Shorter: less drift, more lead to undo."""
-    process_noise: Annotated[float, msgspec.Meta(gt=0, le=1)] = 1e-3
-    """Variance per 50 ms of each h (m2) and h' (m2/s2). The paper has 1e-5."""
-    drift_process_noise_m2: Annotated[float, msgspec.Meta(gt=0, le=1)] = 1e-5
-    """Variance per 50 ms of dh."""
-    measurement_variance_m2: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.022
-    """Of the inertial displacement, at 20 Hz (R)."""
-    initial_variance: Annotated[float, msgspec.Meta(gt=0, le=100)] = 0.1
-    """P0 on the diagonal."""
-    max_gap_s: Annotated[float, msgspec.Meta(gt=0, le=30)] = 5.0
-    """Longest gap in the samples that is bridged; a longer one restarts the observer."""
-    forecast_horizons_s: tuple[Annotated[float, msgspec.Meta(gt=0, le=30)], ...] = (0.05, 0.1, 0.15, 0.5, 1.0, 2.0, 5.0)
-    lead: lead.Params = lead.Params()
-    sea: sea.Params = sea.Params()
-
-
 class HarmonicObserver:
-    """Feed it vertical acceleration in order of time; ask it for heave at any moment near the last one."""
+    """A :class:`heaved.estimation.heave.observer.HeaveObserver` of few lines and little else: it knows no sea state, no
+    delayed heave and no bias, doubts nothing and rejects nothing."""
 
-    # What the sea observer has and this one does not.
     sea: SeaState | None = None
     delayed: DelayedHeave | None = None
+    laser_aided: LaserAided | None = None
+    """A laser is no measurement of its inertial displacement: that one is early, and off by the drift."""
     bias_mps2: Final = 0.0
-    """Of the accelerometer: the high-pass of the integrator has no name for it."""
+    """The high-pass of the integrator has no name for it."""
+    has_true_gain: Final = False
+    """The measured one of high-pass and filter is taken out, at the frequencies that were found."""
     doubts: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    rejected = 0
-
-    def due(self) -> SeaWindow | None:
-        """Nothing to fit: the frequencies are looked for here."""
-        return None
-
-    def accept(self, fit: SeaFit) -> str:
-        """Never asked for."""
-        return "rejected"
+    rejected: Final = 0
+    steps: Final = 0
 
     def __init__(self, params: Params, max_rate_hz: float = 250.0) -> None:
         self._params = params
@@ -174,6 +137,23 @@ class HarmonicObserver:
         self._gain += blend * (self._target[1] - self._gain)
         if t_s - self._refreshed_t_s >= self._params.refresh_s and t_s - self._started_t_s >= 15.0:
             self._refresh(t_s)
+
+    def cut(self) -> None:
+        """The high-pass forgets another level by itself."""
+
+    def amend(self, t_s: Array, more_mps2: Array) -> None:
+        """What is integrated stays: by the time that it is amended, the high-pass has forgotten it."""
+
+    def disturb(self, f_hz: Array, psd: Array) -> None:
+        """What is published as not known is made from the measured spectrum, in which noise counts as sea."""
+
+    def due(self) -> SeaWindow | None:
+        """Nothing to fit: the frequencies are looked for with the samples."""
+        return None
+
+    def accept(self, fit: SeaFit) -> Verdict:
+        """It has asked for none."""
+        return Verdict.REJECTED
 
     def _bridge(self, until_s: float) -> None:
         """Go through a gap on the model's own acceleration: the samples that are missing, not a flat line."""
@@ -351,18 +331,14 @@ class HarmonicObserver:
         heave, velocity = self._pair(shift_s - self.design_lead_s - learned_lead_s)
         return Motion(heave / self._gain, velocity / self._gain)
 
-    def outlook(self, shifts_s: tuple[float, ...], learned_lead_s: float = 0.0) -> list[Motion]:
-        """:meth:`at` for several moments at once."""
-        return [self.at(shift, learned_lead_s) for shift in shifts_s]
-
     def forecast(
         self, shift_s: float, learned_lead_s: float = 0.0, scale: float = 1.0, gain: float = 1.0
     ) -> HeaveForecasts:
         """Heave and :meth:`error_std_m` for each horizon after a moment ``shift_s`` after the last sample, both times
         ``gain``: what the laser has shown of the sensor's scale."""
         horizons_s = self._params.forecast_horizons_s
-        shifts = tuple([shift_s + h for h in horizons_s])
-        heaves = [gain * motion.heave_m for motion in self.outlook(shifts, learned_lead_s)]
+        shifts = [shift_s + h for h in horizons_s]
+        heaves = [gain * self.at(shift, learned_lead_s).heave_m for shift in shifts]
         return PlainForecasts(horizons_s, heaves, [gain * self.error_std_m(shift, scale) for shift in shifts])
 
     def unshifted(self) -> Motion:
@@ -399,12 +375,18 @@ class HarmonicObserver:
         """Seconds of record since the start or the last reset; nan before the first sample."""
         return self.t_s - self._started_t_s
 
-    def restore(self, frequencies_hz: tuple[float, ...]) -> None:
-        """Start with the frequencies that an earlier run has found.
+    def saved(self) -> SavedObserver:
+        """The frequencies that were last found."""
+        return SavedObserver(frequencies_hz=self.frequencies_hz)
+
+    def restore(self, saved: SavedObserver, age_s: float = nan) -> None:
+        """Start with the frequencies that an earlier run has found, whatever their age: they soon are those of now.
 
         Raises:
             ValueError: their number is not that of the model, or one lies outside the wave band.
         """
+        if not (frequencies_hz := saved.frequencies_hz):
+            return
         low, high = self._params.band_hz
         if len(frequencies_hz) != self._params.components or not all(low <= f <= high for f in frequencies_hz):
             asked = f"{self._params.components} in {low}..{high} Hz"

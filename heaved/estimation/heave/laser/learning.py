@@ -10,12 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.common.ring import Ring
-from heaved.estimation.heave.harmonic.observer import HarmonicObserver
 from heaved.estimation.heave.laser import lead, reference
 from heaved.estimation.heave.laser.correction import ResidualCorrection
 from heaved.estimation.heave.laser.delayed_scale import DelayedOutput
-from heaved.estimation.heave.sea.observer import SeaObserver
-from heaved.estimation.heave.sea.propagate import Motion
+from heaved.estimation.heave.observer import HeaveObserver, LaserAided, Motion
 from heaved.samples import Fault, LaserSample
 from heaved.unchanged import StuckDetector
 
@@ -62,6 +60,11 @@ class LaserTeacher:
         self._lead_t_s = nan
         self._remark = ""
 
+    @property
+    def lag_s(self) -> float:
+        """By which the accelerometers are later than the truth, as far as the laser has shown."""
+        return -self.lead.learned_s
+
     def std_scale(self, t_s: float) -> float:
         """What the laser says about the observer's standard deviation; nothing where that is made from it."""
         return 1.0 if self._is_aiding else self.reference.std_scale_at(t_s)
@@ -75,7 +78,7 @@ class LaserTeacher:
         remark = self._remark or self.lead.remark
         return (remark,) if remark else ()
 
-    def give(self, sample: LaserSample) -> None:
+    def push(self, sample: LaserSample) -> None:
         """A reading, which waits until the heave of its time is known."""
         self._waiting.append(sample)
 
@@ -90,18 +93,21 @@ class LaserTeacher:
         self._compared.clear()
         self._correction.forget_outputs()
 
-    def teach(self, t_s: float, observer: HarmonicObserver | SeaObserver) -> None:
+    def step(self, t_s: float, observer: HeaveObserver) -> None:
         """Take the readings whose heave is known by now; every refresh, compare the lead."""
         while self._waiting and not self._waiting[0].t_s > self._output_t_s:
             self._take(self._waiting.popleft(), observer)
-        if self._is_aiding:
-            assert isinstance(observer, SeaObserver)
-            self._remark = observer.aiding_remark(t_s)
+        if (aided := self._aided(observer)) is not None:
+            self._remark = aided.aiding_remark(t_s)
         elif self._params.enabled and not t_s - self._lead_t_s < self._params.refresh_s:
             self._lead_t_s = t_s
             self._learn_lead(t_s, observer)
 
-    def _take(self, sample: LaserSample, observer: HarmonicObserver | SeaObserver) -> None:
+    def _aided(self, observer: HeaveObserver) -> LaserAided | None:
+        """The observer that readings go into as measurements; None: they are compared with it."""
+        return observer.laser_aided if self._is_aiding else None
+
+    def _take(self, sample: LaserSample, observer: HeaveObserver) -> None:
         self.fault = sample.fault
         if not sample.t_s > self._read_t_s:
             return
@@ -115,40 +121,39 @@ class LaserTeacher:
             return
         self._taken_t_s = sample.t_s
         _, observer_m, published_m, heave_m, velocity_mps = row.tolist()
+        aided = self._aided(observer)
         verdict = self.reference.take(sample.t_s, sample.laser_m, published_m, observer.error_std_m(0.0))
         if verdict is reference.Verdict.RESTARTED:
             self._compared.clear()
             self._correction.forget_rows()
-            if isinstance(observer, SeaObserver) and self._is_aiding:
-                observer.stop_aiding(sample.t_s, "it is on another target")
+            if aided is not None:
+                aided.stop_aiding(sample.t_s, "it is on another target")
         is_sound = self.reference.known and self.reference.is_proven and not self._remark
         if verdict is reference.Verdict.ACCEPTED and is_sound:
             self.delayed.give(sample.t_s, self.reference.value_m)
-        if verdict is reference.Verdict.ACCEPTED and self._is_aiding:
-            assert isinstance(observer, SeaObserver)
-            observer.aid(sample.t_s, self.reference.signed(sample.laser_m), self.reference.reading_std_m)
+        if verdict is reference.Verdict.ACCEPTED and aided is not None:
+            aided.aid(sample.t_s, self.reference.signed(sample.laser_m), self.reference.reading_std_m)
         elif verdict is reference.Verdict.ACCEPTED:
             signed = self.reference.signed(sample.laser_m)
             self._compared.push((sample.t_s, heave_m, velocity_mps, signed))
             if observer.settled_s >= LEARN_AFTER_S and not self._remark:
                 self._correction.learn(sample.t_s, signed - observer_m, self.reference.constant_m)
 
-    def _learn_lead(self, t_s: float, observer: HarmonicObserver | SeaObserver) -> None:
+    def _learn_lead(self, t_s: float, observer: HeaveObserver) -> None:
         """The lead that the laser shows beyond that of the chain's own design."""
         rows = self._compared.since(t_s - self._params.window_s)
         if float(np.minimum(np.diff(rows[:, 0]), 0.5).sum()) < self._params.min_laser_s:
             return
         first = self.lead.updates == 0
         shown = lead.compare(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3], observer.omega_radps)
-        has_true_gain = isinstance(observer, SeaObserver)
-        is_learned = self.lead.update(shown, observer.design_lead_s, has_true_gain=has_true_gain)
+        is_learned = self.lead.update(shown, observer.design_lead_s, has_true_gain=observer.has_true_gain)
         if is_learned:
             self.reference.rebase(self._output_t_s)
         was_doubted, self._remark = bool(self._remark), self._doubt(shown, rows[:, 1], observer)
         if (is_learned and first) or (self._remark and not was_doubted):
             self._correction.forget_rows()
 
-    def _doubt(self, shown: lead.Comparison | None, heave_m: Array, observer: HarmonicObserver | SeaObserver) -> str:
+    def _doubt(self, shown: lead.Comparison | None, heave_m: Array, observer: HeaveObserver) -> str:
         """Why the laser is not to be believed, for people; or nothing."""
         if self.lead.refused:
             return f"laser: {self.lead.refused}"

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from math import hypot, inf, isfinite, nan, pi, sqrt
-from typing import Annotated, Final
+from typing import Final
 
 import msgspec
 import numpy as np
@@ -24,6 +24,8 @@ from numpy.typing import NDArray
 from heaved.estimation.common.bounds import HEAVE_M
 from heaved.estimation.common.down_sampler import BEAT_MIN_S, BEAT_S, Beat
 from heaved.estimation.heave.laser.aiding import Aiding
+from heaved.estimation.heave.observer import UNKNOWN, LaserAided, Motion, SavedObserver, Verdict
+from heaved.estimation.heave.params import SeaParams
 from heaved.estimation.heave.sea.blows import Blows
 from heaved.estimation.heave.sea.bumpless_transfer import Splice
 from heaved.estimation.heave.sea.consistency import NEEDED_S, SeaTrust
@@ -32,7 +34,6 @@ from heaved.estimation.heave.sea.drift import DRIFTS_S, DriftWatch
 from heaved.estimation.heave.sea.filter import GaugeError, SeaFilter
 from heaved.estimation.heave.sea.model import SeaModel, SeaSystem, Steady, heave_std
 from heaved.estimation.heave.sea.output import SeaHeave
-from heaved.estimation.heave.sea.propagate import Motion
 from heaved.estimation.heave.sea.record import SeaRecord
 from heaved.estimation.heave.sea.refit import Candidate, SeaFit, SeaWindow
 from heaved.estimation.heave.sea.smoother import FixedLagSmoother
@@ -46,29 +47,6 @@ OVERCONFIDENCE: Final = 1.12
 """Published over modelled standard deviation: the fitted spectrum is an estimate too (see tools/accuracy.py heave)."""
 CUT_S: Final = 0.2
 """Where what is measured changes, a few beats are of both kinds."""
-UNKNOWN: Final = Motion(nan, nan)
-
-
-class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """``[heave.sea]``: the sea observer."""
-
-    stages: Annotated[int, msgspec.Meta(ge=4, le=12)] = 7
-    """Resonators in a chain (M): the steeper the spectrum towards long waves, the more."""
-    components: Annotated[int, msgspec.Meta(ge=1, le=4)] = 3
-    """Chains (K)."""
-    windows_s: tuple[Annotated[float, msgspec.Meta(ge=60, le=1800)], ...] = (120.0, 300.0, 600.0)
-    """Lengths of the past that are fitted side by side."""
-    first_fit_s: Annotated[float, msgspec.Meta(ge=30, le=300)] = 40.0
-    """Seconds of samples before the first fit, and the first heave."""
-    refresh_s: Annotated[float, msgspec.Meta(ge=5, le=300)] = 30.0
-    """Interval of the fits."""
-    bias_walk_mps2_rts: Annotated[float, msgspec.Meta(gt=0, le=1)] = 3e-5
-    """Random walk of the accelerometer's bias, m/s2 per root second, where learning begins (data sheet: bias
-    instability)."""
-    delay_s: Annotated[float, msgspec.Meta(ge=10, le=300)] = 60.0
-    """Age of the delayed heave."""
-    max_gap_s: Annotated[float, msgspec.Meta(gt=0, le=600)] = 60.0
-    """After a longer gap the past is forgotten; the model stays until there is a new one."""
 
 
 class SeaObserver:
@@ -83,9 +61,11 @@ class SeaObserver:
     """
 
     design_lead_s: Final = 0.0
-    """There is no integrator whose phase had to be undone."""
+    """There is no integrator whose phase had to be undone,"""
+    has_true_gain: Final = True
+    """nor whose gain."""
 
-    def __init__(self, params: Params, horizons_s: tuple[float, ...], lead_s: float = 0.0) -> None:
+    def __init__(self, params: SeaParams, horizons_s: tuple[float, ...], lead_s: float = 0.0) -> None:
         """``horizons_s``: of the forecasts. ``lead_s``: what :meth:`at` is mostly asked for, after the last sample."""
         self._params = params
         self._horizons_s, self._lead_s = horizons_s, lead_s
@@ -266,6 +246,11 @@ class SeaObserver:
             std_m = hypot(delayed.std_m, heave.disturbed_m)
             self.delayed = msgspec.structs.replace(delayed, std_m=std_m) if heave.disturbed_m else delayed
 
+    @property
+    def laser_aided(self) -> LaserAided:
+        """The filter takes a laser in as it does the acceleration."""
+        return self
+
     def aid(self, t_s: float, laser_m: float, std_m: float) -> None:
         """Take a laser as a measurement of the heave at ``t_s``, its sign applied; what it is off by is found too."""
         if self._heave is None or not isfinite(self._heave.filter.t_s) or not self.is_settled:
@@ -358,16 +343,16 @@ class SeaObserver:
             blows_s=self._record.blows_s,
         )
 
-    def accept(self, fit: SeaFit) -> str:
-        """Change over to what was fitted: "accepted", "rejected" (late, or at the wrong moment) or "failed"."""
+    def accept(self, fit: SeaFit) -> Verdict:
+        """Change over to what was fitted; rejected: it is late, or at the wrong moment."""
         if fit.message or fit.model is None:
-            return "failed"
+            return Verdict.FAILED
         if not self._record.answered(fit.number):
-            return "rejected"
+            return Verdict.REJECTED
         if self._heave is not None and self._heave.filter.withheld:
             # Readings are withheld that the next ones will judge: another filter would not know of them.
             self._record.ask_again()
-            return "rejected"
+            return Verdict.REJECTED
         system = SeaSystem(fit.model)
         n = len(system.H)
         steady = system.steady_of(fit.dt_s, np.frombuffer(fit.steady_P).reshape(n, n))
@@ -409,7 +394,7 @@ class SeaObserver:
                 is_still=self._trust.is_still,
             )
         self._moved(heave)
-        return "accepted"
+        return Verdict.ACCEPTED
 
     def _catch_up(self, heave: SeaHeave, smoother: FixedLagSmoother, from_s: float) -> None:
         """Through the beats that came while the fit was under way."""
@@ -453,10 +438,6 @@ class SeaObserver:
             return UNKNOWN
         self._heave.set_lead(learned_lead_s)
         return self._heave.at(self.t_s, shift_s)
-
-    def outlook(self, shifts_s: tuple[float, ...], learned_lead_s: float = 0.0) -> list[Motion]:
-        """:meth:`at` for several moments at once."""
-        return [self.at(shift, learned_lead_s) for shift in shifts_s]
 
     def forecast(
         self, shift_s: float, learned_lead_s: float = 0.0, scale: float = 1.0, gain: float = 1.0
@@ -540,21 +521,27 @@ class SeaObserver:
 
     @property
     def model(self) -> SeaModel | None:
-        """The model in use, for a restart to begin with."""
+        """The model in use."""
         return None if self._heave is None else self._heave.filter.system.model
 
-    def restore(self, model: SeaModel, age_s: float = nan, dt_s: float = BEAT_S) -> None:
+    def saved(self) -> SavedObserver:
+        """The model in use, for a restart to begin with."""
+        return SavedObserver(sea=self.model)
+
+    def restore(self, saved: SavedObserver, age_s: float = nan) -> None:
         """Begin with the model of an earlier run, ``age_s`` old; call before the first sample.
 
         Raises:
             ValueError: it is no model of this configuration, or its filter does not converge.
         """
+        if (model := saved.sea) is None:
+            return
         p = self._params
         if model.stages != p.stages or not 0 < len(model.damping) <= p.components:
             found = f"{len(model.damping)} chains of {model.stages}"
             raise ValueError(f"saved sea of {found} does not fit the configured {p.components} of {p.stages}")
         system = SeaSystem(model)
-        steady = system.steady(dt_s) if isfinite(heave_std(model)) else None
+        steady = system.steady(BEAT_S) if isfinite(heave_std(model)) else None
         if steady is None:
             raise ValueError("the filter of the saved sea does not converge")
         self._install(system, steady, nan, np.zeros(len(system.H)), system.stationary.copy())

@@ -17,11 +17,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.estimation.heave.observer import Motion
 from heaved.estimation.heave.sea.batch_filter import UNSURE
 from heaved.estimation.heave.sea.bumpless_transfer import NO_SPLICE
 from heaved.estimation.heave.sea.filter import SeaFilter
 from heaved.estimation.heave.sea.forecasts import NOTHING_LEFT, Ahead, SeaForecasts
-from heaved.estimation.heave.sea.propagate import ORDER, Motion, Outlook, along
+from heaved.estimation.heave.sea.propagate import ORDER, Outlook, along
 from heaved.predictions import HeaveForecasts, PlainForecasts
 
 Array = NDArray[np.float64]

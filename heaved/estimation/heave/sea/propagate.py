@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.estimation.heave.observer import Motion
 from heaved.estimation.heave.sea.model import SeaSystem
 
 Array = NDArray[np.float64]
@@ -23,13 +23,6 @@ BACK_S: Final = 3.0
 """How far back the rows reach: the most that a sensor may be late, twice over."""
 ORDER: Final = 6
 """Derivatives used: at 0.1 s and 0.6 Hz the next one is 1e-7."""
-
-
-class Motion(msgspec.Struct, frozen=True, gc=False):
-    """Heave at one moment."""
-
-    heave_m: float
-    velocity_mps: float
 
 
 class Outlook:

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from heaved.estimation.heave.harmonic.observer import HarmonicObserver, Params
+from heaved.estimation.heave.harmonic.observer import HarmonicObserver
+from heaved.estimation.heave.observer import SavedObserver
+from heaved.estimation.heave.params import Params
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import record
 
@@ -235,7 +237,7 @@ def test_a_longer_gap_starts_again_and_is_counted() -> None:
     assert dict(observer.resets) == {"gap": 2}
     assert rms((out[:, 0] - heave)[t > 170.0]) < 0.02
     fresh = HarmonicObserver(Params())
-    fresh.restore(frequencies)
+    fresh.restore(SavedObserver(frequencies_hz=frequencies))
     assert feed(fresh, t, a) == pytest.approx(out, abs=1e-12, nan_ok=True)  # nothing is left of what was before
 
 
@@ -300,16 +302,23 @@ def test_a_sensor_of_four_readings_a_second_is_not_all_gaps() -> None:
 
 def test_restored_frequencies_are_used_from_the_first_sample() -> None:
     observer = HarmonicObserver(Params(components=2))
-    observer.restore((0.21, 0.11))
+    observer.restore(SavedObserver(frequencies_hz=(0.21, 0.11)))
     assert observer.frequencies_hz == pytest.approx((0.11, 0.21))
 
 
-@pytest.mark.parametrize("frequencies", [(), (0.1, 0.2), (0.01,), (0.7,), (float("nan"),)])
+@pytest.mark.parametrize("frequencies", [(0.1, 0.2), (0.01,), (0.7,), (float("nan"),)])
 def test_restored_frequencies_that_do_not_fit_are_refused(frequencies: tuple[float, ...]) -> None:
     observer = HarmonicObserver(Params())
     before = observer.frequencies_hz
     with pytest.raises(ValueError, match=r"do not fit the configured 1 in 0\.04\.\.0\.6 Hz"):
-        observer.restore(frequencies)
+        observer.restore(SavedObserver(frequencies_hz=frequencies))
+    assert observer.frequencies_hz == before
+
+
+def test_what_is_saved_of_a_sea_is_nothing_to_a_harmonic_observer() -> None:
+    observer = HarmonicObserver(Params())
+    before = observer.frequencies_hz
+    observer.restore(SavedObserver())
     assert observer.frequencies_hz == before
 
 
@@ -319,4 +328,4 @@ def test_whatever_was_found_can_be_restored() -> None:
     for period_s in (22.0, 25.0, 30.0):
         observer = HarmonicObserver(Params())
         feed(observer, t, tone(t, period_s)[1])
-        HarmonicObserver(Params()).restore(observer.frequencies_hz)
+        HarmonicObserver(Params()).restore(observer.saved())
