@@ -50,7 +50,9 @@ def test_any_moment_from_the_state_is_that_of_the_exponential(system: SeaSystem,
         heave, velocity = system.heave @ F, system.velocity @ F
         assert found.heave_m == pytest.approx(heave @ x, abs=1e-5 * float(np.linalg.norm(heave * spread)))
         assert found.velocity_mps == pytest.approx(velocity @ x, abs=1e-5 * float(np.linalg.norm(velocity * spread)))
-        assert propagation.row(tau) @ x == pytest.approx(found.heave_m, abs=1e-9 * float(np.linalg.norm(heave * spread)))
+        assert propagation.row(tau) @ x == pytest.approx(
+            found.heave_m, abs=1e-9 * float(np.linalg.norm(heave * spread))
+        )
 
 
 def test_heave_between_beats_is_carried_on(system: SeaSystem, propagation: Propagation) -> None:
