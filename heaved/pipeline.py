@@ -90,6 +90,9 @@ class PipelineSummary(msgspec.Struct, frozen=True, kw_only=True):
     laser_constant_m: float
     laser_error_rms_m: float
     training_windows: int
+    """That were handed out to be trained on."""
+    windows_with_nothing_to_learn: int
+    """That were not: a regression has shown that no network would be accepted."""
     trained_accepted: int
     trained_rejected: int
     trained_failed: int
@@ -127,7 +130,7 @@ class Pipeline:
         self.stages = stages or Stages()
         self._params = heave
         self._has_laser = has_laser
-        self._chain = HeaveChain(heave, laser, correction, has_laser=has_laser, lead_s=lead_s, max_rate_hz=MAX_RATE_HZ)
+        self._chain = HeaveChain(heave, laser, correction, lead_s=lead_s, max_rate_hz=MAX_RATE_HZ)
         self._conditioner = Conditioner()
         self._intake = Intake(self._chain, MAX_RATE_HZ)
         self._rock = RockChain(rock)
@@ -146,7 +149,7 @@ class Pipeline:
         self._check = ForecastCheck.of(heave.forecast_horizons_s, lead_s)
         self._imu_t_s = nan
         self._accepted_t_s = self._fitted_t_s = nan
-        self._trained: Counter[str] = Counter()
+        self._trained: Counter[Verdict] = Counter()
         self._fitted: Counter[str] = Counter()
         self._out_of_order = 0
 
@@ -191,7 +194,7 @@ class Pipeline:
     def _step(self, sample: Sample, first: tuple[Conditioned, Sequence[RockPrediction]] | None) -> MotionFrame | None:
         """All the rest."""
         if isinstance(sample, LaserSample):
-            self._chain.laser.give(sample)
+            self._chain.laser.push(sample)
             return None
         if not isinstance(sample, ImuSample):
             self.stages.take(sample)
@@ -202,7 +205,7 @@ class Pipeline:
         sample, t = conditioned.sample, sample.t_s
         self._intake.take(conditioned, rock)
         if self._has_laser:
-            self._chain.laser.teach(t, self._chain.observer)
+            self._chain.laser.step(t, self._chain.observer)
         self.stages.take(sample)
         frame = self._frame(t, rock)
         if self._check is not None:
@@ -223,16 +226,16 @@ class Pipeline:
     # --- what is learned ---------------------------------------------------------------------------------------------
 
     def training_due(self) -> TrainingWindow | None:
-        """A window for the trainer, when it is time for one; each is given out once."""
+        """A window for the trainer, when it is time for one that a network may gain by; each is given out once."""
         if not self._has_laser or (self._params.lead.enabled and self._chain.lead.last is None):
             return None  # The first comparison moves the observer, and with it everything there is to learn.
         return self._chain.correction.due(self._chain.good_t_s, self._chain.observer.omega_radps)
 
-    def accept(self, network: TrainedNetwork) -> str:
-        """Judge what the trainer made of a window: "accepted", "rejected" or "failed"."""
+    def accept(self, network: TrainedNetwork) -> Verdict:
+        """Judge what the trainer made of a window."""
         result = self._chain.correction.accept(network)
         self._trained[result] += 1
-        if result == "accepted":
+        if result is Verdict.ACCEPTED:
             self._accepted_t_s = self._chain.good_t_s
         return result
 
@@ -299,9 +302,10 @@ class Pipeline:
             laser_constant_m=chain.laser.reference.constant_m,
             laser_error_rms_m=chain.laser.reference.error_rms_m(),
             training_windows=chain.correction.windows,
-            trained_accepted=self._trained["accepted"],
-            trained_rejected=self._trained["rejected"],
-            trained_failed=self._trained["failed"],
+            windows_with_nothing_to_learn=chain.correction.nothing_to_learn,
+            trained_accepted=self._trained[Verdict.ACCEPTED],
+            trained_rejected=self._trained[Verdict.REJECTED],
+            trained_failed=self._trained[Verdict.FAILED],
             last_accepted_t_s=self._accepted_t_s,
             fitted=dict(self._fitted),
             last_fitted_t_s=self._fitted_t_s,

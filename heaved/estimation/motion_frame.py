@@ -265,7 +265,7 @@ class Framer:
         return Quality(
             heave=state,
             laser=LaserState.OFF if not self._has_laser else LaserState.VALID if fresh else LaserState.STALE,
-            correction=chain.correction.state(fresh) if self._has_laser else CorrectionState.OFF,
+            correction=chain.correction.state(laser_is_fresh=fresh) if self._has_laser else CorrectionState.OFF,
             reasons=(*reasons, *notes.remarks) if notes.remarks else reasons,
         )
 

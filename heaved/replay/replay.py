@@ -36,6 +36,8 @@ BLOCK_FRAMES: Final = 256
 BLOCK_SAMPLES: Final = 64
 """Samples that are read together, and go through the pipeline so."""
 
+NOTHING_TO_LEARN: Final = "with nothing to learn"
+"""Of training windows: no network would have been accepted, as a regression has shown."""
 MOST_REASONS: Final = 12
 """That are printed."""
 _NUMBER: Final = re.compile(r"[-+]?\d+(\.\d+)?")
@@ -74,7 +76,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     quality: dict[HeaveState, int]
     """Frames by how far their heave can be trusted."""
     trainings: dict[str, int]
-    """Training windows by what became of them: accepted, rejected, failed."""
+    """Training windows by what became of them: accepted, rejected, failed, or not trained: nothing to learn."""
     fits: dict[str, int]
     """Fits of the sea likewise."""
     failure: str = ""
@@ -177,6 +179,8 @@ class _Run:
                     yield frame
             if progress is not None:
                 progress(recording.read_bytes, recording.total_bytes)
+        if (spared := pipeline.summary().windows_with_nothing_to_learn) > 0:
+            self._trainings[NOTHING_TO_LEARN] = spared
 
     def _fit(self, past: SeaWindow) -> str:
         try:

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from heaved.estimation.heave.harmonic.observer import HarmonicObserver
 from heaved.estimation.heave.laser import lead
 from heaved.estimation.heave.laser.correction import Params as CorrectionParams
-from heaved.estimation.heave.laser.correction import ResidualCorrection
-from heaved.estimation.heave.laser.learning import LaserTeacher
+from heaved.estimation.heave.laser.learning import LaserLearning
 from heaved.estimation.heave.laser.reference import Params as LaserParams
 from heaved.estimation.heave.observer import HeaveObserver
 from heaved.estimation.heave.params import Params as HeaveParams
@@ -58,18 +57,16 @@ class HeaveChain:
         laser: LaserParams,
         correction: CorrectionParams,
         *,
-        has_laser: bool,
         lead_s: float,
         max_rate_hz: float,
     ) -> None:
         """``lead_s``: how long after the last sample the published heave is for."""
-        self._params, self._has_laser, self._lead_s = heave, has_laser, lead_s
+        self._params, self._lead_s = heave, lead_s
         self._max_rate_hz = max_rate_hz
         self.observer: HeaveObserver = self._new_observer()
-        self.correction = ResidualCorrection(correction, max_rate_hz)
-        self.laser = LaserTeacher(laser, heave.lead, self.correction, max_rate_hz)
+        self.laser = LaserLearning(laser, heave.lead, correction, max_rate_hz)
+        self.correction = self.laser.correction
         self.good_t_s = nan
-        self._resets_seen = 0
 
     def _new_observer(self) -> HeaveObserver:
         p = self._params
@@ -81,11 +78,6 @@ class HeaveChain:
         """Take the vertical acceleration."""
         self.good_t_s = t_s
         self.observer.step(t_s, up_mps2)
-        if (resets := self.observer.resets.total()) != self._resets_seen:
-            self._resets_seen = resets
-            self.laser.forget()
-        if self._has_laser:
-            self._note(t_s)
 
     def interrupt(self) -> None:
         """The vertical acceleration is made otherwise from now on: with the tilt removed, or without."""
@@ -98,15 +90,6 @@ class HeaveChain:
     def disturb(self, f_hz: Array, psd: Array) -> None:
         """The vertical acceleration has noise of one-sided density ``psd`` (n,), (m/s2)2/Hz, that it does not show."""
         self.observer.disturb(f_hz, psd)
-
-    def _note(self, t_s: float) -> None:
-        observer, taught = self.observer, self.laser.lead
-        now, unshifted = observer.at(0.0, taught.learned_s), observer.unshifted()
-        if not isfinite(now.heave_m):
-            return  # There is no model of the sea yet, and nothing to compare.
-        observer_m = taught.gain * now.heave_m
-        corrected_m = observer_m + self.correction.step(t_s, observer_m, observer.omega_radps)
-        self.laser.note(t_s, observer_m, corrected_m, unshifted)
 
     def at(self, shift_s: float) -> Heave | None:
         """What is known for ``shift_s`` after the last sample, the configured lead added; None: nothing yet."""
@@ -133,14 +116,11 @@ class HeaveChain:
 
     def delayed(self) -> DelayedHeave | None:
         """The newest delayed heave, with what the laser has taught."""
-        taught = self.laser.lead
-        self.laser.delayed.take(self.observer.delayed, taught)
-        return self.laser.delayed.newest
+        return self.laser.delayed.step(self.observer.delayed, self.laser.lead)
 
     def start_over(self) -> None:
         """An observer that knows nothing, after a restoration that failed."""
         self.observer = self._new_observer()
-        self._resets_seen = 0
 
     @property
     def resets(self) -> Counter[tuple[str, str]]:
