@@ -258,7 +258,7 @@ class MotionFrames:
         return Quality(
             heave=state,
             laser=LaserState.OFF if not has_laser else LaserState.VALID if fresh else LaserState.STALE,
-            correction=estimator.correction.state(fresh) if has_laser else CorrectionState.OFF,
+            correction=estimator.correction.state(laser_is_fresh=fresh) if has_laser else CorrectionState.OFF,
             reasons=reasons,
         )
 
