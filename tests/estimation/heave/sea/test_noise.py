@@ -11,7 +11,7 @@ from seas import model
 from heaved.estimation.common.down_sampler import passed
 from heaved.estimation.heave.sea import whittle_fit as sea_fit
 from heaved.estimation.heave.sea.model import Resonance, SeaModel, SeaSystem
-from heaved.estimation.heave.sea.noise import HALF_POWER, NARROWEST, _Whittle, resonances
+from heaved.estimation.heave.sea.noise import HALF_POWER, TUNING, _Whittle, resonances
 from heaved.estimation.heave.sea.sea_state import vibration
 from heaved.simulate.seaway import seaway
 
@@ -127,8 +127,8 @@ def test_two_lines_are_two_and_no_narrower_than_they_may_wander() -> None:
     two = 0.2 * np.sin(2 * np.pi * 3.4 * T) + 0.3 * np.sin(2 * np.pi * 5.1 * T)
     shaking, _ = found(acceleration(two))
     assert sorted(one.frequency_hz for one in shaking[:2]) == pytest.approx([3.4, 5.1], rel=0.02)
-    assert all(one.damping >= 0.999 * NARROWEST for one in shaking)
-    assert HALF_POWER * NARROWEST > 0.03
+    assert all(one.damping >= 0.999 * TUNING.narrowest for one in shaking)
+    assert HALF_POWER * TUNING.narrowest > 0.03
 
 
 def test_a_broad_band_is_no_white_noise_of_the_sensor() -> None:
