@@ -23,15 +23,24 @@ Array = NDArray[np.float64]
 
 BLOCK: Final = 64
 """Samples to a matrix product."""
-FULL_S: Final = 60.0
-"""Seconds for which the covariance is carried: twice the memory of the bias."""
-TELLING: Final = 1e-14
-"""Least variance, over the largest one, of a direction of the state in which less is known than in the end."""
+
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """Of the batch filter."""
+
+    full_s: float = 60.0
+    """Seconds for which the covariance is carried: twice the memory of the bias."""
+    telling: float = 1e-14
+    """Least variance, over the largest one, of a direction of the state in which less is known than in the end."""
+    unsure: float = 1.1
+    """Standard deviation of the predicted heave over that of the steady filter, from which its smoother's weights are
+    not those of the moment any more (with 1.5 the delayed heave is off by 6 of its standard deviations after a gap of 1
+    s)."""
+
+
+TUNING: Final = Tuning()
 CHUNK: Final = 16
 """Samples after a hole whose predictions are corrected together."""
-UNSURE: Final = 1.1
-"""Standard deviation of the predicted heave over that of the steady filter, from which its smoother's weights are not
-those of the moment any more (with 1.5 the delayed heave is off by 6 of its standard deviations after a gap of 1 s)."""
 
 
 class Run(msgspec.Struct, frozen=True, eq=False):
@@ -63,7 +72,7 @@ def run(
     keeps to the steady gain: good enough where nothing is left of the start, and where only innovations are wanted.
     kept: how many of the last predictions and innovations are wanted after a hole too; None: all.
     """
-    count, whole = len(record.a_mps2), round(FULL_S / record.dt_s)
+    count, whole = len(record.a_mps2), round(TUNING.full_s / record.dt_s)
     told_from = whole if full_start else 0
     if kept is not None:
         told_from = max(told_from, count - kept)
@@ -117,7 +126,7 @@ def one_by_one(f: SeaFilter, record: EvenRecord, judged: int) -> tuple[Run, floa
     """
     count, steady, heave = len(record.a_mps2), f.steady, f.system.heave
     predicted, innovation = np.full(count, np.nan), np.zeros(count)
-    limit_m2 = UNSURE**2 * float(heave @ f.steady_covariance @ heave)
+    limit_m2 = TUNING.unsure**2 * float(heave @ f.steady_covariance @ heave)
     changes = sorted({*record.cuts, *record.blows})
     for i in np.flatnonzero(record.is_known).tolist():
         if isnan(f.t_s):
@@ -126,7 +135,7 @@ def one_by_one(f: SeaFilter, record: EvenRecord, judged: int) -> tuple[Run, floa
             f.P = record.opened(f.system, f.covariance, changes.pop(0))
         predicted_m, y = f.step(i * record.dt_s, float(record.a_mps2[i]))
         innovation[i] = y * sqrt(steady.S / f.innovation_variance)
-        if f.innovation_variance < UNSURE**2 * steady.S and (
+        if f.innovation_variance < TUNING.unsure**2 * steady.S and (
             f.is_steady or float(heave.dot(f.covariance).dot(heave)) < limit_m2
         ):
             predicted[i] = predicted_m
@@ -148,7 +157,7 @@ def _corrected(
     """
     steady = blocks.steady
     values, vectors = np.linalg.eigh(_symmetric(steady.F @ P @ steady.F.T + steady.Q) - steady.P)
-    less = values > TELLING * max(float(values[-1]), 0.0)
+    less = values > TUNING.telling * max(float(values[-1]), 0.0)
     L = vectors[:, less] * np.sqrt(values[less])
     x = blocks.run(a, x, predicted, innovation)
     seen, heave, L = blocks.ahead(L, len(a))
@@ -172,13 +181,13 @@ def _tell(S: float, variance_m2: float, seen: Array, heave: Array, predicted: Ar
     told = [np.pad(values, ((0, pad), (0, 0))).reshape(-1, CHUNK, r) for values in (seen, heave)]
     seen, heave = told
     y = np.pad(innovation, (0, pad)).reshape(-1, CHUNK, 1)
-    # Before each chunk: u and its covariance, from all chunks before it.
+    # Before each chunk, from all chunks before it: u, and its covariance P times the rows of innovation and heave.
     sums = np.matmul(seen.transpose(0, 2, 1), np.concatenate((seen, y), axis=2)) / S
     sums = np.concatenate((np.zeros_like(sums[:1]), np.cumsum(sums[:-1], axis=0)))
-    P = np.linalg.inv(np.eye(r) + sums[:, :, :r])
-    u = np.matmul(P, sums[:, :, r:])
+    right = np.concatenate((sums[:, :, r:], seen.transpose(0, 2, 1), heave.transpose(0, 2, 1)), axis=2)
+    known = np.linalg.solve(np.eye(r) + sums[:, :, :r], right)
+    u, PH, Ph = known[:, :, :1], known[:, :, 1 : 1 + CHUNK], known[:, :, 1 + CHUNK :]
     # Within: the innovations are whitened by Cholesky's factor of their covariance, each by those before it.
-    PH = np.matmul(P, seen.transpose(0, 2, 1))
     factor = np.linalg.cholesky(S * np.eye(CHUNK) + np.matmul(seen, PH))
     right = np.concatenate((y - np.matmul(seen, u), np.matmul(heave, PH).transpose(0, 2, 1)), axis=2)
     white = np.linalg.solve(factor, right)
@@ -186,9 +195,9 @@ def _tell(S: float, variance_m2: float, seen: Array, heave: Array, predicted: Ar
     stds = np.diagonal(factor, axis1=1, axis2=2)
     innovation[:] = sqrt(S) * white[:, :, 0].ravel()[:count]
     correction = np.matmul(heave, u) + np.matmul(learned, white[:, :, :1])
-    more_m2 = np.sum(np.matmul(heave, P) * heave, axis=2) - np.sum(learned**2, axis=2)
-    is_sure = variance_m2 + more_m2.ravel()[:count] < UNSURE**2 * variance_m2
-    is_sure &= stds.ravel()[:count] ** 2 < UNSURE**2 * S
+    more_m2 = np.sum(heave * Ph.transpose(0, 2, 1), axis=2) - np.sum(learned**2, axis=2)
+    is_sure = variance_m2 + more_m2.ravel()[:count] < TUNING.unsure**2 * variance_m2
+    is_sure &= stds.ravel()[:count] ** 2 < TUNING.unsure**2 * S
     predicted[:] = np.where(is_sure, predicted + correction.ravel()[:count], np.nan)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from math import inf, pi, sqrt
 from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,15 +19,24 @@ from heaved.estimation.heave.sea.record import SeaRecord
 
 Array = NDArray[np.float64]
 
-DRIFTS_S: Final = (30.0, 60.0, 120.0)
-"""A drift is looked for in the last so many seconds."""
-LOOKED_EVERY_S: Final = 1.0
-TOO_FAR: Final = 4.0
-"""Standard deviations of a drift that is not expected."""
-SEEMS_FAR: Final = 1.5
-"""The same, above one more of which errors are said to be as many times larger."""
-ALL_THERE: Final = 2.0
-"""Samples by which the last ones may span more than they do when none is missing: elsewhere weights see the waves."""
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """What counts as a drift."""
+
+    drifts_s: tuple[float, float, float] = (30.0, 60.0, 120.0)
+    """A drift is looked for in the last so many seconds."""
+    looked_every_s: float = 1.0
+    """So often; less is not worth a sum over two minutes."""
+    too_far: float = 4.0
+    """Standard deviations of a drift that is not expected."""
+    seems_far: float = 1.5
+    """The same, above one more of which errors are said to be as many times larger."""
+    all_there: float = 2.0
+    """Samples by which the last ones may span more than they do when none is missing: elsewhere weights see the
+    waves."""
+
+
+TUNING: Final = Tuning()
 
 
 def drift_weights(count: int) -> Array:
@@ -59,31 +69,33 @@ class DriftDetector:
         self._looked_s = -inf
         self.ratio = 0.0
         self._sums: list[tuple[float, Array, float]] = []
-        for seconds in DRIFTS_S:
+        for seconds in TUNING.drifts_s:
             weights = drift_weights(round(seconds / dt_s))
             rest, walk = drift_variances(weights, dt_s, model)
             self._sums.append((seconds, weights, rest + model.bias_walk_psd * walk))
 
     def step(self, t_s: float, record: SeaRecord) -> None:
         """See how far the level goes in the ``record`` up to ``t_s``, since its last cut, when it is time for that."""
-        if t_s - self._looked_s < LOOKED_EVERY_S:
+        if t_s - self._looked_s < TUNING.looked_every_s:
             return
         self._looked_s = t_s
         cuts_s = record.cuts_s
-        samples = record.since(max(t_s - max(DRIFTS_S) - 1.0, cuts_s[-1][1] if cuts_s else -inf))
+        samples = record.since(max(t_s - max(TUNING.drifts_s) - 1.0, cuts_s[-1][1] if cuts_s else -inf))
         self.ratio = 0.0
         for seconds, weights, variance in self._sums:
             part = samples[-len(weights) :]
-            is_whole = len(part) == len(weights) and part[-1, 0] - part[0, 0] < seconds * (1.0 + ALL_THERE / len(part))
+            is_whole = len(part) == len(weights) and part[-1, 0] - part[0, 0] < seconds * (
+                1.0 + TUNING.all_there / len(part)
+            )
             if is_whole:
                 self.ratio = max(self.ratio, abs(float(weights @ part[:, 1])) / sqrt(variance))
 
     @property
     def is_drifting(self) -> bool:
         """Whether that is further than the model has it."""
-        return self.ratio > TOO_FAR
+        return self.ratio > TUNING.too_far
 
     @property
     def factor(self) -> float:
         """By which errors are larger than the model says, as far as it seems."""
-        return max(1.0, self.ratio - SEEMS_FAR) if self.ratio > SEEMS_FAR + 1.0 else 1.0
+        return max(1.0, self.ratio - TUNING.seems_far) if self.ratio > TUNING.seems_far + 1.0 else 1.0

@@ -36,7 +36,8 @@ from heaved.estimation.heave.observer import (
 )
 from heaved.estimation.heave.params import SeaParams
 from heaved.estimation.heave.sea.blows import BlowDetector
-from heaved.estimation.heave.sea.consistency import NEEDED_S, Consistency, Trial
+from heaved.estimation.heave.sea.consistency import TUNING as TRUST
+from heaved.estimation.heave.sea.consistency import Consistency, Trial
 from heaved.estimation.heave.sea.disturbances import DisturbanceDetector
 from heaved.estimation.heave.sea.drift import DriftDetector
 from heaved.estimation.heave.sea.filter import GaugeError, SeaFilter
@@ -49,10 +50,18 @@ from heaved.samples import DelayedHeave, HeaveForecast, SeaState
 
 Array = NDArray[np.float64]
 
-OVERCONFIDENCE: Final = 1.12
-"""Published over modelled standard deviation: the fitted spectrum is an estimate too (see tools/accuracy.py heave)."""
-CUT_S: Final = 0.2
-"""Where what is measured changes, a few means are of both kinds."""
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """Of the observer as a whole."""
+
+    overconfidence: float = 1.12
+    """Published over modelled standard deviation: the fitted spectrum is an estimate too (see tools/accuracy.py
+    heave)."""
+    cut_s: float = 0.2
+    """Where what is measured changes, a few means are of both kinds."""
+
+
+TUNING: Final = Tuning()
 
 
 class SeaObserver:
@@ -298,17 +307,17 @@ class SeaObserver:
         heave.moved()
         self._consistency.step(heave.filter.surprise, heave.is_recovering, self.sea)
         factor = max(self._consistency.factor, 1.0 if self._drift is None else self._drift.factor)
-        heave.scale = OVERCONFIDENCE * (factor if self._trial is None else max(factor, self._trial.factor))
+        heave.scale = TUNING.overconfidence * (factor if self._trial is None else max(factor, self._trial.factor))
 
     @property
     def is_settled(self) -> bool:
         """Whether the covariance says what is known, so that a laser may be weighed against it."""
-        return self.settled_s >= NEEDED_S
+        return self.settled_s >= TRUST.needed_s
 
     def cut(self) -> None:
         """What comes is measured otherwise than what was: no spectrum is taken across."""
         if isfinite(self.t_s):
-            self._record.cut(self.t_s, self.t_s + CUT_S)
+            self._record.cut(self.t_s, self.t_s + TUNING.cut_s)
             if self._heave is not None:
                 self._heave.filter.open_bias()
 
@@ -512,7 +521,7 @@ class SeaObserver:
         """Seconds of record since the start or the last reset; nan before the first sample."""
         return self.t_s - self._record.started_s
 
-    needed_s: Final = NEEDED_S
+    needed_s: Final = TRUST.needed_s
     """Seconds of record from which it counts as settled."""
 
     @property

@@ -18,25 +18,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.heave.observer import UNKNOWN, Motion, foretold, nothing_foretold
-from heaved.estimation.heave.sea.batch_filter import UNSURE
+from heaved.estimation.heave.sea import batch_filter
 from heaved.estimation.heave.sea.filter import SeaFilter
 from heaved.estimation.heave.sea.propagate import ORDER, Propagation, along
 from heaved.samples import HeaveForecast
 
 Array = NDArray[np.float64]
 
-STALE_S: Final = 1.0
-"""Samples that come without a step of the filter for this long are not in the heave any more."""
-MARGIN_S: Final = 3.0
-"""Beyond the longest horizon: how early a sensor may be, and the age of the state."""
-CONVERGED: Final = UNSURE
-"""The covariance has converged when the error of the heave is within this factor of that of the steady filter."""
-TIME_S: Final = 1.5
-"""Time constant T of the change from one model to the next."""
-LEAST_M: Final = 1e-5
-"""It is over when less than that is left."""
-RECOVERING: Final = 0.1
-"""Share of the heave that its error is more than while the filter finds its way back after a gap."""
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """Of what is published."""
+
+    stale_s: float = 1.0
+    """Samples that come without a step of the filter for this long are not in the heave any more."""
+    margin_s: float = 3.0
+    """Beyond the longest horizon: how early a sensor may be, and the age of the state."""
+    converged: float = batch_filter.TUNING.unsure
+    """The covariance has converged when the error of the heave is within this factor of that of the steady filter."""
+    time_s: float = 1.5
+    """Time constant T of the change from one model to the next."""
+    least_m: float = 1e-5
+    """It is over when less than that is left."""
+    recovering: float = 0.1
+    """Share of the heave that its error is more than while the filter finds its way back after a gap."""
+
+
+TUNING: Final = Tuning()
 
 
 class BumplessTransfer:
@@ -54,21 +61,21 @@ class BumplessTransfer:
 
     def __init__(self, heave_m: float, velocity_mps: float, since_s: float) -> None:
         """A difference of heave (m) and velocity (m/s) at ``since_s``."""
-        self._heave_m, self._slope_mps = heave_m, velocity_mps + heave_m / TIME_S
+        self._heave_m, self._slope_mps = heave_m, velocity_mps + heave_m / TUNING.time_s
         self._since_s = since_s
-        lasts = 1.0  # time constants, from (|h| + |v + h/T| e) exp(-e/T) = LEAST_M
+        lasts = 1.0  # time constants, from (|h| + |v + h/T| e) exp(-e/T) = least_m
         for _ in range(20):
-            most_m = abs(heave_m) + abs(self._slope_mps) * TIME_S * lasts
-            lasts = log(max(most_m / LEAST_M, 1.0)) if most_m < inf else 0.0
-        self.until_s = since_s + lasts * TIME_S
+            most_m = abs(heave_m) + abs(self._slope_mps) * TUNING.time_s * lasts
+            lasts = log(max(most_m / TUNING.least_m, 1.0)) if most_m < inf else 0.0
+        self.until_s = since_s + lasts * TUNING.time_s
 
     def at(self, t_s: float) -> tuple[float, float]:
         """What is left at ``t_s``: heave and velocity."""
         if not t_s < self.until_s:
             return 0.0, 0.0
         elapsed_s = max(t_s - self._since_s, 0.0)
-        left_m, fade = self._heave_m + self._slope_mps * elapsed_s, exp(-elapsed_s / TIME_S)
-        return left_m * fade, (self._slope_mps - left_m / TIME_S) * fade
+        left_m, fade = self._heave_m + self._slope_mps * elapsed_s, exp(-elapsed_s / TUNING.time_s)
+        return left_m * fade, (self._slope_mps - left_m / TUNING.time_s) * fade
 
 
 NO_TRANSFER: Final = BumplessTransfer(0.0, 0.0, -inf)
@@ -103,7 +110,7 @@ class SeaHeave:
         self.transfer = NO_TRANSFER
         self.sea_std_m = _std(system.heave, system.stationary)
         self.omega_radps = _std(system.velocity, system.stationary) / self.sea_std_m
-        self._propagation = Propagation(system, max((*horizons_s, lead_s, 0.0)) + MARGIN_S)
+        self._propagation = Propagation(system, max((*horizons_s, lead_s, 0.0)) + TUNING.margin_s)
         self._steady_stds: list[float] = self._propagation.stds(f.steady_covariance).tolist()
         self.steady_std_m = _std(system.heave, f.steady_covariance)
         self._horizons_s, self._count = horizons_s, len(horizons_s)
@@ -146,7 +153,7 @@ class SeaHeave:
     def at(self, t_s: float, shift_s: float) -> Motion:
         """Heave ``shift_s`` after a sample at ``t_s``; nan when the filter has not stepped for too long."""
         late = t_s - self.filter.t_s
-        if not late <= STALE_S:
+        if not late <= TUNING.stale_s:
             return UNKNOWN
         place = self._places.get(shift_s)
         if place is not None:
@@ -169,7 +176,7 @@ class SeaHeave:
     def forecast(self, t_s: float, scale: float = 1.0, gain: float = 1.0) -> tuple[HeaveForecast, ...]:
         """:meth:`at` and ``scale`` times :meth:`std_m` for all the horizons, both times ``gain``."""
         d = t_s - self.filter.t_s
-        if not d <= STALE_S:
+        if not d <= TUNING.stale_s:
             return self._unknown
         if not self._near:
             self._made_ready()
@@ -197,7 +204,7 @@ class SeaHeave:
     def std_m(self, t_s: float, shift_s: float) -> float:
         """Standard deviation of the error of :meth:`at`: from the covariance of the filter, times :attr:`scale`."""
         late_s = t_s - self.filter.t_s
-        if not late_s <= STALE_S:
+        if not late_s <= TUNING.stale_s:
             return nan
         place = self._places.get(shift_s)
         if place is not None:
@@ -243,14 +250,14 @@ class SeaHeave:
     def is_converged(self) -> bool:
         """Whether the covariance of the heave is near what it will be, and was before the last sample was taken in."""
         f = self.filter
-        if f.innovation_variance > CONVERGED**2 * f.steady.S:
+        if f.innovation_variance > TUNING.converged**2 * f.steady.S:
             return False
-        return f.is_steady or self.state_std_m < CONVERGED * self.steady_std_m
+        return f.is_steady or self.state_std_m < TUNING.converged * self.steady_std_m
 
     @property
     def is_recovering(self) -> bool:
         """Whether a gap has cost so much of what was known that people should be told."""
-        return not self.is_converged and self.state_std_m > RECOVERING * self.sea_std_m
+        return not self.is_converged and self.state_std_m > TUNING.recovering * self.sea_std_m
 
     def row(self, t_s: float) -> tuple[Array, float]:
         """(n,) heave at ``t_s`` from the filter's state, and the variance (m2) that this misses of an earlier one."""

@@ -21,30 +21,39 @@ from heaved.estimation.heave.sea.model import SeaSystem
 
 Array = NDArray[np.float64]
 
-EARLY_EVERY_S: Final = 10.0
-"""Between fits, until EARLY_S of record: each sees much more than the one before."""
-EARLY_S: Final = 120.0
-AGAIN_S: Final = 1.0
-MUCH_MPS2: Final = 5e-4
-"""RMS by which the past is amended from which the sea is looked at anew at once: below the waves, so much is as much as
-the noise of a good sensor."""
-HOLE: Final = 3.5
-"""Neighbours further apart than this many intervals have a hole between them; closer ones are interpolated."""
-BRIDGED_S: Final = 0.3
-"""So are those closer than this: a quarter of the shortest wave that is fitted."""
-ON_THE_GRID: Final = 1e-3
-"""Deviation, in intervals, up to which a sample is taken as it is."""
-LOSSY: Final = 0.1
-"""Share of neighbours more than an interval apart beyond which nothing is interpolated but at the samples."""
-SHORTEST_S: Final = 0.01
-"""The grid is never finer than this, whatever the stamps are."""
-NEAR_WHOLE: Final = 0.15
-"""Neighbours are whole intervals apart when they are off by less than that share of one,"""
-MOST: Final = 0.95
-"""and that many of them are."""
-QUANTILES: Final = (0.25, 0.1)
-"""Of the distances between neighbours, where the interval is looked for beside their median, which is several intervals
-with half the samples lost or more."""
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """When the past is looked at, and how it is put on an even grid."""
+
+    early_every_s: float = 10.0
+    """Between fits, until ``early_s`` of record: each sees much more than the one before."""
+    early_s: float = 120.0
+    """Until so much of a record fits come early."""
+    again_s: float = 1.0
+    """After an answer that could not be used the next look is due this soon."""
+    much_mps2: float = 5e-4
+    """RMS by which the past is amended from which the sea is looked at anew at once: below the waves, so much is as
+    much as the noise of a good sensor."""
+    hole: float = 3.5
+    """Neighbours further apart than this many intervals have a hole between them; closer ones are interpolated."""
+    bridged_s: float = 0.3
+    """So are those closer than this: a quarter of the shortest wave that is fitted."""
+    on_the_grid: float = 1e-3
+    """Deviation, in intervals, up to which a sample is taken as it is."""
+    lossy: float = 0.1
+    """Share of neighbours more than an interval apart beyond which nothing is interpolated but at the samples."""
+    shortest_s: float = 0.01
+    """The grid is never finer than this, whatever the stamps are."""
+    near_whole: float = 0.15
+    """Neighbours are whole intervals apart when they are off by less than that share of one,"""
+    most: float = 0.95
+    """and that many of them are."""
+    quantiles: tuple[float, float] = (0.25, 0.1)
+    """Of the distances between neighbours, where the interval is looked for beside their median, which is several
+    intervals with half the samples lost or more."""
+
+
+TUNING: Final = Tuning()
 
 
 class SeaRecord:
@@ -56,7 +65,7 @@ class SeaRecord:
 
     def __init__(self, length_s: float, first_fit_s: float, refresh_s: float) -> None:
         self._length_s, self._first_fit_s, self._refresh_s = length_s, first_fit_s, refresh_s
-        self._early_s = min(EARLY_EVERY_S, refresh_s)
+        self._early_s = min(TUNING.early_every_s, refresh_s)
         self._samples = RingBuffer(int(length_s / down_sampler.TUNING.least_s), 2)
         self._number = 0
         self.clear()
@@ -89,7 +98,7 @@ class SeaRecord:
     def amend(self, t_s: Array, more_mps2: Array) -> None:
         """Add ``more_mps2`` (n,) to what is stored, linear between ``t_s`` (n,). If it is much, look soon."""
         self._samples.add(1, t_s, more_mps2)
-        if float(np.sqrt(np.mean(more_mps2**2))) > MUCH_MPS2:
+        if float(np.sqrt(np.mean(more_mps2**2))) > TUNING.much_mps2:
             self.ask_again()
 
     def cut(self, from_s: float, to_s: float) -> None:
@@ -132,7 +141,7 @@ class SeaRecord:
         was_asked, since_s = self._asked_s > self.started_s, t_s - self._asked_s
         if was_asked and since_s < self._early_s:
             return False
-        is_early = t_s - self.started_s < EARLY_S or is_changing
+        is_early = t_s - self.started_s < TUNING.early_s or is_changing
         return not was_asked or is_early or since_s >= self._refresh_s
 
     def ask(self, t_s: float) -> tuple[int, Array]:
@@ -143,8 +152,8 @@ class SeaRecord:
         return self._number, self._samples.since(t_s - self._length_s)
 
     def ask_again(self) -> None:
-        """The answer could not be used: the next look is due AGAIN_S from now."""
-        self._asked_s -= max(self._refresh_s - AGAIN_S, 0.0)
+        """The answer could not be used: the next look is due soon."""
+        self._asked_s -= max(self._refresh_s - TUNING.again_s, 0.0)
 
     def answered(self, number: int) -> bool:
         """Whether an answer of this number is the one that is awaited, which then is no more."""
@@ -209,12 +218,12 @@ def even(t_s: Array, a_mps2: Array) -> EvenRecord:
     A cubic spline through neighbours: at ten samples to a wave its error is 1e-4 of the wave.
     """
     gaps = np.diff(t_s)
-    usual = max(_usual(gaps), SHORTEST_S)
-    dt = max(float(np.mean(gaps[gaps < 1.5 * usual])), SHORTEST_S)
-    steps, longest = np.rint(gaps / dt), max(HOLE, BRIDGED_S / dt)
-    if np.mean(steps > 1.0) > LOSSY:
+    usual = max(_usual(gaps), TUNING.shortest_s)
+    dt = max(float(np.mean(gaps[gaps < 1.5 * usual])), TUNING.shortest_s)
+    steps, longest = np.rint(gaps / dt), max(TUNING.hole, TUNING.bridged_s / dt)
+    if np.mean(steps > 1.0) > TUNING.lossy:
         longest = 1.5  # Noise between so few samples would be made up by the spline, and told as measured.
-    is_even = bool(np.all(np.abs(gaps - dt * steps) < ON_THE_GRID * dt)) and bool(np.all(steps >= 1.0))
+    is_even = bool(np.all(np.abs(gaps - dt * steps) < TUNING.on_the_grid * dt)) and bool(np.all(steps >= 1.0))
     if is_even and abs((t_s[-1] - t_s[0]) / np.sum(steps) - dt) * np.sum(steps) < 0.1 * dt:
         index = np.concatenate(([0.0], np.cumsum(steps))).astype(np.int64)
         grid = np.arange(index[-1] + 1)
@@ -235,11 +244,11 @@ def even(t_s: Array, a_mps2: Array) -> EvenRecord:
 
 def _usual(gaps: Array) -> float:
     """The longest distance (s) of which most of ``gaps`` (n,) are whole multiples; their median where there is none."""
-    found = [float(np.median(gaps)), *(float(np.quantile(gaps, q)) for q in QUANTILES)]
+    found = [float(np.median(gaps)), *(float(np.quantile(gaps, q)) for q in TUNING.quantiles)]
     for usual in found:
-        steps = gaps / max(usual, SHORTEST_S)
+        steps = gaps / max(usual, TUNING.shortest_s)
         whole = np.rint(steps)
-        if np.mean((whole >= 1.0) & (np.abs(steps - whole) < NEAR_WHOLE)) >= MOST:
+        if np.mean((whole >= 1.0) & (np.abs(steps - whole) < TUNING.near_whole)) >= TUNING.most:
             return usual
     return found[0]
 

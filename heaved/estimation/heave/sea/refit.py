@@ -29,65 +29,77 @@ from heaved.samples import SeaState
 
 Array = NDArray[np.float64]
 
-SCORE_MEMORY: Final = 0.7
-"""Share of the score of a length that is kept from look to look."""
-JUDGED_HZ: Final = 0.5
-"""Models are judged up to here: what the innovations are above is the end of the tail, and no matter to the heave."""
-PATIENCE: Final = 3.0
-"""Log-likelihood that a length must be ahead of the next longer one: differences of this size come by chance."""
-FEW_COMPONENTS_BELOW_S: Final = 30.0
-"""A shorter record does not bear more than two components."""
-SETTLE_S: Final = 400.0
-"""After this nothing of the start of a filter is left, in swell of 16 s either (after two minutes it is more than what
-models differ by): before the first sample whose innovation is looked at, a filter runs this long."""
-SAME_DT: Final = 1e-3
-"""Relative change of the usual interval up to which the gain of a steady filter stays as it was."""
-WHITENESS_S: Final = 2.0
-"""Innovations are averaged over this: engines and slams cancel, what a wrong sea leaves stays."""
-WHITENESS_OVER_S: Final = 60.0
-MIN_RECORD_S: Final = 20.0
-MIN_STRETCH_S: Final = 30.0
-"""A record with holes that are too long to be bridged is fitted between them, and not at all when that is shorter and
-there is a model already."""
-LONG_HOLE_S: Final = 1.0
-LONG_S: Final = 60.0
-MOSTLY: Final = 0.6
-"""Longer holes are bridged only where the stretches between them that are that long are a smaller share of the record:
-what is drawn into three seconds may raise the skirt of a spectrum tenfold."""
-FEW_IN_LONG_HOLES: Final = 0.1
-"""Share of the shortest window that may lie in longer holes than that, bridged, when there is a model already: more of
-it is better not learned from. (A sensor at the end of its range loses just the highest waves.)"""
-SLOWEST_S: Final = 0.8
-"""Samples further apart than this, in the mean, do not show the waves (up to 0.6 Hz) at all."""
-WALK_SEEN_S: Final = 300.0
-"""An unbroken stretch that long shows how the bias of the accelerometer walks."""
-SHAKEN_ALIKE_S: Final = (120.0, 60.0, 30.0, 15.0, 10.0)
-"""Lengths of the past that may show what shakes the sensor."""
-SHAKEN_OTHERWISE: Final = 2.0
-"""Ratio of variances."""
-NOISE_MOST_PSD: Final = 1e-4
-"""Of the white noise of an accelerometer that is worth its cable, (m/s2)2/Hz: what there is more of above the waves is
-vibration, as long as there is not clearly more below them, too."""
-NOISE_SEEN_S: Final = 200.0
-"""One that long shows the noise below the waves."""
-WALK_OF_NOISE: Final = 0.03
-"""Walk of the bias, per root second, over the density of the white noise, that is expected of a sensor at least:
-accelerometers that are noisier wander more (data sheets: 0.02 to 0.05)."""
-BRIDGE_SEED: Final = 1
-"""The same record gives the same answer."""
-ROUGH: Final = 2
-"""Times that a record is fitted and bridged anew when there was no model to bridge its holes with."""
-MANY_HOLES_S: Final = 5.0
-"""With a hole every so many seconds, or more, the filter takes the samples one by one."""
-START_S: Final = 100.0
-"""Then they are taken from so long before the first that is looked at."""
-NOISE_KNOWN: Final = 0.95
-"""Where less of the record is known than this share, its noise is taken from the innovations: what bridges the holes
-has that of an earlier model."""
-NOISE_FACTORS: Final = (0.1, 30.0)
-"""By which the noise changes at once,"""
-NOISE_IS_KNOWN: Final = (0.8, 1.25)
-"""and need not change."""
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """Of a look at the past."""
+
+    score_memory: float = 0.7
+    """Share of the score of a length that is kept from look to look."""
+    judged_hz: float = 0.5
+    """Models are judged up to here: what the innovations are above is the end of the tail, and no matter to the
+    heave."""
+    patience: float = 3.0
+    """Log-likelihood that a length must be ahead of the next longer one: differences of this size come by chance."""
+    few_components_below_s: float = 30.0
+    """A shorter record does not bear more than two components."""
+    settle_s: float = 400.0
+    """After this nothing of the start of a filter is left, in swell of 16 s either (after two minutes it is more than
+    what models differ by): before the first sample whose innovation is looked at, a filter runs this long."""
+    same_dt: float = 1e-3
+    """Relative change of the usual interval up to which the gain of a steady filter stays as it was."""
+    whiteness_s: float = 2.0
+    """Innovations are averaged over this: engines and slams cancel, what a wrong sea leaves stays."""
+    whiteness_over_s: float = 60.0
+    """The newest so many seconds of them are held against the model."""
+    min_record_s: float = 20.0
+    """Shorter records are not looked at: they hold two waves or three."""
+    min_stretch_s: float = 30.0
+    """A record with holes that are too long to be bridged is fitted between them, and not at all when that is shorter
+    and there is a model already."""
+    long_hole_s: float = 1.0
+    """Holes are bridged up to here where there are enough stretches without them,"""
+    long_s: float = 60.0
+    """that is, stretches that long."""
+    mostly: float = 0.6
+    """Longer holes are bridged only where the stretches between them that are that long are a smaller share of the
+    record: what is drawn into three seconds may raise the skirt of a spectrum tenfold."""
+    few_in_long_holes: float = 0.1
+    """Share of the shortest window that may lie in longer holes than that, bridged, when there is a model already: more
+    of it is better not learned from. (A sensor at the end of its range loses just the highest waves.)"""
+    slowest_s: float = 0.8
+    """Samples further apart than this, in the mean, do not show the waves (up to 0.6 Hz) at all."""
+    walk_seen_s: float = 300.0
+    """An unbroken stretch that long shows how the bias of the accelerometer walks."""
+    shaken_alike_s: tuple[float, ...] = (120.0, 60.0, 30.0, 15.0, 10.0)
+    """Lengths of the past that may show what shakes the sensor."""
+    shaken_otherwise: float = 2.0
+    """Ratio of variances."""
+    noise_most_psd: float = 1e-4
+    """Of the white noise of an accelerometer that is worth its cable, (m/s2)2/Hz: what there is more of above the waves
+    is vibration, as long as there is not clearly more below them, too."""
+    noise_seen_s: float = 200.0
+    """One that long shows the noise below the waves."""
+    walk_of_noise: float = 0.03
+    """Walk of the bias, per root second, over the density of the white noise, that is expected of a sensor at least:
+    accelerometers that are noisier wander more (data sheets: 0.02 to 0.05)."""
+    bridge_seed: int = 1
+    """The same record gives the same answer."""
+    rough: int = 2
+    """Times that a record is fitted and bridged anew when there was no model to bridge its holes with."""
+    many_holes_s: float = 5.0
+    """With a hole every so many seconds, or more, the filter takes the samples one by one."""
+    start_s: float = 100.0
+    """Then they are taken from so long before the first that is looked at."""
+    noise_known: float = 0.95
+    """Where less of the record is known than this share, its noise is taken from the innovations: what bridges the
+    holes has that of an earlier model."""
+    noise_factors: tuple[float, float] = (0.1, 30.0)
+    """By which the noise changes at once,"""
+    noise_is_known: tuple[float, float] = (0.8, 1.25)
+    """and need not change."""
+
+
+TUNING: Final = Tuning()
 
 
 class Candidate(msgspec.Struct, frozen=True, kw_only=True):
@@ -176,13 +188,13 @@ class SeaFit(msgspec.Struct, frozen=True, kw_only=True):
 def look(window: SeaWindow) -> SeaFit:
     """Fit, judge, run. Never raises for what the samples may be: what is wrong is the message."""
     t, a = np.frombuffer(window.t_s), np.frombuffer(window.a_mps2)
-    if len(t) < 8 or not t[-1] - t[0] >= MIN_RECORD_S:
+    if len(t) < 8 or not t[-1] - t[0] >= TUNING.min_record_s:
         return SeaFit(number=window.number, message="the record is too short")
     if not (np.isfinite(a).all() and np.isfinite(t).all() and bool(np.all(np.diff(t) > 0.0))):
         return SeaFit(number=window.number, message="the record has gaps in its numbers")
     if float(np.ptp(a)) <= 0.0:
         return SeaFit(number=window.number, message="the record is constant")
-    if (t[-1] - t[0]) > SLOWEST_S * (len(t) - 1) and float(np.median(np.diff(t))) > SLOWEST_S:
+    if (t[-1] - t[0]) > TUNING.slowest_s * (len(t) - 1) and float(np.median(np.diff(t))) > TUNING.slowest_s:
         return SeaFit(number=window.number, message="the samples are too far apart to show waves")
     try:
         return _look(window, even(t, a).cut(window.cuts_s, window.spoilt_s, window.blows_s))
@@ -197,22 +209,24 @@ def _look(window: SeaWindow, record: EvenRecord) -> SeaFit:
     """
     whole = _bridged(window, record, is_drawn=True)
     recent = record.last(round(min(window.windows_s) / record.dt_s))
-    drawn = whole.last(len(recent.is_known)).is_known & ~gap_bridge.closed(recent.is_known, record.dt_s, LONG_HOLE_S)
-    if window.candidates and np.mean(drawn) > FEW_IN_LONG_HOLES:
+    drawn = whole.last(len(recent.is_known)).is_known & ~gap_bridge.closed(
+        recent.is_known, record.dt_s, TUNING.long_hole_s
+    )
+    if window.candidates and np.mean(drawn) > TUNING.few_in_long_holes:
         return SeaFit(number=window.number, message="the record has too many holes")
     parts = unbroken(whole, round(max(window.windows_s) / record.dt_s))
     stretch_s = max(map(len, parts), default=0) * record.dt_s
-    if stretch_s < (MIN_STRETCH_S if window.candidates else MIN_RECORD_S) and not whole.is_known.all():
+    if stretch_s < (TUNING.min_stretch_s if window.candidates else TUNING.min_record_s) and not whole.is_known.all():
         return SeaFit(number=window.number, message="the record has too many holes")
     # What is drawn is no measurement: a filter would be surprised by the next sample, whatever its model.
     told = _bridged(window, record, is_drawn=False) if window.candidates and _has_many_holes(record) else record
     scores = _scores(window, told, record.is_known)
     fitted, shares, seconds, waves = _fit_all(window, whole, scores, record.is_known)
     # Candidates come shortest first: a longer past is exact where the sea is steady, a shorter one has to earn it.
-    chosen = max(range(len(fitted)), key=lambda rank: fitted[rank].score + PATIENCE * rank)
+    chosen = max(range(len(fitted)), key=lambda rank: fitted[rank].score + TUNING.patience * rank)
     best, share = fitted[chosen], shares[chosen]
     kept = round(window.delay_s / record.dt_s) + round(30.0 / record.dt_s)
-    judged, settle = max(kept, round(WHITENESS_OVER_S / record.dt_s)), round(SETTLE_S / record.dt_s)
+    judged, settle = max(kept, round(TUNING.whiteness_over_s / record.dt_s)), round(TUNING.settle_s / record.dt_s)
     recent = record.last(settle + judged)
     ran = _settled(best, recent, settle, judged)
     if isinstance(ran, str):
@@ -244,16 +258,16 @@ def _look(window: SeaWindow, record: EvenRecord) -> SeaFit:
 def _has_many_holes(record: EvenRecord) -> bool:
     """More than can be taken as exceptions."""
     known = record.is_known
-    return int(np.count_nonzero(known[:-1] & ~known[1:])) * MANY_HOLES_S > len(known) * record.dt_s
+    return int(np.count_nonzero(known[:-1] & ~known[1:])) * TUNING.many_holes_s > len(known) * record.dt_s
 
 
 def _longest_bridge(record: EvenRecord) -> float:
     """Longest holes (s) that are bridged: as short as stretches without holes are there to be fitted."""
-    closed = gap_bridge.closed(record.is_known, record.dt_s, LONG_HOLE_S)
+    closed = gap_bridge.closed(record.is_known, record.dt_s, TUNING.long_hole_s)
     stretches = stretches_of(msgspec.structs.replace(record, is_known=closed))
-    most = LONG_S / record.dt_s
+    most = TUNING.long_s / record.dt_s
     fitted = sum([end - first for first, end, is_known in stretches if is_known and end - first > most])
-    return LONG_HOLE_S if fitted > MOSTLY * len(closed) else gap_bridge.LONGEST_S
+    return TUNING.long_hole_s if fitted > TUNING.mostly * len(closed) else gap_bridge.TUNING.longest_s
 
 
 def _bridged(window: SeaWindow, record: EvenRecord, *, is_drawn: bool) -> EvenRecord:
@@ -264,10 +278,10 @@ def _bridged(window: SeaWindow, record: EvenRecord, *, is_drawn: bool) -> EvenRe
     if record.is_known.all():
         return record
     best = max(window.candidates, key=lambda candidate: candidate.score, default=None)
-    rng = np.random.default_rng(BRIDGE_SEED) if is_drawn else None
+    rng = np.random.default_rng(TUNING.bridge_seed) if is_drawn else None
     longest_s = _longest_bridge(record)
     model, whole = (None if best is None else best.model), record
-    for _ in range(1 if model is not None else ROUGH):
+    for _ in range(1 if model is not None else TUNING.rough):
         if model is None:
             lines = msgspec.structs.replace(whole, is_known=gap_bridge.closed(whole.is_known, whole.dt_s, longest_s))
             model = _fit_all(window, lines, {}, record.is_known)[0][-1].model
@@ -288,7 +302,7 @@ def _settled(
     there is no such filter."""
     found: tuple[Candidate, SeaSystem, Steady, batch_filter.Run] | None = None
     excess = 1.0
-    while found is None or not NOISE_IS_KNOWN[0] <= excess <= NOISE_IS_KNOWN[1]:
+    while found is None or not TUNING.noise_is_known[0] <= excess <= TUNING.noise_is_known[1]:
         is_last, candidate = found is not None, _noisier(candidate, excess)
         system = SeaSystem(candidate.model)
         steady = system.steady(recent.dt_s)
@@ -311,10 +325,10 @@ def _run(
     if not _has_many_holes(recent):
         return batch_filter.run(system, steady, recent, full_start=len(recent.a_mps2) < settle, kept=judged), 1.0
     # It begins with all that is not known of the state: nothing has to settle.
-    recent = recent.last(judged + round(START_S / recent.dt_s))
+    recent = recent.last(judged + round(TUNING.start_s / recent.dt_s))
     f = SeaFilter(system, steady, nan, np.zeros(len(system.H)), system.stationary)
     done, excess = batch_filter.one_by_one(f, recent, judged)
-    return done, excess if np.mean(recent.is_known[-judged:]) < NOISE_KNOWN else 1.0
+    return done, excess if np.mean(recent.is_known[-judged:]) < TUNING.noise_known else 1.0
 
 
 def _delayed(window: SeaWindow, system: SeaSystem, steady: Steady, recent: EvenRecord, settle: int) -> Array:
@@ -342,7 +356,7 @@ def _delayed(window: SeaWindow, system: SeaSystem, steady: Steady, recent: EvenR
 
 def _noisier(candidate: Candidate, factor: float) -> Candidate:
     """With ``factor`` times the noise, within what it may change at once."""
-    noise_psd = candidate.model.noise_psd * min(max(factor, NOISE_FACTORS[0]), NOISE_FACTORS[1])
+    noise_psd = candidate.model.noise_psd * min(max(factor, TUNING.noise_factors[0]), TUNING.noise_factors[1])
     return msgspec.structs.replace(candidate, model=msgspec.structs.replace(candidate.model, noise_psd=noise_psd))
 
 
@@ -353,7 +367,7 @@ def _scores(window: SeaWindow, record: EvenRecord, is_known: NDArray[np.bool_]) 
         fresh = min(len(record.a_mps2), round((record.end_s - window.looked_s) / record.dt_s))
     if fresh < 2:
         return {candidate.window_s: candidate.score for candidate in window.candidates}
-    recent = record.last(fresh + round(SETTLE_S / record.dt_s))
+    recent = record.last(fresh + round(TUNING.settle_s / record.dt_s))
     measured = is_known[-fresh:]
     if not measured.any():
         return {candidate.window_s: candidate.score for candidate in window.candidates}
@@ -366,14 +380,16 @@ def _scores(window: SeaWindow, record: EvenRecord, is_known: NDArray[np.bool_]) 
             continue
         done = batch_filter.run(system, steady, recent, full_start=False, full_holes=not is_whole, kept=fresh)
         likelihood = _likelihood(candidate.model, steady, np.where(measured, done.innovation[-fresh:], nan))
-        found[candidate.window_s] = SCORE_MEMORY * candidate.score + (likelihood if np.isfinite(likelihood) else -1e9)
+        found[candidate.window_s] = TUNING.score_memory * candidate.score + (
+            likelihood if np.isfinite(likelihood) else -1e9
+        )
     best = max(found.values(), default=0.0)
     return {window_s: score - best for window_s, score in found.items()}
 
 
 def _steady(system: SeaSystem, candidate: Candidate, dt_s: float) -> Steady | None:
     """The steady filter of a candidate: solved for again only where it was not kept, or the interval has changed."""
-    if not abs(dt_s - candidate.steady_dt_s) <= SAME_DT * dt_s:
+    if not abs(dt_s - candidate.steady_dt_s) <= TUNING.same_dt * dt_s:
         return system.steady(dt_s)
     n = len(system.H)
     return system.steady_of(dt_s, np.frombuffer(candidate.steady_P).reshape(n, n))
@@ -387,7 +403,7 @@ def _likelihood(model: SeaModel, steady: Steady, innovation: Array) -> float:
     count = max(1, int(np.count_nonzero(known)))
     white = np.abs(np.fft.rfft(np.where(known, innovation, 0.0))) ** 2 / (steady.S * count)
     f: Array = np.fft.rfftfreq(len(innovation), steady.dt_s).astype(np.float64)
-    judged = (f > 0.0) & (f <= JUDGED_HZ)
+    judged = (f > 0.0) & (f <= TUNING.judged_hz)
     return -float(np.sum(np.log(model.acceleration_spectrum(f[judged], steady.dt_s)) + white[judged]))
 
 
@@ -405,7 +421,7 @@ def _fit_all(
     for shorter, length in zip([0.0, *every], every, strict=False):
         if shorter <= seconds:
             parts = unbroken(record, round(min(length, seconds) * rate))
-            if (most := max(map(len, parts), default=0)) >= MIN_RECORD_S * rate:
+            if (most := max(map(len, parts), default=0)) >= TUNING.min_record_s * rate:
                 lengths.append(length)
                 stretches.append(parts)
                 longest.append(most)
@@ -413,7 +429,7 @@ def _fit_all(
         raise np.linalg.LinAlgError("no stretch of it is long enough")
     passed = partial(down_sampler.passed, period_s=window.period_s, averaged=window.averaged)
     spectra = [whittle_fit.spectrum(parts, rate, passed) for parts in stretches]
-    few = [most < FEW_COMPONENTS_BELOW_S * rate for most in longest]
+    few = [most < TUNING.few_components_below_s * rate for most in longest]
     last = max(window.candidates, key=lambda one: one.window_s, default=None)
     bias_walk_psd = window.bias_walk_psd if last is None else last.model.bias_walk_psd
 
@@ -433,7 +449,7 @@ def _fit_all(
     shaking, noise_psd = noise.resonances(
         _newest_above(record, is_measured, spectra[0], passed),
         earlier.get(lengths[0]),
-        min([NOISE_MOST_PSD, *(sp.noise_psd for sp in spectra)]),
+        min([TUNING.noise_most_psd, *(sp.noise_psd for sp in spectra)]),
     )
     # A blow has power within the waves' band, too, which is no noise to a filter that knows of it.
     is_whole = bool(np.all(is_measured | ~record.is_known)) and not record.blows
@@ -442,7 +458,7 @@ def _fit_all(
             sp,
             resonances=shaking,
             noise_psd=noise_psd,
-            is_noise_known=is_whole and most >= NOISE_SEEN_S * rate,
+            is_noise_known=is_whole and most >= TUNING.noise_seen_s * rate,
         )
         for sp, most in zip(spectra, longest, strict=True)
     ]
@@ -465,12 +481,12 @@ def _walk(window: SeaWindow, record: EvenRecord, is_measured: NDArray[np.bool_],
     """The walk of the bias (m/s2)2/s that the record shows beside the waves of ``model``, or the one that this has."""
     measured = msgspec.structs.replace(record, is_known=is_measured)
     stretch = max(unbroken(measured, len(is_measured)), key=len, default=np.empty(0))
-    noise_psd = model.noise_psd if model.noise_psd < 0.5 * NOISE_MOST_PSD else 0.0
-    expected_psd = max(window.bias_walk_psd, WALK_OF_NOISE**2 * noise_psd)
+    noise_psd = model.noise_psd if model.noise_psd < 0.5 * TUNING.noise_most_psd else 0.0
+    expected_psd = max(window.bias_walk_psd, TUNING.walk_of_noise**2 * noise_psd)
     # Neither what bridges a hole nor a blow is noise of the sensor.
-    if len(record.a_mps2) * record.dt_s < WALK_SEEN_S:
+    if len(record.a_mps2) * record.dt_s < TUNING.walk_seen_s:
         return expected_psd
-    if len(stretch) * record.dt_s < WALK_SEEN_S or record.blows:
+    if len(stretch) * record.dt_s < TUNING.walk_seen_s or record.blows:
         return model.bias_walk_psd
     return whittle_fit.bias_walk(stretch, 1.0 / record.dt_s, model, expected_psd)
 
@@ -482,9 +498,12 @@ def _newest_above(
     passed: Callable[[Array], Array],
 ) -> noise.Above:
     """The periodogram above the waves of what is shaken as now: that of the ``shortest`` length, or of less of it."""
-    alike_s = SHAKEN_ALIKE_S[0] if record.blows else _shaken_alike_s(record, is_measured)
+    alike_s = TUNING.shaken_alike_s[0] if record.blows else _shaken_alike_s(record, is_measured)
     parts = unbroken(record, round(alike_s / record.dt_s))
-    if alike_s == SHAKEN_ALIKE_S[0] or max(map(len, parts), default=0) * record.dt_s < 0.5 * SHAKEN_ALIKE_S[-1]:
+    if (
+        alike_s == TUNING.shaken_alike_s[0]
+        or max(map(len, parts), default=0) * record.dt_s < 0.5 * TUNING.shaken_alike_s[-1]
+    ):
         return shortest.above
     return whittle_fit.spectrum(parts, 1.0 / record.dt_s, passed).above
 
@@ -498,13 +517,13 @@ def _shaken_alike_s(record: EvenRecord, is_measured: NDArray[np.bool_]) -> float
     def mean(seconds: float) -> float:
         count = round(seconds / record.dt_s)
         part = known[-count:]
-        return float(np.mean(squares[-count:][part])) if np.mean(part) > MOSTLY else nan
+        return float(np.mean(squares[-count:][part])) if np.mean(part) > TUNING.mostly else nan
 
-    now = mean(SHAKEN_ALIKE_S[-1])
-    for seconds in SHAKEN_ALIKE_S:
-        if not now > SHAKEN_OTHERWISE * mean(seconds) and not mean(seconds) > SHAKEN_OTHERWISE * now:
+    now = mean(TUNING.shaken_alike_s[-1])
+    for seconds in TUNING.shaken_alike_s:
+        if not now > TUNING.shaken_otherwise * mean(seconds) and not mean(seconds) > TUNING.shaken_otherwise * now:
             return seconds
-    return SHAKEN_ALIKE_S[0]
+    return TUNING.shaken_alike_s[0]
 
 
 def unbroken(record: EvenRecord, count: int) -> list[Array]:
@@ -518,9 +537,11 @@ def unbroken(record: EvenRecord, count: int) -> list[Array]:
 
 
 def whiteness(innovation: Array, steady: Steady) -> float:
-    """Variance of innovations averaged over WHITENESS_S, in the last minute, over that of the model: 1 when it fits."""
-    each = max(1, round(WHITENESS_S / steady.dt_s))
-    count = min(round(WHITENESS_OVER_S / WHITENESS_S), int(np.count_nonzero(np.isfinite(innovation))) // each)
+    """Variance of averaged innovations, in the last minute, over that of the model: 1 when it fits."""
+    each = max(1, round(TUNING.whiteness_s / steady.dt_s))
+    count = min(
+        round(TUNING.whiteness_over_s / TUNING.whiteness_s), int(np.count_nonzero(np.isfinite(innovation))) // each
+    )
     if count < 1:
         return 1.0
     means = innovation[-count * each :].reshape(count, each).mean(axis=1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from seas import Kalman, model, simulated
 
-from heaved.estimation.heave.sea.batch_filter import BLOCK, FULL_S, UNSURE, run
+from heaved.estimation.heave.sea.batch_filter import BLOCK, TUNING, run
 from heaved.estimation.heave.sea.model import SeaSystem, Steady, measurement_variance
 from heaved.estimation.heave.sea.record import EvenRecord
 
@@ -85,15 +85,17 @@ def test_a_careful_start_is_the_whole_filter(
     done = run(system, steady, record(a))
     known_m = float(np.sqrt(system.heave @ theirs.P @ system.heave))
     P = steady.P - np.outer(steady.K, steady.K) * steady.S if done.P is None else done.P
-    assert (done.P is None) == (seconds > FULL_S)
+    assert (done.P is None) == (seconds > TUNING.full_s)
     closeness = 1e-5 if done.P is not None else 0.05
     assert abs(system.heave @ (done.x - theirs.x)) < closeness * known_m
     assert float(np.sqrt(system.heave @ P @ system.heave)) == pytest.approx(known_m, rel=closeness)
     assert abs(system.heave @ done.x - heave[-1]) < 4.0 * known_m
     started = np.isfinite(done.predicted_m)
-    assert started.sum() == max(count - round(FULL_S / DT_S), 0)
+    assert started.sum() == max(count - round(TUNING.full_s / DT_S), 0)
     assert np.array_equal(started, np.isfinite(done.innovation))
-    assert np.std((done.predicted_m - heave)[started][-200:]) < 5.0 * known_m if seconds > FULL_S + 10.0 else True
+    assert (
+        np.std((done.predicted_m - heave)[started][-200:]) < 5.0 * known_m if seconds > TUNING.full_s + 10.0 else True
+    )
 
 
 @pytest.mark.parametrize("hole_s", [1.0, 10.0, 60.0])
@@ -138,8 +140,8 @@ def test_after_a_hole_predictions_and_innovations_are_those_of_the_whole_filter(
         if i >= end:
             assert abs(done.innovation[i] - y * np.sqrt(steady.S / S)) < 1e-3 * np.sqrt(steady.S)
             least = max(std_m / usual_m, float(np.sqrt(S / steady.S)))
-            if abs(least / UNSURE - 1.0) > 1e-3:
-                assert np.isfinite(done.predicted_m[i]) == (least < UNSURE)
+            if abs(least / TUNING.unsure - 1.0) > 1e-3:
+                assert np.isfinite(done.predicted_m[i]) == (least < TUNING.unsure)
             if np.isfinite(done.predicted_m[i]):
                 assert abs(done.predicted_m[i] - before) < 0.01 * usual_m
     assert np.isfinite(done.predicted_m[end + 600 :]).all()

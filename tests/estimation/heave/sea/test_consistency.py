@@ -9,16 +9,7 @@ import numpy as np
 import pytest
 from seas import model, simulated
 
-from heaved.estimation.heave.sea.consistency import (
-    CHECK_MIN_S,
-    DOUBT,
-    FACTOR_LIMIT,
-    MOST_DOUBT,
-    TOLD_S,
-    Consistency,
-    Divergence,
-    Trial,
-)
+from heaved.estimation.heave.sea.consistency import TUNING, Consistency, Divergence, Trial
 from heaved.estimation.heave.sea.filter import SeaFilter
 from heaved.estimation.heave.sea.model import SeaModel, SeaSystem
 from heaved.samples import DelayedHeave, SeaState
@@ -72,7 +63,9 @@ def test_what_no_fit_explains_is_no_change() -> None:
     assert seen == [False, True, False, True, True, False]
 
 
-@pytest.mark.parametrize(("surprise", "factor"), [(0.5, 1.0), (2.0, 1.0), (8.0, 2.0), (18.0, 3.0), (1e4, FACTOR_LIMIT)])
+@pytest.mark.parametrize(
+    ("surprise", "factor"), [(0.5, 1.0), (2.0, 1.0), (8.0, 2.0), (18.0, 3.0), (1e4, TUNING.factor_limit)]
+)
 def test_errors_grow_with_the_innovations(surprise: float, factor: float) -> None:
     consistency = Consistency(100)
     consistency.step(surprise, False, None)
@@ -116,7 +109,7 @@ def test_divergence_is_the_rms_over_the_modelled_error() -> None:
     for k in range(3000):
         t = 0.05 * k
         check.compare(DelayedHeave(t_s=t, heave_m=0.0, std_m=0.001), float(0.03 * rng.standard_normal()), 0.01)
-        assert check.ratio == 1.0 or t >= CHECK_MIN_S - 0.1
+        assert check.ratio == 1.0 or t >= TUNING.check_min_s - 0.1
     assert check.ratio == pytest.approx(3.0, rel=0.1)
     for value in (nan, 0.0):
         check.compare(DelayedHeave(t_s=200.0, heave_m=0.0, std_m=0.001), value, value)
@@ -140,7 +133,7 @@ def tried(of: SeaModel, sea: SeaModel, seed: int) -> tuple[Trial, list[float]]:
     for k in range(600):
         f.step(k * DT_S, a[k])
         trial.step(k * DT_S, a[k], f.innovation / sqrt(f.innovation_variance))
-        assert trial.is_told == (k * DT_S >= TOLD_S)
+        assert trial.is_told == (k * DT_S >= TUNING.told_s)
         if trial.is_another:
             break
         if trial.is_told:
@@ -159,7 +152,7 @@ def test_a_sea_that_is_nearly_the_same_serves_and_is_as_good_as_it_says(height: 
     for seed in range(6):
         trial, errors = tried(model(), scaled(height), seed)
         served += not trial.is_another
-        assert trial.factor >= DOUBT
+        assert trial.factor >= TUNING.doubt
         assert max(errors, default=0.0) < 4.0
     assert served >= 5
 
@@ -175,7 +168,8 @@ def test_a_sea_many_times_as_high_is_another() -> None:
 
 
 @pytest.mark.parametrize(
-    ("age_s", "doubt"), [(0.0, DOUBT), (3600.0, DOUBT + 0.5), (1e6, MOST_DOUBT), (nan, MOST_DOUBT)]
+    ("age_s", "doubt"),
+    [(0.0, TUNING.doubt), (3600.0, TUNING.doubt + 0.5), (1e6, TUNING.most_doubt), (nan, TUNING.most_doubt)],
 )
 def test_an_old_model_is_doubted_more(age_s: float, doubt: float) -> None:
     assert Trial(SeaSystem(model()), age_s).factor == pytest.approx(doubt)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from seas import model, simulated
 
-from heaved.estimation.heave.sea.disturbances import BURST_S, DisturbanceDetector
+from heaved.estimation.heave.sea.disturbances import TUNING, DisturbanceDetector
 from heaved.estimation.heave.sea.filter import SeaFilter
 from heaved.estimation.heave.sea.model import SeaSystem
 
@@ -106,7 +106,7 @@ def test_in_a_burst_of_noise_the_heave_is_as_unsure_as_it_then_is(
 def test_noise_that_stays_is_left_to_the_fits(system: SeaSystem, sea: tuple[Array, Array]) -> None:
     noise = 0.3 * np.random.default_rng(4).standard_normal(COUNT) * from_(BEGIN)
     done = ran(system, sea, noise)
-    assert not done.burst[BEGIN + round((BURST_S + 1.0) / DT_S) :].any()
+    assert not done.burst[BEGIN + round((TUNING.burst_s + 1.0) / DT_S) :].any()
     assert np.max(np.abs(done.error_m[BEGIN + 20 :]) / done.std_m[BEGIN + 20 :]) < 4.5
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from seas import model, simulated
 
-from heaved.estimation.heave.sea import whittle_fit as sea_fit
-from heaved.estimation.heave.sea.drift import DRIFTS_S, DriftDetector, drift_variances, drift_weights
+from heaved.estimation.heave.sea import whittle_fit
+from heaved.estimation.heave.sea.drift import TUNING, DriftDetector, drift_variances, drift_weights
 from heaved.estimation.heave.sea.model import SeaSystem
 from heaved.estimation.heave.sea.record import SeaRecord
 
@@ -21,7 +21,7 @@ def sea() -> Array:
     return simulated(SeaSystem(model()), DT_S, COUNT, seed=5)[1]
 
 
-@pytest.mark.parametrize("seconds", DRIFTS_S)
+@pytest.mark.parametrize("seconds", TUNING.drifts_s)
 def test_the_sum_of_a_model_has_the_variance_that_it_is_said_to_have(seconds: float, sea: Array) -> None:
     weights = drift_weights(round(seconds / DT_S))
     sums = np.correlate(sea, weights, mode="valid")[:: round(5.0 / DT_S)]
@@ -62,12 +62,12 @@ def test_the_walk_of_the_bias_is_learned(walk: float, sea: Array) -> None:
     rng, found = np.random.default_rng(8), []
     for _ in range(6):
         bias = walk * np.sqrt(DT_S) * np.cumsum(rng.standard_normal(COUNT))
-        found.append(sea_fit.bias_walk(sea + bias, 1.0 / DT_S, model(), 3e-5**2))
+        found.append(whittle_fit.bias_walk(sea + bias, 1.0 / DT_S, model(), 3e-5**2))
     assert 0.5 * walk < np.sqrt(np.exp(np.mean(np.log(found)))) < 2.0 * walk
 
 
 def test_a_straight_drift_opens_the_walk(sea: Array) -> None:
     drifting = sea + 3e-4 * np.maximum(T - T[-1200], 0.0)
-    assert sea_fit.bias_walk(drifting, 1.0 / DT_S, model(), 3e-5**2) > 10.0 * sea_fit.bias_walk(
+    assert whittle_fit.bias_walk(drifting, 1.0 / DT_S, model(), 3e-5**2) > 10.0 * whittle_fit.bias_walk(
         sea, 1.0 / DT_S, model(), 3e-5**2
     )

@@ -18,7 +18,7 @@ from seas import model as some_model
 from heaved.estimation.heave.observer import SavedObserver
 from heaved.estimation.heave.params import SeaParams
 from heaved.estimation.heave.sea.model import SeaSystem
-from heaved.estimation.heave.sea.observer import OVERCONFIDENCE, SeaObserver
+from heaved.estimation.heave.sea.observer import TUNING, SeaObserver
 from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow, look
 from heaved.samples import GRAVITY_MPS2
 from heaved.simulate.seaway import seaway
@@ -360,7 +360,7 @@ def test_the_published_std_is_the_modelled_one_and_a_margin() -> None:
     """While innovations and the delayed heave have nothing to say against it."""
     observer, *_ = warm()
     assert observer.model is not None
-    modelled = observer.error_std_m(0.0) / OVERCONFIDENCE
+    modelled = observer.error_std_m(0.0) / TUNING.overconfidence
     system = SeaSystem(observer.model)
     steady = system.steady(0.05)
     assert steady is not None

@@ -11,15 +11,7 @@ from seas import model, simulated, whole
 
 from heaved.estimation.heave.sea.filter import SeaFilter
 from heaved.estimation.heave.sea.model import SeaSystem
-from heaved.estimation.heave.sea.output import (
-    CONVERGED,
-    LEAST_M,
-    NO_TRANSFER,
-    STALE_S,
-    TIME_S,
-    BumplessTransfer,
-    SeaHeave,
-)
+from heaved.estimation.heave.sea.output import NO_TRANSFER, TUNING, BumplessTransfer, SeaHeave
 
 DT_S = 0.05
 HORIZONS_S = (0.1, 0.5, 2.0)
@@ -122,7 +114,7 @@ def test_a_state_that_has_moved_gives_other_numbers(heave: SeaHeave) -> None:
 
 def test_it_is_converged_when_the_heave_is_nearly_as_sure_as_it_will_be(heave: SeaHeave) -> None:
     assert heave.is_converged
-    for factor, expected in ((0.98 * CONVERGED, True), (1.02 * CONVERGED, False)):
+    for factor, expected in ((0.98 * TUNING.converged, True), (1.02 * TUNING.converged, False)):
         heave.filter.P = factor**2 * heave.filter.steady_covariance
         heave.moved()
         assert heave.state_std_m == pytest.approx(factor * heave.steady_std_m)
@@ -130,7 +122,7 @@ def test_it_is_converged_when_the_heave_is_nearly_as_sure_as_it_will_be(heave: S
 
 
 def test_without_a_beat_for_too_long_nothing_is_known(heave: SeaHeave) -> None:
-    t_s = BEAT_S + STALE_S + 0.01
+    t_s = BEAT_S + TUNING.stale_s + 0.01
     assert isnan(heave.at(t_s, 0.0).heave_m)
     assert isnan(heave.std_m(t_s, 0.5))
     forecast = heave.forecast(t_s)
@@ -168,18 +160,20 @@ def test_a_transfer_begins_as_the_difference_and_is_critically_damped(heave_m: f
         before, now, after = (transfer.at(t_s + d)[0] for d in (-h, 0.0, h))
         slope, bend = (after - before) / (2.0 * h), (after - 2.0 * now + before) / h**2
         assert transfer.at(t_s)[1] == pytest.approx(slope, abs=1e-6)
-        assert bend + 2.0 * slope / TIME_S + now / TIME_S**2 == pytest.approx(0.0, abs=1e-5)
+        assert bend + 2.0 * slope / TUNING.time_s + now / TUNING.time_s**2 == pytest.approx(0.0, abs=1e-5)
 
 
-@pytest.mark.parametrize(("heave_m", "velocity_mps"), [(1.0, 0.5), (-1e-3, 2e-3), (0.0, -0.3), (1e-3, -1e-3 / TIME_S)])
+@pytest.mark.parametrize(
+    ("heave_m", "velocity_mps"), [(1.0, 0.5), (-1e-3, 2e-3), (0.0, -0.3), (1e-3, -1e-3 / TUNING.time_s)]
+)
 def test_a_transfer_is_over_when_next_to_nothing_is_left(heave_m: float, velocity_mps: float) -> None:
     transfer = BumplessTransfer(heave_m, velocity_mps, BEAT_S)
-    assert 0.0 < abs(transfer.at(transfer.until_s - 1e-6)[0]) < 1.001 * LEAST_M
-    assert abs(transfer.at(transfer.until_s - 1.5 * TIME_S)[0]) > LEAST_M
+    assert 0.0 < abs(transfer.at(transfer.until_s - 1e-6)[0]) < 1.001 * TUNING.least_m
+    assert abs(transfer.at(transfer.until_s - 1.5 * TUNING.time_s)[0]) > TUNING.least_m
     assert transfer.at(transfer.until_s) == (0.0, 0.0)
 
 
-@pytest.mark.parametrize("difference", [(0.0, 0.0), (0.5 * LEAST_M, 0.0), (nan, 0.0), (0.0, nan), (inf, 0.0)])
+@pytest.mark.parametrize("difference", [(0.0, 0.0), (0.5 * TUNING.least_m, 0.0), (nan, 0.0), (0.0, nan), (inf, 0.0)])
 def test_a_difference_that_is_nothing_or_not_known_is_none(difference: tuple[float, float]) -> None:
     transfer = BumplessTransfer(*difference, BEAT_S)
     assert transfer.until_s == BEAT_S

@@ -6,7 +6,7 @@ from scipy.linalg import expm
 from seas import model, whole
 
 from heaved.estimation.heave.sea.model import SeaSystem
-from heaved.estimation.heave.sea.propagate import BACK_S, ORDER, STEP_S, Propagation
+from heaved.estimation.heave.sea.propagate import ORDER, TUNING, Propagation
 
 AHEAD_S = 8.0
 
@@ -24,7 +24,7 @@ def propagation(system: SeaSystem) -> Propagation:
 def test_rows_are_those_of_the_exponential(system: SeaSystem, propagation: Propagation) -> None:
     """Heave and its first three derivatives at random moments of either sign, for states of the sea itself."""
     rng = np.random.default_rng(1)
-    taus = [*rng.uniform(-BACK_S, AHEAD_S, 12).tolist(), 0.0, -BACK_S, AHEAD_S]
+    taus = [*rng.uniform(-TUNING.back_s, AHEAD_S, 12).tolist(), 0.0, -TUNING.back_s, AHEAD_S]
     found = propagation.derivatives(taus)
     assert found.shape == (len(taus), ORDER, len(system.H))
     spread = np.sqrt(np.diag(system.stationary))
@@ -74,7 +74,7 @@ def test_what_is_unknown_ahead_is_the_brute_force_covariance(system: SeaSystem, 
         F, Q = (np.eye(len(P)), np.zeros_like(P)) if tau == 0.0 else whole(system, tau)
         expected = np.sqrt(system.heave @ (F @ P @ F.T + Q) @ system.heave)
         assert propagation.between(stds.tolist(), (tau,))[0] == pytest.approx(expected, rel=3e-3)
-    taus = (-BACK_S, -0.02, 0.0, 0.777, AHEAD_S)
+    taus = (-TUNING.back_s, -0.02, 0.0, 0.777, AHEAD_S)
     assert propagation.stds_at(P, taus) == pytest.approx(propagation.between(stds.tolist(), taus))
     sigma = np.sqrt(system.heave @ system.stationary @ system.heave)
     assert propagation.between(stds.tolist(), (AHEAD_S,))[0] < sigma
@@ -82,9 +82,9 @@ def test_what_is_unknown_ahead_is_the_brute_force_covariance(system: SeaSystem, 
 
 def test_a_place_between_two_is_on_the_line_and_ends_are_ends(propagation: Propagation) -> None:
     count = len(propagation.stds(np.zeros((len(propagation.row(0.0)),) * 2)))
-    moments = (-BACK_S + STEP_S * np.arange(count)).tolist()
-    within = (-BACK_S, -0.02, 0.0, 0.0125, 0.777, moments[-2] + 0.3 * STEP_S, moments[-1])
+    moments = (-TUNING.back_s + TUNING.step_s * np.arange(count)).tolist()
+    within = (-TUNING.back_s, -0.02, 0.0, 0.0125, 0.777, moments[-2] + 0.3 * TUNING.step_s, moments[-1])
     assert propagation.between(moments, within) == pytest.approx(within, abs=1e-12)
     assert propagation.between(moments, (-100.0, 1e9)) == [moments[0], moments[-1]]
     squares = [moment**2 for moment in moments]
-    assert propagation.between(squares, (0.25 * STEP_S,)) == pytest.approx([0.25 * STEP_S**2], abs=1e-12)
+    assert propagation.between(squares, (0.25 * TUNING.step_s,)) == pytest.approx([0.25 * TUNING.step_s**2], abs=1e-12)
