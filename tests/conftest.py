@@ -17,6 +17,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 settings.register_profile("heaved", deadline=None, derandomize=True)  # No clock decides, and no luck.
 settings.load_profile("heaved")
 
+pytest_plugins = ("served",)
+
 LIVE = (
     "daemon",
     "devices",

@@ -25,7 +25,7 @@ import time
 from collections.abc import Awaitable, Callable, Iterator, Sequence
 from itertools import count
 from pathlib import Path
-from typing import Final, Literal, NamedTuple
+from typing import Final, NamedTuple
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["OMP_NUM_THREADS"] = "1"
@@ -40,13 +40,15 @@ from numpy.typing import NDArray
 from heaved.config import Config
 from heaved.devices.timer import DeadlineTimer
 from heaved.estimation.common import sigma
-from heaved.estimation.common.rotations import Attitude
+from heaved.estimation.common.rotations import AttitudeAngles, crane_base_attitude
 from heaved.estimation.craft.dynamics import Craft, Vessel
-from heaved.estimation.craft.fusion import AttitudeFusion
+from heaved.estimation.craft.fusion import AttitudeFusion, Differ, Mode
 from heaved.estimation.craft.fusion import Params as FusionParams
 from heaved.estimation.craft.model import State
 from heaved.estimation.craft.wave_force import WaveShape, propagation
-from heaved.estimation.hull import stage as hull
+from heaved.estimation.hull import estimate
+from heaved.estimation.hull.estimator import HullDeformation
+from heaved.estimation.hull.refit import refit
 from heaved.estimation.rock import maximum_likelihood
 from heaved.estimation.rock.direct import DirectPredictor
 from heaved.estimation.rock.estimator import DirectRockPredictor
@@ -158,13 +160,13 @@ Sample = tuple[float, float, float, float, float, float]
 
 def predictors() -> dict[str, Callable[[float, Sample], object]]:
     """Fresh ones; three axes and seven horizons unless it says otherwise."""
-    direct, rated = DirectRockPredictor(), DirectRockPredictor(rates=True)
+    direct, rated = DirectRockPredictor(), DirectRockPredictor()
     single = DirectPredictor(1)
     paper = maximum_likelihood.RockPredictor(maximum_likelihood.Params(horizons_s=ML_HORIZONS_S))
     return {
         "ml": lambda t, x: paper.step(t, x[0], x[1], x[2]),
-        "direct": lambda t, x: direct.step(t, x[0], x[1], x[2]),
-        "direct, with rates": lambda t, x: rated.step(t, x[0], x[1], x[2], rates_radps=x[3:]),
+        "direct": lambda t, x: direct.step(t, x[:3]),
+        "direct, with rates": lambda t, x: rated.step(t, x[:3], x[3:]),
         "direct, one channel": lambda t, x: single.step(t, x[:1]),
     }
 
@@ -212,11 +214,9 @@ def bench_rock(options: Options) -> Report:
 
 STARTED_S: Final = 30.0
 """The steps are timed from here on: each update is taken once."""
-Method = Literal["so3", "ckf", "ukf"]
-METHODS: Final[tuple[Method, ...]] = ("so3", "ckf", "ukf")
 
 
-def hull_steps_us(record: Record, estimator: hull.HullDeformation) -> Array:
+def hull_steps_us(record: Record, estimator: HullDeformation) -> Array:
     """Duration of every step through a record."""
     rows = zip(record.midships_t_s.tolist(), record.midships_radps, record.local_radps, strict=True)
     return np.array([timed_us(lambda row=row: estimator.step(*row)) for row in rows])  # type: ignore[misc]  # a default
@@ -230,18 +230,18 @@ def bench_hull(options: Options) -> Report:
     first = round(10 * STARTED_S)
 
     def rows() -> Iterator[Sequence[str | float]]:
-        for method in METHODS:
-            us = hull_steps_us(made, hull.HullDeformation(hull.Params(method=method, refit_after_s=0.0)))
+        for method in estimate.Method:
+            us = hull_steps_us(made, HullDeformation(estimate.Params(method=method, refit_after_s=0.0)))
             late = us[first:]
             yield method, float(np.median(late)), float(np.percentile(late, 99)), late.max(), us[:first].max()
 
     shown = table(("method", "step, median µs", "99 %", "largest", "start"), rows())
-    base = hot_us(lambda: hull.crane_base_attitude(Attitude(0.01, 0.02, 1.0), made.static), 40)
-    waiting = hull.HullDeformation(hull.Params(refit_after_s=300.0), refit_inline=False)
+    base = hot_us(lambda: crane_base_attitude(AttitudeAngles(0.01, 0.02, 1.0), made.static), 40)
+    waiting = HullDeformation(estimate.Params(refit_after_s=300.0), refit_inline=False)
     hull_steps_us(simulate(SCENES["A1"], 1, duration_s=310.0), waiting)
     job = waiting.due_refit
     assert job is not None
-    refit_ms = timed_us(lambda: hull.refit(job)) / 1000.0
+    refit_ms = timed_us(lambda: refit(job)) / 1000.0
     return Report(f"{shown}\n\ncrane-base attitude {base:.1f} µs; refit of 300 s {refit_ms:.0f} ms", (1,))
 
 
@@ -290,9 +290,9 @@ def bench_fusion(options: Options) -> Report:
     """Each mode beside its filters one by one through the sigma-point core."""
     contenders = {
         "imm, three seas": fused(FusionParams()),
-        "ewma, three seas": fused(FusionParams(mode="ewma")),
-        "instant, three seas": fused(FusionParams(mode="instant", bank="seas")),
-        "instant, two point sets": fused(FusionParams(mode="instant")),
+        "ewma, three seas": fused(FusionParams(mode=Mode.EWMA)),
+        "instant, three seas": fused(FusionParams(mode=Mode.INSTANT, bank=Differ.SEAS)),
+        "instant, two point sets": fused(FusionParams(mode=Mode.INSTANT)),
         "three filters one by one": one_by_one(),
     }
 

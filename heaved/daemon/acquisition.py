@@ -12,8 +12,9 @@ from heaved.daemon.device_health import DeviceHealth, RateMeter
 from heaved.daemon.metrics import DeviceMetrics, Metrics
 from heaved.devices.bus import PollResult
 from heaved.devices.profile import DeviceSpec
+from heaved.estimation.heave.observer import Verdict
 from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
-from heaved.estimation.hull.stage import RefitJob, RefitResult
+from heaved.estimation.hull.refit import RefitJob, RefitResult
 from heaved.pipeline import Pipeline
 from heaved.samples import Fault, ImuSample, MotionFrame, RockScore, Sample, TrainedNetwork, TrainingWindow
 
@@ -161,10 +162,10 @@ class Acquisition:
             result = self.pipeline.accept(network)
         except Exception as error:
             self._bug("accept", error)
-            result = "failed"
+            result = Verdict.FAILED
         self.trainings += 1
         self._metrics.training_runs.labels(result).inc()
-        if result == "accepted":
+        if result == Verdict.ACCEPTED:
             self.accepted_s = self._clock()
         if result != self.last_training:
             self.last_training = result
@@ -177,9 +178,9 @@ class Acquisition:
             result = self.pipeline.accept_fit(fit)
         except Exception as error:
             self._bug("accept_fit", error)
-            result = "failed"
+            result = Verdict.FAILED
         self._metrics.sea_fits.labels(result).inc()
-        if result == "accepted":
+        if result == Verdict.ACCEPTED:
             self.fitted_s = self._clock()
         if result != self.last_fit:
             self.last_fit = result

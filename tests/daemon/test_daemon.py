@@ -33,7 +33,7 @@ from heaved.daemon.daemon import Daemon
 from heaved.daemon.sdnotify import Notifier
 from heaved.daemon.supervise import supervise
 from heaved.devices.bus import PollResult
-from heaved.estimation.heave.harmonic import observer as heave
+from heaved.estimation.heave import params as heave
 from heaved.pipeline import PipelineState
 from heaved.samples import (
     CorrectionState,

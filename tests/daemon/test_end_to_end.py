@@ -16,7 +16,7 @@ import pytest
 from running import PATIENCE_S, SWELL, demo_config, metric, plant_of, running, stream_of
 
 from heaved.daemon.state import StateFile
-from heaved.estimation.heave.harmonic import observer as heave
+from heaved.estimation.heave import params as heave
 from heaved.pipeline import PipelineState
 from heaved.simulate.vessel import Motion
 

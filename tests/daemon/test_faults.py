@@ -42,8 +42,8 @@ from heaved.daemon import daemon as daemon_module
 from heaved.daemon.daemon import Daemon, run
 from heaved.daemon.realtime import set_real_time
 from heaved.daemon.state import StateFile
-from heaved.estimation.heave.harmonic import observer as heave
-from heaved.outputs.access import ListenError
+from heaved.estimation.heave import params as heave
+from heaved.outputs.listen import ListenError
 from heaved.pipeline import Pipeline, PipelineState
 from heaved.samples import CorrectionState, HeaveState, LaserState, MotionFrame, Quality
 from heaved.simulate.faults import FaultKind, PlannedFault

@@ -20,7 +20,7 @@ from heaved.daemon.daemon import Daemon
 from heaved.demo.craft_at_sea import voyages
 from heaved.estimation.craft import fusion
 from heaved.estimation.craft.dynamics import Vessel
-from heaved.estimation.hull import stage as hull
+from heaved.estimation.hull import estimate as hull
 from heaved.outputs import wire
 from heaved.simulate.faults import FaultKind, PlannedFault
 from heaved.simulate.hydrofoil import Passage
@@ -194,7 +194,7 @@ async def test_a_reload_switches_a_stage_without_touching_the_heave(tmp_path: Pa
         # Without a second IMU the file is refused whole.
         write("[hull]\nenabled = true\n")
         await daemon.reload()
-        assert daemon.config.attitude == fusion.Params(enabled=True, source="own")
+        assert daemon.config.attitude == fusion.Params(enabled=True, source=fusion.Source.OWN)
         assert daemon.acquisition.pipeline.stages.hull is None
         assert metric(daemon, 'heaved_config_reloads_total{result="refused"}') == 1
         write("")

@@ -12,7 +12,7 @@ from heaved.daemon.metrics import Metrics
 from heaved.daemon.status import status_line, status_record
 from heaved.daemon.utc_clock import UtcClock
 from heaved.outputs import wire
-from heaved.outputs.records import HeaveStatus, QualityRecord, StatusRecord
+from heaved.outputs.records import HeaveStatus, StatusRecord
 from heaved.samples import (
     CorrectionState,
     Fault,
@@ -25,7 +25,7 @@ from heaved.samples import (
 )
 
 CONFIG = load(data_directory() / "demo.toml")
-QUALITY = QualityRecord(heave=HeaveState.VALID, laser=LaserState.VALID, correction=CorrectionState.OFF)
+QUALITY = Quality(heave=HeaveState.VALID, laser=LaserState.VALID, correction=CorrectionState.OFF)
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from pipelines import pipeline, rms
 
-from heaved.estimation.heave.harmonic import observer as heave
+from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow, look
 from heaved.pipeline import Pipeline

@@ -12,10 +12,9 @@ import pytest
 from pipelines import column, imu_only, laser_only, numbers, pipeline, rms, run, sea
 from scipy.spatial.transform import Rotation
 
-from heaved.estimation.heave.harmonic import observer as heave
+from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction
 from heaved.estimation.heave.laser.network import Network, Output
-from heaved.estimation.heave.sea import observer as sea_observer
 from heaved.estimation.heave.sea.refit import SeaFit, look
 from heaved.estimation.lever_arm import Point
 from heaved.outputs import wire
@@ -439,25 +438,6 @@ def test_a_laser_ahead_of_the_imu_waits_for_it(longer: Recording) -> None:
     assert b.lead_learned_s == pytest.approx(a.lead_learned_s, abs=1e-3)
 
 
-def test_samples_in_blocks_give_the_same_frames_as_one_by_one(longer: Recording) -> None:
-    """To the last digit, with lasers, faults and samples out of order among them, and a fit accepted within a block."""
-    samples = list(longer.samples())
-    samples[700] = changed(samples[700], fault=Fault.TIMEOUT)
-    samples[900:920] = reversed(samples[900:920])
-    one_by_one, in_blocks = (pipeline(with_rock=True, heave_params=heave.Params(observer="sea")) for _ in range(2))
-    frames, fits = [], 0
-    for i in range(0, len(samples), 33):
-        for frame in in_blocks.run(samples[i : i + 33]):
-            if (past := in_blocks.fit_due()) is not None:
-                fits += in_blocks.accept_fit(look(past)) == "accepted"
-            if frame is not None:
-                frames.append(frame)
-    assert bytes_of(frames) == bytes_of(run(one_by_one, samples))
-    found, expected = in_blocks.summary(), one_by_one.summary()
-    assert fits == found.refreshes == expected.refreshes > 1
-    assert found.out_of_order == expected.out_of_order > 5
-
-
 def test_a_laser_out_of_order_or_repeated_does_no_harm(longer: Recording) -> None:
     """Blocks of two seconds in reverse order, every reading twice, one from the far future and some without sense."""
     samples = list(longer.samples())
@@ -596,14 +576,14 @@ def test_the_sea_is_remembered(seen: Pipeline, longer: Recording) -> None:
 @pytest.mark.parametrize(
     ("sea_params", "spoil", "message"),
     [
-        (sea_observer.Params(stages=4), {}, "chains of 7 does not fit"),
-        (sea_observer.Params(components=1), {}, "does not fit the configured 1 of 7"),
-        (sea_observer.Params(), {"level_m2phz": (nan, nan, nan)}, "level of the sea"),
+        (heave.SeaParams(stages=4), {}, "chains of 7 does not fit"),
+        (heave.SeaParams(components=1), {}, "does not fit the configured 1 of 7"),
+        (heave.SeaParams(), {"level_m2phz": (nan, nan, nan)}, "level of the sea"),
     ],
     ids=["stages", "components", "nan"],
 )
 def test_a_saved_sea_that_does_not_fit_is_refused_whole(
-    seen: Pipeline, sea_params: sea_observer.Params, spoil: dict[str, object], message: str
+    seen: Pipeline, sea_params: heave.SeaParams, spoil: dict[str, object], message: str
 ) -> None:
     state = seen.state()
     assert state.sea is not None

@@ -28,10 +28,11 @@ from heaved.devices.profile import Quantity, encode, profile_faults
 from heaved.devices.recording import STAGE_COLUMNS, Recording, RecordingError
 from heaved.devices.station import Reading, Station
 from heaved.estimation.craft import fusion
-from heaved.estimation.hull import stage as hull
-from heaved.estimation.hull.stage import HullDeformation, refit
-from heaved.outputs import stage_wire, wire
-from heaved.outputs.records import AttitudeStatus, HeaveStatus, HullStatus, QualityRecord, StatusRecord
+from heaved.estimation.hull import estimate as hull
+from heaved.estimation.hull.estimator import HullDeformation
+from heaved.estimation.hull.refit import refit
+from heaved.outputs import wire
+from heaved.outputs.records import AttitudeStatus, HeaveStatus, HullStatus, StatusRecord
 from heaved.replay.replay import replay
 from heaved.replay.table import Table
 from heaved.samples import (
@@ -434,7 +435,7 @@ FRAME = MotionFrame(
 
 def test_hull_on_the_wire() -> None:
     """Degrees and arcseconds; what is not known, or infinite, is left out."""
-    assert json.loads(wire.encode_record(stage_wire.hull_record(ANGLES, 0.0))) == {
+    assert json.loads(wire.encode_record(wire.hull_record(ANGLES, 0.0))) == {
         "class": "HULL", "time": "1970-01-01T00:00:00.000000Z", "mono_s": 12.5, "state": "converging",
         "x_deg": 0.5, "y_deg": -0.8, "z_deg": 30.0, "static_x_deg": 0.4, "static_y_deg": -0.7, "static_z_deg": 29.0,
         "dynamic_x_deg": 0.000278, "dynamic_y_deg": 0.0, "x_std_arcsec": 10.0, "y_std_arcsec": 20.0,
@@ -444,12 +445,12 @@ def test_hull_on_the_wire() -> None:
 
 
 def test_a_hull_of_which_nothing_is_known_on_the_wire() -> None:
-    bare = json.loads(wire.encode_record(stage_wire.hull_record(HullAngles(t_s=1.0, state="starting"), 0.0)))
+    bare = json.loads(wire.encode_record(wire.hull_record(HullAngles(t_s=1.0, state="starting"), 0.0)))
     assert set(bare) == {"class", "time", "mono_s", "state", "refits", "resets"}
 
 
 def test_attitude_on_the_wire() -> None:
-    assert json.loads(wire.encode_record(stage_wire.attitude_record(MOTION, 0.0))) == {
+    assert json.loads(wire.encode_record(wire.attitude_record(MOTION, 0.0))) == {
         "class": "ATTITUDE", "time": "1970-01-01T00:00:00.000000Z", "mono_s": 12.5, "heave_m": 0.25,
         "heave_std_m": 0.02, "heave_velocity_mps": -1.5, "heave_velocity_std_mps": 0.1, "pitch_deg": 2.0,
         "pitch_std_deg": 0.25, "pitch_rate_degps": -3.0, "pitch_rate_std_degps": 0.5, "probabilities": [0.75, 0.25],
@@ -478,7 +479,7 @@ def test_metrics_of_the_stages() -> None:
 
 
 def test_status_says_a_line_of_each() -> None:
-    quality = QualityRecord(heave=HeaveState.VALID, laser=LaserState.OFF, correction=CorrectionState.OFF)
+    quality = Quality(heave=HeaveState.VALID, laser=LaserState.OFF, correction=CorrectionState.OFF)
     status = StatusRecord(
         release="1", uptime_s=1.0, frames=1, heave=HeaveStatus(), quality=quality, devices=(), clients=0,
         dropped=0, hull=HullStatus(state="weak", z_deg=30.0, std_arcsec=45.0, warnings=("delay",), resets=2),

@@ -9,10 +9,9 @@ from scipy.spatial.transform import Rotation
 from heaved.config.read import data_directory, load
 from heaved.devices.profile import DeviceSpec
 from heaved.samples import CraftSample
-from heaved.simulate.craft_sensors import CraftSensors
 from heaved.simulate.flexure import ARCSEC_RAD
 from heaved.simulate.hydrofoil import Voyage
-from heaved.simulate.instruments import Instruments
+from heaved.simulate.instruments import CraftSensors, Instruments
 from heaved.simulate.seaway import seaway
 from heaved.simulate.second_imu import Bend, CraneBase, SecondImu
 from heaved.simulate.sensors import imu_model

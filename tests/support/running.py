@@ -15,14 +15,15 @@ import msgspec
 from heaved.config import Config, HttpParams, StateParams, StreamParams
 from heaved.config.read import data_directory, load
 from heaved.daemon.daemon import Daemon
-from heaved.estimation.heave.harmonic import observer as heave
+from heaved.estimation.heave import params as heave
+from heaved.estimation.heave.params import SeaParams
 from heaved.estimation.heave.sea.model import SeaModel
-from heaved.estimation.heave.sea.observer import Params as SeaParams
 from heaved.outputs import wire
 from heaved.pipeline import PipelineState
-from heaved.simulate.instruments import Instruments, MotionSource
+from heaved.simulate.instruments import Instruments
 from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.seaway import seaway
+from heaved.simulate.vessel import MotionSource
 
 Record = dict[str, Any]
 """One record of the stream."""

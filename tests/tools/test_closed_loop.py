@@ -14,7 +14,7 @@ from evidence.closed_loop import loop as closed_loop
 from evidence.closed_loop.figure import hook_motion
 from evidence.heave import asked
 
-from heaved.estimation.heave.harmonic.observer import Params
+from heaved.estimation.heave.params import Params
 
 OBSERVER = Params().observer
 SETTINGS = {

@@ -12,7 +12,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from heaved.estimation.common.rotations import (
-    Attitude,
+    AttitudeAngles,
     attitude_of,
     crane_base_attitude,
     cross_matrix,
@@ -22,7 +22,7 @@ from heaved.estimation.common.rotations import (
     rotation_vector,
     to_euler,
 )
-from heaved.estimation.imu.levelling import up_acceleration
+from heaved.estimation.imu.attitude import up_acceleration
 from heaved.samples import GRAVITY_MPS2
 
 angles = st.floats(-3.0, 3.0)
@@ -78,7 +78,7 @@ def test_at_ninety_degrees_the_angles_give_the_matrix_back(sign: float) -> None:
 @given(tilts, tilts, st.floats(0.0, 6.2))
 def test_attitudes_agree_with_the_vertical_of_the_heave_chain(roll: float, pitch: float, yaw: float) -> None:
     """``up_acceleration`` is the third row of level_from_body applied to the specific force, less gravity."""
-    attitude = Attitude(roll, pitch, yaw)
+    attitude = AttitudeAngles(roll, pitch, yaw)
     force = np.array([0.3, -1.1, 9.0])
     up = level_from_body(attitude)[2] @ force - GRAVITY_MPS2
     assert up == pytest.approx(up_acceleration(force[0], force[1], force[2], roll, pitch), abs=1e-12)
@@ -99,13 +99,13 @@ def test_signs_of_the_crane_base_on_a_level_ship(
     deformation_deg: tuple[float, float, float], expected_deg: tuple[float, float, float]
 ) -> None:
     C = from_euler(*(radians(a) for a in deformation_deg))
-    crane = crane_base_attitude(Attitude(0.0, 0.0, radians(50.0)), C)
+    crane = crane_base_attitude(AttitudeAngles(0.0, 0.0, radians(50.0)), C)
     found = np.degrees([crane.roll_rad, crane.pitch_rad, crane.yaw_rad])
     assert found == pytest.approx(expected_deg, abs=1e-9)
 
 
 def test_the_vertical_seen_from_the_crane_base_is_the_vertical() -> None:
     """A plumb line in midships axes, carried over by C, is the plumb line of the composed attitude."""
-    midships, C = Attitude(0.1, -0.2, 1.0), from_euler(0.02, -0.03, 0.6)
+    midships, C = AttitudeAngles(0.1, -0.2, 1.0), from_euler(0.02, -0.03, 0.6)
     plumb = level_from_body(midships)[2]
     assert level_from_body(crane_base_attitude(midships, C))[2] == pytest.approx(C @ plumb, abs=1e-12)

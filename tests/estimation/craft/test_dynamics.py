@@ -13,7 +13,8 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from heaved.estimation.craft.dynamics import FOILLESS, SLOWEST_MPS, Craft, Foil, Vessel
+from heaved.estimation.craft.dynamics import FOILLESS, Craft, Foil, Vessel
+from heaved.estimation.craft.tuning import TUNING
 
 Array = NDArray[np.float64]
 DEFAULT = Vessel()
@@ -44,7 +45,7 @@ def written_out(
     moment = v.pitching_moment_nm - v.pitch_stiffness_nmprad * theta * (1 + stiffening)
     moment -= v.pitch_damping_nmsprad * q + v.pitch_quadratic_damping_nms2prad2 * min(abs(q), 2.0) * q
     for foil, flap, rise, zeta in zip((v.fore_foil, v.aft_foil), flaps, water, elevation, strict=True):
-        alpha = foil.incidence_rad + theta + flap / 2 - (w + foil.arm_m * q - rise) / max(speed, SLOWEST_MPS)
+        alpha = foil.incidence_rad + theta + flap / 2 - (w + foil.arm_m * q - rise) / max(speed, TUNING.slowest_mps)
         h = foil.depth_m + zeta - z - foil.arm_m * theta
         g = 1 - v.surface_loss * exp(-max(h, 0.0) / v.surface_length_m)
         g *= (1 + tanh((h - v.ventilation_depth_m) / v.ventilation_width_m)) / 2

@@ -27,7 +27,7 @@ def through(shake: str, rate_hz: float = 20.0, duration_s: float = 60.0, noisier
     clean = motion(t) + noisier * np.array(STD) * rng.standard_normal((len(t), 2))
     read = CraftShaking(shake, 3, STD).readings(t, clean)
     noise = CraftNoise(CONFIGURED)
-    found = [noise.take(stamp, (heave, pitch)) for stamp, (heave, pitch) in zip(t.tolist(), read.tolist(), strict=True)]
+    found = [noise.step(stamp, (heave, pitch)) for stamp, (heave, pitch) in zip(t.tolist(), read.tolist(), strict=True)]
     readings, variances = (np.array([pair[k] for pair in found]) for k in (0, 1))
     return np.stack([readings - motion(t), np.sqrt(variances)], axis=1)
 
@@ -38,7 +38,7 @@ def test_without_vibration_nothing_changes() -> None:
     noise = CraftNoise(CONFIGURED)
     for stamp, row in zip(t.tolist(), motion(t) + np.array(STD) * rng.standard_normal((len(t), 2)), strict=True):
         reading = (float(row[0]), float(row[1]))
-        assert noise.take(stamp, reading) == (reading, CONFIGURED)
+        assert noise.step(stamp, reading) == (reading, CONFIGURED)
 
 
 @pytest.mark.parametrize("rate_hz", [20.0, 100.0])
@@ -73,8 +73,8 @@ def test_after_a_silence_it_is_learned_anew() -> None:
     t = np.arange(1, 801) / 20.0
     read = CraftShaking(CraftShake(lines=(line,)), 1, STD).readings(t, motion(t))
     for stamp, row in zip(t.tolist(), read.tolist(), strict=True):
-        last = noise.take(stamp, (row[0], row[1]))
+        last = noise.step(stamp, (row[0], row[1]))
     assert last[0] != tuple(read[-1])
-    assert noise.take(t[-1] + 3.0, (0.1, 0.01)) == ((0.1, 0.01), CONFIGURED)
-    reading, _ = noise.take(t[-1] + 3.05, (nan, 0.01))
+    assert noise.step(t[-1] + 3.0, (0.1, 0.01)) == ((0.1, 0.01), CONFIGURED)
+    reading, _ = noise.step(t[-1] + 3.05, (nan, 0.01))
     assert np.isnan(reading[0])

@@ -442,7 +442,7 @@ def test_a_heading_through_north_and_a_turn() -> None:
     later = heading(t + 0.15) + waves(t + 0.15, 5, size=0.01)
     predictor = DirectRockPredictor()
     angles = np.stack([waves(t, 1), waves(t, 2), yaw % TURN], axis=1)
-    found = [predictor.step(a, *row)[2] for a, row in zip(t.tolist(), angles.tolist(), strict=True)]
+    found = [predictor.step(a, tuple(row))[2] for a, row in zip(t.tolist(), angles.tolist(), strict=True)]
     predicted = np.array([record.yaw_rad for record in found])
     assert np.nanmin(predicted) >= 0.0
     assert np.nanmax(predicted) < TURN

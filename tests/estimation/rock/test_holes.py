@@ -10,12 +10,13 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 import pytest
+from evidence.rock.shaken import unjudged
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_lyapunov
 
 from heaved.estimation.common.bounds import ANGLE_RAD
 from heaved.estimation.rock import maximum_likelihood as rock
-from heaved.estimation.rock.estimator import RockChain
+from heaved.estimation.rock.estimator import DirectRockPredictor, RockEstimator
 from heaved.estimation.rock.holes import NODES, ORDER, Autoregression, HoleFilter
 from heaved.predictions import Limits
 from heaved.samples import ImuSample
@@ -50,13 +51,13 @@ def measured(rate_hz: float, seed: int, end_s: float) -> tuple[Array, Array]:
 
 def predict(
     t: Array, x: Array, params: rock.Params | None = None, gyro: Array | None = None
-) -> tuple[Array, Array, RockChain]:
+) -> tuple[Array, Array, RockEstimator]:
     """Feed (n, 2) roll and pitch; predictions and deviations (n, H, 2), and the chain."""
-    chain = RockChain(params or rock.Params())
+    chain = RockEstimator(params or rock.Params())
     predicted, std = [], []
     for k, (moment, (roll, pitch)) in enumerate(zip(t.tolist(), x.tolist(), strict=True)):
         rates = {} if gyro is None else {"gx_radps": gyro[k, 0], "gy_radps": -gyro[k, 1], "gz_radps": 0.0}
-        found = chain.step(ImuSample(t_s=moment, roll_rad=roll, pitch_rad=pitch, **rates), good=True)
+        found = chain.step(unjudged(ImuSample(t_s=moment, roll_rad=roll, pitch_rad=pitch, **rates)))
         predicted.append([(p.roll_rad, p.pitch_rad) for p in found])
         std.append([(p.roll_std_rad, p.pitch_std_rad) for p in found])
     return np.array(predicted), np.array(std), chain
@@ -236,8 +237,9 @@ def test_memory_is_bounded_whatever_the_stamps(name: str) -> None:
     """What is as long as some seconds of samples, or the samples of a block."""
     t = STAMPS[name]
     predicted, std, chain = predict(t, truth(t, 3))
-    assert chain._direct is not None
-    predictor = chain._direct.predictor
+    assert isinstance(chain._predictor, DirectRockPredictor)
+    predictor = chain._predictor.predictor
+    assert predictor is not None
     assert predictor._taking is None or predictor._interval_s >= 1e-3
     assert predictor.fed is None or predictor.fed._window.x.size < 2e6
     error = errors(t, predicted, 3)

@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 from evidence.rock.paper import ARCSEC, SCENES, motion
+from evidence.rock.shaken import unjudged
 from numpy.typing import NDArray
 
 from heaved.estimation.common.sample_rate import usual_interval
@@ -17,7 +18,7 @@ from heaved.estimation.imu.attitude import angle_rates
 from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.estimation.rock.carry import Carry
 from heaved.estimation.rock.direct import DirectPredictor, Params
-from heaved.estimation.rock.estimator import DirectRockPredictor, RockChain
+from heaved.estimation.rock.estimator import DirectRockPredictor, RockEstimator
 from heaved.estimation.rock.paced import PacedPredictor
 from heaved.samples import ImuSample
 
@@ -417,10 +418,10 @@ def test_angle_rates_are_the_derivatives_of_the_angles() -> None:
 
 @pytest.mark.parametrize("gyro", [False, True])
 def test_the_chain_predicts_at_the_sample_and_between(gyro: bool) -> None:
-    chain = RockChain(rock.Params(horizons_s=(0.5,)))
+    chain = RockEstimator(rock.Params(horizons_s=(0.5,)))
     assert chain.horizons_s == (0.05, 0.1, 0.15, 0.5)
     for k in range(4000):
-        found = chain.step(sample(k / 100, gyro=gyro), good=k % 50 != 7)
+        found = chain.step(unjudged(ImuSample(t_s=k / 100) if k % 50 == 7 else sample(k / 100, gyro=gyro)))
     last_s = 39.99
     for moment, records in ((last_s, found), (last_s + 0.03, chain.at(last_s + 0.03))):
         for p in records:
@@ -436,7 +437,7 @@ def test_the_chain_predicts_at_the_sample_and_between(gyro: bool) -> None:
 
 
 def test_resets_only_grow() -> None:
-    chain = RockChain(rock.Params())
+    chain = RockEstimator(rock.Params())
     rng = np.random.default_rng(6)
     seen = []
     for start in (0.0, 500.0):
@@ -444,11 +445,11 @@ def test_resets_only_grow() -> None:
             spike = 0.5 if rng.random() < 0.01 else 0.0
             moment = sample(k / 100, gyro=False)
             noisy = moment.roll_rad + spike + 1e-4 * rng.standard_normal()
-            chain.step(msgspec.structs.replace(moment, t_s=start + moment.t_s, roll_rad=noisy), good=True)
+            chain.step(unjudged(msgspec.structs.replace(moment, t_s=start + moment.t_s, roll_rad=noisy)))
             if k % 100 == 0:
                 seen.append(dict(chain.resets))
         for _ in range(25):
-            chain.step(sample(0.0, gyro=False), good=True)
+            chain.step(unjudged(sample(0.0, gyro=False)))
     assert chain.resets["rock", "restart"] == 2
     counts = [found.get(("rock", "spike"), 0) for found in seen]
     assert counts == sorted(counts)
@@ -456,10 +457,10 @@ def test_resets_only_grow() -> None:
 
 
 def test_the_published_method_can_still_be_had() -> None:
-    chain = RockChain(rock.Params(predictor="ml"))
+    chain = RockEstimator(rock.Params(predictor="ml"))
     assert chain.horizons_s == HORIZONS
     for k in range(600):
-        found = chain.step(sample(k / 20, gyro=False), good=True)
+        found = chain.step(unjudged(sample(k / 20, gyro=False)))
     assert [p.horizon_s for p in found] == list(HORIZONS)
     assert abs(found[2].roll_rad - attitude(599 / 20 + 0.15)[0][0]) < 1e-3
     assert chain.scores() == ()
@@ -490,17 +491,17 @@ def test_what_is_asked_for_later_is_what_was_predicted() -> None:
     x = np.insert(x, twice + 1, x[twice] + 1e-3, axis=0)
     at_once, later = DirectRockPredictor(), DirectRockPredictor()
     rows = list(zip(t.tolist(), x.tolist(), strict=True))
-    expected = [at_once.step(moment, *sample).angles_rad for moment, sample in rows]
-    found = [later.step(moment, *sample) for moment, sample in rows]
+    expected = [at_once.step(moment, tuple(sample)).angles_rad for moment, sample in rows]
+    found = [later.step(moment, tuple(sample)) for moment, sample in rows]
     for k in range(len(rows) - 2000, len(rows)):
         assert np.array_equal(found[k].angles_rad, expected[k]), k
     assert np.isfinite(expected[-2000:]).all()
 
 
 def test_before_anything_is_known_nothing_is_claimed() -> None:
-    chain = RockChain(rock.Params())
+    chain = RockEstimator(rock.Params())
     for k in range(100):
-        found = chain.step(ImuSample(t_s=k / 100), good=True)
+        found = chain.step(unjudged(ImuSample(t_s=k / 100)))
     assert [p.horizon_s for p in found] == list(HORIZONS)
     assert all(np.isnan(p.roll_rad) and np.isnan(p.roll_interval_rad) for p in (*found, *chain.at(1.01)))
     predictor = DirectRockPredictor()
@@ -513,7 +514,7 @@ def test_rates_that_are_gone_do_not_make_predictions_feed_on_themselves(is_roll_
     rng = np.random.default_rng(4)
     omega, phase = 2.0 * pi * rng.uniform(0.07, 0.16, (2, 40)), rng.uniform(0.0, TURN, (2, 40))
     size = np.array([[0.012], [0.006]])
-    chain, worst = RockChain(rock.Params()), 0.0
+    chain, worst = RockEstimator(rock.Params()), 0.0
     for k in range(4000):
         t = 0.05 * k
         roll, pitch = (size * np.sin(omega * t + phase)).sum(axis=1) + 2e-4 * rng.standard_normal(2)
@@ -524,7 +525,7 @@ def test_rates_that_are_gone_do_not_make_predictions_feed_on_themselves(is_roll_
             t_s=t, roll_rad=nan if is_gone and is_roll_gone else float(roll), pitch_rad=float(pitch), yaw_rad=0.0,
             gx_radps=gx, gy_radps=gy, gz_radps=gz,
         )  # fmt: skip
-        half = next(p for p in chain.step(sample, good=True) if p.horizon_s == 0.5)
+        half = next(p for p in chain.step(unjudged(sample)) if p.horizon_s == 0.5)
         if is_gone:
             true = float((size[1] * np.sin(omega[1] * (t + 0.5) + phase[1])).sum())
             worst = max(worst, abs(half.pitch_rad - true))

@@ -29,12 +29,12 @@ from evidence.faults.disasters import DISASTERS, HONEST_OF, IMU, Disaster, spoil
 from evidence.learning import learn
 from evidence.scenarios import Setting, build, triplet
 from heaved.estimation.common import bounds
-from heaved.estimation.heave.harmonic import observer as heave
+from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.outputs.wire import motion_head
-from heaved.pipeline import Pipeline, PipelineState
+from heaved.pipeline import Pipeline, PipelineState, assemble
 from heaved.samples import Fault, HeaveState, ImuSample, MotionFrame, Sample
 from heaved.simulate.seaway import TRAINS
 from heaved.simulate.sensors import Recording, measure
@@ -135,7 +135,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
 def pipeline(disaster: Disaster) -> Pipeline:
     """The daemon's with all its defaults, and a monitoring point."""
     has_laser = disaster.laser != "off"
-    return Pipeline(
+    return assemble(
         heave=heave.Params(),
         laser=reference.Params(role="aiding" if disaster.laser == "aiding" else "reference"),
         correction=correction.Params(),

@@ -22,11 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evidence.commands import in_order
-from heaved.estimation.heave.harmonic import observer as heave
+from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.heave.sea.refit import look
 from heaved.estimation.rock import maximum_likelihood as rock
-from heaved.pipeline import Pipeline
+from heaved.pipeline import Pipeline, assemble
 from heaved.samples import MotionFrame
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import SENSORS, laser_pattern, record
@@ -141,7 +141,7 @@ def _pipeline(trial: Trial) -> Pipeline:
     nothing with the heave: the cheapest there is.
     """
     settings = {"forecast_horizons_s": (), "lead": {"enabled": trial.taught}}
-    return Pipeline(
+    return assemble(
         heave=msgspec.convert(settings, heave.Params),
         laser=reference.Params(),
         correction=correction.Params(),

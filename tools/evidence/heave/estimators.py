@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from evidence.heave import baselines
 from evidence.learning import learn
-from heaved.estimation.heave.harmonic import observer as heave
+from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.rock import maximum_likelihood as rock
-from heaved.pipeline import Pipeline
+from heaved.pipeline import Pipeline, assemble
 from heaved.samples import HeaveState, ImuSample, MotionFrame, Sample
 
 Array = NDArray[np.float64]
@@ -125,7 +125,7 @@ def pipeline(observer: str, conditions: Conditions) -> Pipeline:
     with the heave, is the cheapest there is: the published method with one memory.
     """
     settings = {"observer": observer, "forecast_horizons_s": conditions.horizons_s}
-    return Pipeline(
+    return assemble(
         heave=msgspec.convert(settings, heave.Params),
         laser=reference.Params(),
         correction=correction.Params(),

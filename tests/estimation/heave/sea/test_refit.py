@@ -8,9 +8,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from heaved.estimation.heave.sea.batch_filter import Record, even
 from heaved.estimation.heave.sea.model import SeaSystem
-from heaved.estimation.heave.sea.observer import OVERCONFIDENCE
+from heaved.estimation.heave.sea.observer import TUNING
+from heaved.estimation.heave.sea.record import EvenRecord, even
 from heaved.estimation.heave.sea.refit import Candidate, SeaFit, SeaWindow, look, unbroken, whiteness
 from heaved.simulate.seaway import seaway
 
@@ -148,7 +148,7 @@ def test_a_record_falls_into_its_stretches(
     known = np.ones(8000, dtype=np.bool_)
     for first, end in holes:
         known[(t >= first - 1e-9) & (t < end - 1e-9)] = False
-    found = unbroken(Record(t[-1], DT_S, t, known).cut(cuts), 8000)
+    found = unbroken(EvenRecord(t[-1], DT_S, t, known).cut(cuts), 8000)
     assert [(part[0], part[-1] + DT_S) for part in found] == [pytest.approx(part) for part in expected]
 
 
@@ -207,7 +207,7 @@ def test_a_record_with_holes_has_the_sea_of_the_whole_one(
     system = SeaSystem(holed.model)
     P = np.frombuffer(holed.P or holed.steady_P).reshape(len(system.H), -1)
     error_m = float(system.heave @ np.frombuffer(holed.x)) - heave[-1]
-    assert abs(error_m) < 4.0 * OVERCONFIDENCE * np.sqrt(system.heave @ P @ system.heave)
+    assert abs(error_m) < 4.0 * TUNING.overconfidence * np.sqrt(system.heave @ P @ system.heave)
     assert abs(error_m) < 0.1 * np.std(heave)
 
 
