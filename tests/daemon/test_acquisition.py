@@ -124,7 +124,8 @@ class Rig:
 
     def run(self, seconds: float, answer: Answer, tick_offset_s: float = 0.004, from_s: float | None = None) -> None:
         """Polls every period, as ``answer(number)`` says: seconds until the answer and its fault, or None for no
-        result at all; heartbeats every period between them, in order of time."""
+        result at all; heartbeats every period between them, in order of time.
+        """
         start_s = self.now_s if from_s is None else from_s
         events: list[tuple[float, tuple[float, Fault] | None]] = []
         free_s = start_s

@@ -481,7 +481,8 @@ async def process(
     stderr: int = asyncio.subprocess.PIPE,
 ) -> AsyncIterator[Process]:
     """The daemon as a process; killed at the end, if it is still there. ``exit_s``: in place of the 1.8 s after which
-    the process ends whatever hangs, so that a slow machine does not need that. ``what``: hangs."""
+    the process ends whatever hangs, so that a slow machine does not need that. ``what``: hangs.
+    """
     command = (sys.executable, "-c", PROGRAM, str(path), str(exit_s), what)
     daemon = await asyncio.create_subprocess_exec(*command, stdout=stdout, stderr=stderr)
     try:
@@ -655,6 +656,11 @@ async def connected(port: int) -> tuple[asyncio.StreamReader, asyncio.StreamWrit
             await asyncio.sleep(0.05)
 
 
+def standard_files(pid: int) -> list[str]:
+    """What stands behind the first three descriptors of a process."""
+    return [str(Path(f"/proc/{pid}/fd/{fd}").readlink()) for fd in range(3)]
+
+
 async def test_without_standard_files_nothing_takes_their_place(tmp_path: Path) -> None:
     """A line of the log would go into whatever socket was opened instead, and to its client."""
     path = tmp_path / "heaved.toml"
@@ -667,7 +673,7 @@ async def test_without_standard_files_nothing_takes_their_place(tmp_path: Path) 
         reader, writer = await connected(port)
         for _ in range(5):
             assert (await asyncio.wait_for(reader.readline(), PATIENCE_S)).startswith(b'{"class":')
-        links = [os.readlink(f"/proc/{daemon.pid}/fd/{fd}") for fd in range(3)]
+        links = standard_files(daemon.pid)
         daemon.send_signal(signal.SIGTERM)
         assert await asyncio.wait_for(daemon.wait(), PATIENCE_S) == 0
         writer.close()

@@ -69,7 +69,7 @@ def test_round_trip(file: StateFile[Learned]) -> None:
     assert read(file).state == LEARNED
     file.write(file.encode(NEWER))
     assert read(file).state == NEWER
-    assert os.listdir(file.path.parent) == ["state.json"]
+    assert [path.name for path in file.path.parent.iterdir()] == ["state.json"]
 
 
 def test_it_is_json_for_people(file: StateFile[Learned]) -> None:
@@ -86,7 +86,7 @@ def test_a_full_disk_leaves_the_old_file_and_nothing_else(file: StateFile[Learne
     with pytest.raises(OSError, match="No space left"):
         file.write(file.encode(NEWER))
     assert read(file).state == LEARNED
-    assert os.listdir(file.path.parent) == ["state.json"]
+    assert [path.name for path in file.path.parent.iterdir()] == ["state.json"]
 
 
 def flipped(content: bytes, place: int, value: int) -> bytes:
@@ -170,7 +170,7 @@ async def test_what_is_no_file_of_ours_is_set_aside_at_once(
     assert counted == ["refused", "saved"]
     (line,) = logs
     assert ODD_FILES[make] in line["reason"]
-    assert os.path.basename(line["kept"]) in os.listdir(memory.file.path.parent)
+    assert (memory.file.path.parent / Path(line["kept"]).name).exists()
     assert read(memory.file).state == LEARNED
 
 

@@ -7,7 +7,6 @@ import contextlib
 import errno
 import itertools
 import logging
-import os
 import random
 import resource
 import socket
@@ -145,7 +144,8 @@ async def test_sample_is_dated_by_the_block_with_the_vertical_acceleration() -> 
 
 class LateSlave:
     """Keeps the answer to one request back until it hears another, then sends both: the worst moment for it. Every
-    register carries the number of the request that it answers."""
+    register carries the number of the request that it answers.
+    """
 
     def __init__(self, keep_back: set[int]) -> None:
         self.keep_back = keep_back
@@ -777,7 +777,8 @@ async def test_port_is_opened_for_us_alone() -> None:
 
 async def test_nothing_floods_the_log(caplog: pytest.LogCaptureFixture) -> None:
     """Neither pymodbus, which logs every timeout, nor the loop, in which pymodbus raises for a frame that it does not
-    know: what is wrong stands in the results."""
+    know: what is wrong stands in the results.
+    """
     caplog.set_level(logging.INFO)
     serial_slave = RtuSlave(lambda request: b"\x50\x08\x00")
     bad = itertools.cycle((b"\x63\x06", b"\x03\x08" + bytes(6), b"\x03\x05" + bytes(5), b"\x03\x02", b"\x83\x02\x02"))
@@ -870,14 +871,18 @@ async def test_a_failing_consumer_is_a_bug_and_ends_the_task() -> None:
     assert isinstance(caught.value.exceptions[0], KeyError)
 
 
+def open_files() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
 async def test_cancelling_closes_the_line() -> None:
-    before = set(os.listdir("/proc/self/fd"))
+    before = open_files()
     slave = RtuSlave(CountingSlave())
     results = Results()
     async with running([device(f"rtu://{slave.path}")], results):
         await results.until(well)
     slave.close()
-    assert len(os.listdir("/proc/self/fd")) == len(before)
+    assert open_files() == before
 
 
 @pytest.mark.parametrize("order", ["before the answer", "after the answer"])

@@ -10,7 +10,7 @@ from math import inf, nan
 
 import msgspec
 import pytest
-from evidence.correction import Outcome, Segment, Trial, report, run
+from evidence.heave.correction import Outcome, Segment, Trial, report, run
 
 from heaved.estimation.heave.laser import correction, ridge
 

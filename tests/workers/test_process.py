@@ -213,7 +213,8 @@ def test_replay_gets_a_message_and_a_new_process(script: str, reason: str, tmp_p
 @pytest.fixture(autouse=True)
 def _others() -> None:
     """Children that were there before the test are not of a worker: the resource tracker of multiprocessing, which a
-    pool of another test has started, lives as long as we do."""
+    pool of another test has started, lives as long as we do.
+    """
     _OTHERS.clear()
     _OTHERS.update(child_pids())
 

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from evidence.attitude import VESSEL, follow, voyage
+from evidence.craft import VESSEL, follow, voyage
 from numpy.typing import NDArray
 
 from heaved.demo.craft_at_sea import hull

@@ -38,7 +38,8 @@ def foreseen(t_s: float, std_rad: float) -> tuple[RockPrediction, ...]:
 def carried(every: int, gain: float = 1.0, std_rad: float = nan, gone_from_s: float = 1e9) -> list[tuple[float, float]]:
     """Age of the last reading and how far off the angle is, degrees, of each sample of the second half of a minute;
     readings in every n-th sample, none from some time on; body rates are off by a factor ``gain`` (nan: there are
-    none), predictions are good to ``std_rad`` (nan: there are none)."""
+    none), predictions are good to ``std_rad`` (nan: there are none).
+    """
     one, found = AttitudePropagator(), []
     for k in range(int(60.0 * RATE_HZ)):
         t_s = k / RATE_HZ

@@ -327,7 +327,8 @@ def beating(rng: np.random.Generator, t: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("laser_s", [30.0, 60.0, 90.0])
 def test_agreement_by_chance_is_hardly_ever_applied(laser_s: float) -> None:
     """A correction that has nothing to do with the residual, both narrow-banded: two standard errors are exceeded in
-    2.3 % of cases. One that is half of the residual's mean square is applied for the most part."""
+    2.3 % of cases. One that is half of the residual's mean square is applied for the most part.
+    """
     rng = np.random.default_rng(1)
     t = np.arange(0.0, laser_s, 0.1)
     harm: list[float] = []
