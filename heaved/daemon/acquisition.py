@@ -162,10 +162,10 @@ class Acquisition:
             result = self.pipeline.accept(network)
         except Exception as error:
             self._bug("accept", error)
-            result = "failed"
+            result = Verdict.FAILED
         self.trainings += 1
         self._metrics.training_runs.labels(result).inc()
-        if result == "accepted":
+        if result == Verdict.ACCEPTED:
             self.accepted_s = self._clock()
         if result != self.last_training:
             self.last_training = result

@@ -31,7 +31,7 @@ class ErrorRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class", 
     message: str
 
 
-class RockRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_defaults=True):
+class RockRecord(msgspec.Struct, frozen=True, gc=False, omit_defaults=True):
     """Attitude predicted for ``horizon_s`` after the time of validity; standard deviations of the prediction error, and
     half-widths of the interval that holds 95 % of what is measured then."""
 
@@ -47,7 +47,7 @@ class RockRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_defau
     yaw_interval_deg: float | None = None
 
 
-class ForecastRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_defaults=True):
+class ForecastRecord(msgspec.Struct, frozen=True, gc=False, omit_defaults=True):
     """Heave predicted for ``horizon_s`` after the time of validity."""
 
     horizon_s: float
@@ -55,7 +55,7 @@ class ForecastRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_d
     std_m: float | None = None
 
 
-class PointRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_defaults=True):
+class PointRecord(msgspec.Struct, frozen=True, gc=False, omit_defaults=True):
     """A monitoring point, as configured."""
 
     name: str
@@ -285,6 +285,8 @@ class CorrectionStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=
     last_result: str | None = None
     age_s: float | None = None
     """Since the network in use was accepted."""
+    nothing_to_learn: int = 0
+    """Times that no training was worth its while: a regression has shown that no network would be accepted."""
 
 
 class HullStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

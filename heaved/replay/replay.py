@@ -32,6 +32,8 @@ from heaved.workers.process import BlockingTrainer
 
 PROGRESS_SAMPLES: Final = 64
 """Progress is told after so many."""
+NOTHING_TO_LEARN: Final = "with nothing to learn"
+"""Of training windows: no network would have been accepted, as a regression has shown."""
 MOST_REASONS: Final = 12
 """That are printed."""
 _NUMBER: Final = re.compile(r"[-+]?\d+(\.\d+)?")
@@ -70,7 +72,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     quality: dict[HeaveState, int]
     """Frames by how far their heave can be trusted."""
     trainings: dict[str, int]
-    """Training windows by what became of them: accepted, rejected, failed."""
+    """Training windows by what became of them: accepted, rejected, failed, or not trained: nothing to learn."""
     fits: dict[str, int]
     """Fits of the sea likewise."""
     failure: str = ""
@@ -137,6 +139,8 @@ def replay(
         if progress is not None:
             progress(recording.read_bytes, recording.total_bytes)
         table.flush()
+    if (spared := pipeline.summary().windows_with_nothing_to_learn) > 0:
+        tally.trainings[NOTHING_TO_LEARN] = spared
     return tally.summary(time.monotonic() - begun_s)
 
 

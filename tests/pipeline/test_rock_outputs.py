@@ -96,6 +96,7 @@ def test_quiet_windows(limit_m: float, is_quiet: bool) -> None:
     assert last is not None
     assert (last.window is not None) is is_quiet
     assert (last.best > 0.8) is is_quiet
+    assert frames[100].quiet is not None
     assert not isfinite(frames[100].quiet.best)  # nothing has been learned
     assert build().coast(0.0).quiet is None
 

@@ -9,10 +9,9 @@ from scipy.spatial.transform import Rotation
 from heaved.config.read import data_directory, load
 from heaved.devices.profile import DeviceSpec
 from heaved.samples import CraftSample
-from heaved.simulate.craft_sensors import CraftSensors
 from heaved.simulate.flexure import ARCSEC_RAD
 from heaved.simulate.hydrofoil import Voyage
-from heaved.simulate.instruments import Instruments
+from heaved.simulate.instruments import CraftSensors, Instruments
 from heaved.simulate.seaway import seaway
 from heaved.simulate.second_imu import Bend, CraneBase, SecondImu
 from heaved.simulate.sensors import imu_model
@@ -92,4 +91,6 @@ def test_devices_of_the_stages_are_read_by_their_roles() -> None:
     instruments = Instruments(seaway("S5", 1), seed=1)
     first = instruments.read(crane, 1.0)
     assert first == Instruments(seaway("S5", 1), seed=1).read(crane, 1.0)
-    assert math.isnan(instruments.read(craft, 1.0).heave_m)  # No voyage: the device refuses.
+    refused = instruments.read(craft, 1.0)
+    assert isinstance(refused, CraftSample)
+    assert math.isnan(refused.heave_m)  # No voyage: the device refuses.

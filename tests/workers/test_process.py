@@ -68,7 +68,7 @@ async def training(script: str, **options: float) -> AsyncIterator[tuple[Worker[
         watcher.failures.put_nowait,
         command=command(script),
         first_backoff_s=0.01,
-        **options,  # type: ignore[arg-type]
+        **options,
     )
     await trainer.start()
     try:
@@ -103,7 +103,7 @@ async def test_a_misbehaving_process_is_replaced_and_named(script: str, reason: 
     async with training(both, longest_s=0.3 if script is HANGS else 30.0) as (trainer, watcher):
         trainer.submit(asking(1))
         assert reason in await watcher.failures.get()
-        trainer._longest_training_s = 30.0  # A busy machine takes long to start a process that is well.
+        trainer._longest_s = 30.0  # A busy machine takes long to start a process that is well.
         trainer.submit(asking(2))
         assert (await watcher.results.get()).number == 2
         assert trainer.failures == 1
@@ -213,7 +213,8 @@ def test_replay_gets_a_message_and_a_new_process(script: str, reason: str, tmp_p
 @pytest.fixture(autouse=True)
 def _others() -> None:
     """Children that were there before the test are not of a worker: the resource tracker of multiprocessing, which a
-    pool of another test has started, lives as long as we do."""
+    pool of another test has started, lives as long as we do.
+    """
     _OTHERS.clear()
     _OTHERS.update(child_pids())
 

@@ -109,6 +109,8 @@ class HullState(StrEnum):
 
 
 class HullWarning(StrEnum):
+    """What makes the deformation worth less, or is wrong with an IMU."""
+
     WEAK_MOTION = "weak_motion"
     SINGLE_AXIS = "single_axis"
     STUCK_MIDSHIPS = "stuck_midships"

@@ -86,7 +86,7 @@ class HullDeformation:
         self._least_noise = sqrt(2.0 * self._out_hz) * p.gyro_noise_deg_rth * DEG_RTH
         self._slow = RingBuffer(int(TUNING.forecast_window_s * self._out_hz), 4)
         """Slow rates midships."""
-        self._streams: TwoStreams | None = None
+        self._streams = TwoStreams(p.rate_hz)
         self._checks = (RateCheck(), RateCheck())
         self._consistency = Consistency(p)
         self.resets: Counter[ResetReason] = Counter()
@@ -144,21 +144,16 @@ class HullDeformation:
 
     def push_midships(self, t_s: float, rates_radps: Array) -> HullEstimate | None:
         """Take a reading (3,) of the midships IMU; returns an estimate when it completes a pair or more."""
-        return self._push(self._two().midships, t_s, rates_radps)
+        return self._push(self._streams.midships, t_s, rates_radps)
 
     def push_local(self, t_s: float, rates_radps: Array) -> HullEstimate | None:
         """Take a reading (3,) of the IMU at the crane base; returns as :meth:`push_midships`."""
-        return self._push(self._two().local, t_s, rates_radps)
-
-    def _two(self) -> TwoStreams:
-        if self._streams is None:
-            self._streams = TwoStreams(self._params.rate_hz)
-        return self._streams
+        return self._push(self._streams.local, t_s, rates_radps)
 
     def _push(self, stream: Stream, t_s: float, rates_radps: Array) -> HullEstimate | None:
         stream.push(t_s, rates_radps)
         estimate = None
-        for pair in self._two().due():
+        for pair in self._streams.due():
             estimate = self.step(pair.t_s, pair.midships_radps, pair.local_radps)
         return estimate
 

@@ -79,6 +79,7 @@ class SlowMotion:
         self.set_vibration(np.full(TUNING.spectrum_lines, self._least))
 
     def copy(self) -> SlowMotion:
+        """Another, with the same spectrum."""
         twin = SlowMotion(self.rate_hz, (self._least * self.rate_hz) ** 0.5)
         twin.set_vibration(self.power)
         twin._square = self._square.copy()
@@ -280,6 +281,7 @@ class SlowPair:
         self.out_hz = midships.rate_hz / max(1, round(midships.rate_hz / TUNING.slow_hz))
 
     def copy(self) -> SlowPair:
+        """Another, with the same spectra."""
         return SlowPair(self.midships.copy(), self.local.copy())
 
     def is_due(self, before_s: float, t_s: float) -> bool:

@@ -214,14 +214,17 @@ class RateCheck:
 
     @property
     def stuck(self) -> bool:
+        """Nothing but repetitions for a second."""
         return _is_stuck(self._unchanged)
 
     @property
     def missing(self) -> bool:
+        """Too many readings say nothing."""
         return self._missing > TUNING.missing_share
 
     @property
     def slow(self) -> bool:
+        """Too many readings are repeated ones."""
         return self._repeated > TUNING.repeated_share and not self.stuck
 
 

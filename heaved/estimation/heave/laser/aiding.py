@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.heave.laser import lead
-from heaved.estimation.heave.sea.filter import WANDERS, GaugeError, SeaFilter
+from heaved.estimation.heave.sea.filter import TUNING as FILTER
+from heaved.estimation.heave.sea.filter import GaugeError, SeaFilter
 from heaved.estimation.heave.sea.output import SeaHeave
 
 Array = NDArray[np.float64]
@@ -125,7 +126,7 @@ class Aiding:
     ) -> bool:
         f, gauge = heave.filter, heave.filter.gauge
         assert gauge is not None
-        opened_m = WANDERS[0] * self._surprise**2 if self._surprise > SURPRISED[0] else 0.0
+        opened_m = FILTER.wanders[0] * self._surprise**2 if self._surprise > SURPRISED[0] else 0.0
         gauge.wander(elapsed_s, max(self._wandered_m(t_s, gauge), opened_m))
         (row, missed_m2), counts_s = heave.row(t_s), min(elapsed_s, SILENT_S)
         noise_m2 = noise_std_m**2 + missed_m2
