@@ -59,12 +59,15 @@ class Workers:
         return {name: worker.stop() for name, worker in self.running.items()}
 
     def train(self, window: TrainingWindow) -> None:
+        """Hand a window to the trainer."""
         self._submit(TRAINING, window)
 
     def fit(self, window: SeaWindow) -> None:
+        """Hand the past to the fitter of the sea."""
         self._submit(FITTING, window)
 
     def refit(self, job: RefitJob) -> None:
+        """Hand a job to the fitter of the hull's flexure."""
         if HULL_FITTING in self.running:
             self._hull_jobs += 1
             self._submit(HULL_FITTING, hull_fitter.pack(self._hull_jobs, job))
@@ -104,7 +107,7 @@ class Workers:
         else:
             runs = self._metrics.training_runs if name == TRAINING else self._metrics.sea_fits
             runs.labels("failed").inc()
-        trouble = reason.split(";")[0]  # Without the growing pause before the next start.
+        trouble = reason.partition(";")[0]  # Without the growing pause before the next start.
         if trouble != self._troubles.get(name):
             self._troubles[name] = trouble
             _log.warning(f"the {name} has failed: the stream goes on with what was learned", reason=reason)

@@ -214,7 +214,7 @@ class LineHandler(logging.Handler):
                 self._say(self.format(counted))
             if self._repeats.admits(record, now_s):
                 self._say(self.format(record))
-        except Exception as error:  # What cannot be formatted must not stop who said it.
+        except Exception as error:  # noqa: BLE001  # What cannot be formatted must not stop who said it.
             self._say(f"an event that cannot be printed: {printable(repr(error))}")
 
     def flush(self) -> None:
@@ -284,7 +284,8 @@ class LineHandler(logging.Handler):
 
 def _writer() -> Callable[[str], None]:
     """Writes to standard error as it is now, without a buffer whose lock a hanging write would keep; what it does not
-    take is lost, since there is no better place to say so."""
+    take is lost, since there is no better place to say so.
+    """
     stream = sys.stderr
 
     def write(text: str) -> None:
