@@ -178,7 +178,7 @@ def _samples(recording: Recording, until_s: float, tally: Tally) -> Iterator[Sam
 def _fit(pipeline: Pipeline, past: SeaWindow, tally: Tally) -> str:
     try:
         fit = look(past)
-    except Exception as error:  # noqa: BLE001  # The daemon's fitter would die of it, too: what was learned stays.
+    except Exception as error:  # The daemon's fitter would die of it, too: what was learned stays.
         tally.failure = repr(error)
         return "failed"
     return pipeline.accept_fit(fit)
