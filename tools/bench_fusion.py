@@ -21,7 +21,7 @@ import numpy as np
 
 from heaved.estimation.common import sigma
 from heaved.estimation.craft.dynamics import Craft, Vessel
-from heaved.estimation.craft.fusion import AttitudeFusion, Params
+from heaved.estimation.craft.fusion import AttitudeFusion, Differ, Mode, Params
 from heaved.estimation.craft.model import State
 from heaved.estimation.craft.wave_force import WaveShape, propagation
 
@@ -72,9 +72,9 @@ def one_by_one() -> Callable[[], object]:
 def contenders() -> dict[str, Callable[[], object]]:
     return {
         "imm, three seas": fused(Params()),
-        "ewma, three seas": fused(Params(mode="ewma")),
-        "instant, three seas": fused(Params(mode="instant", bank="seas")),
-        "instant, two point sets": fused(Params(mode="instant")),
+        "ewma, three seas": fused(Params(mode=Mode.EWMA)),
+        "instant, three seas": fused(Params(mode=Mode.INSTANT, bank=Differ.SEAS)),
+        "instant, two point sets": fused(Params(mode=Mode.INSTANT)),
         "three filters one by one": one_by_one(),
     }
 

@@ -12,21 +12,22 @@ from __future__ import annotations
 import argparse
 import os
 import time
-from typing import Literal
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from heaved.estimation.common.rotations import Attitude
-from heaved.estimation.hull.stage import HullDeformation, Params, crane_base_attitude, refit
+from heaved.estimation.common.rotations import AttitudeAngles, crane_base_attitude
+from heaved.estimation.hull.estimate import Method, Params
+from heaved.estimation.hull.estimator import HullDeformation
+from heaved.estimation.hull.refit import refit
 from heaved.simulate.flexure import SCENES, Record, simulate
 
 STARTED_S = 30.0
 """The steps are timed from here on: each update is taken once."""
 
 
-def steps_us(record: Record, method: Literal["so3", "ckf", "ukf"]) -> tuple[np.ndarray, float]:
+def steps_us(record: Record, method: Method) -> tuple[np.ndarray, float]:
     """Duration of every step after the start, and of the dearest one before, in microseconds."""
     estimator = HullDeformation(Params(method=method, refit_after_s=0.0))
     durations = []
@@ -55,11 +56,10 @@ def main() -> None:
     seconds = max(parser.parse_args().seconds, STARTED_S + 10.0)
     record = simulate(SCENES["A1"], 1, duration_s=seconds)
     print("| method | step, median µs | 99 % | largest | start |\n|---|---|---|---|---|")
-    methods: tuple[Literal["so3", "ckf", "ukf"], ...] = ("so3", "ckf", "ukf")
-    for method in methods:
+    for method in Method:
         us, start = steps_us(record, method)
         print(f"| {method} | {np.median(us):.0f} | {np.percentile(us, 99):.0f} | {np.max(us):.0f} | {start:.0f} |")
-    C, attitude = record.static, Attitude(0.01, 0.02, 1.0)
+    C, attitude = record.static, AttitudeAngles(0.01, 0.02, 1.0)
     begin = time.perf_counter_ns()
     for _ in range(2000):
         crane_base_attitude(attitude, C)

@@ -31,13 +31,13 @@ Step = Callable[[float, list[float]], object]
 
 def contenders() -> dict[str, Step]:
     """Fresh predictors, three axes and seven horizons unless it says otherwise."""
-    direct, rated = rock_chain.DirectRockPredictor(), rock_chain.DirectRockPredictor(rates=True)
+    direct, rated = rock_chain.DirectRockPredictor(), rock_chain.DirectRockPredictor()
     single = rock_direct.DirectPredictor(1)
     paper = rock.RockPredictor(rock.Params(horizons_s=ML_HORIZONS_S))
     return {
         "ml": lambda t, x: paper.step(t, *x[:3]),
-        "direct": lambda t, x: direct.step(t, *x[:3]),
-        "direct, with rates": lambda t, x: rated.step(t, *x[:3], rates_radps=(x[3], x[4], x[5])),
+        "direct": lambda t, x: direct.step(t, (x[0], x[1], x[2])),
+        "direct, with rates": lambda t, x: rated.step(t, (x[0], x[1], x[2]), (x[3], x[4], x[5])),
         "direct, one channel": lambda t, x: single.step(t, x[:1]),
     }
 

@@ -20,7 +20,7 @@ import sys
 import tempfile
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -113,7 +113,7 @@ def listen(host: str, port: int, clients: int, duration_s: float, pipe: Connecti
 
 
 @contextmanager
-def child(target: object, *arguments: object) -> Iterator[Connection]:
+def child(target: Callable[..., None], *arguments: object) -> Iterator[Connection]:
     ours, theirs = multiprocessing.Pipe()
     process = multiprocessing.get_context("spawn").Process(target=target, args=(*arguments, theirs), daemon=True)
     process.start()

@@ -15,7 +15,7 @@ from heaved.estimation import quiescence
 from heaved.estimation.craft import fusion
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
-from heaved.estimation.hull import stage as hull
+from heaved.estimation.hull import estimate as hull
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.rock import maximum_likelihood as rock
 

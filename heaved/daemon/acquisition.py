@@ -14,7 +14,7 @@ from heaved.devices.bus import PollResult
 from heaved.devices.profile import DeviceSpec
 from heaved.estimation.heave.observer import Verdict
 from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
-from heaved.estimation.hull.stage import RefitJob, RefitResult
+from heaved.estimation.hull.refit import RefitJob, RefitResult
 from heaved.pipeline import Pipeline
 from heaved.samples import Fault, ImuSample, MotionFrame, RockScore, Sample, TrainedNetwork, TrainingWindow
 

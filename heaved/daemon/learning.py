@@ -12,7 +12,7 @@ from heaved.config import Config
 from heaved.daemon.acquisition import Acquisition
 from heaved.daemon.metrics import Metrics
 from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
-from heaved.estimation.hull.stage import RefitJob
+from heaved.estimation.hull.refit import RefitJob
 from heaved.samples import TrainedNetwork, TrainingWindow
 from heaved.workers import refit_hull as hull_fitter
 from heaved.workers.process import FITTER, HULL_FITTER, TRAINER, Worker

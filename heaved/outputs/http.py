@@ -17,8 +17,7 @@ import structlog
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
-from heaved.outputs.access import checked_networks, is_allowed
-from heaved.outputs.listener import Listener
+from heaved.outputs.listen import Listener, checked_networks, is_allowed
 from heaved.samples import HeaveState, MotionFrame
 from heaved.text import printable
 

@@ -1,7 +1,8 @@
 """What the stream says: a record for each class of line, ``class`` first.
 
 What is not known is left out, never ``null`` or ``NaN``; angles are in degrees, times ISO 8601 UTC, signs those of
-:mod:`heaved.samples`. HULL and ATTITUDE are in :mod:`heaved.outputs.stage_wire`.
+:mod:`heaved.samples`. Which of their numbers come from which record inside, and how they are rounded, says the table in
+:mod:`heaved.outputs.fields`.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from typing import Final
 
 import msgspec
 
-from heaved.samples import CorrectionState, HeaveState, LaserState, Vibration
+from heaved.samples import CorrectionState, Quality, Vibration
 
 PROTO_MAJOR: Final = 1
 PROTO_MINOR: Final = 3
@@ -28,13 +29,6 @@ class VersionRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class"
 
 class ErrorRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class", tag="ERROR"):
     message: str
-
-
-class QualityRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True):
-    heave: HeaveState
-    laser: LaserState
-    correction: CorrectionState
-    reasons: tuple[str, ...] = ()
 
 
 class RockRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_defaults=True):
@@ -101,7 +95,7 @@ class MotionRecord(
     points: tuple[PointRecord, ...] = ()
     rock: tuple[RockRecord, ...] = ()
     forecast: tuple[ForecastRecord, ...] = ()
-    quality: QualityRecord
+    quality: Quality
     age_s: float | None = None
     """From validity to the moment the line was given to the socket."""
     dropped: int | None = None
@@ -149,6 +143,62 @@ class DelayedRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class"
     mono_s: float
     heave_m: float
     std_m: float
+
+
+class HullRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag_field="class", tag="HULL"):
+    """Deformation between the IMUs amidships and at the crane base: ``v_local = R3(z) R2(y) R1(x) v_midships``."""
+
+    time: str
+    """UTC of validity."""
+    mono_s: float
+    state: str
+    """"starting", "converging", "converged", "weak" or "holding"."""
+    x_deg: float | None = None
+    """Total: static, mounting and flexure."""
+    y_deg: float | None = None
+    z_deg: float | None = None
+    static_x_deg: float | None = None
+    static_y_deg: float | None = None
+    static_z_deg: float | None = None
+    dynamic_x_deg: float | None = None
+    """Flexure about the hull's axes."""
+    dynamic_y_deg: float | None = None
+    dynamic_z_deg: float | None = None
+    x_std_arcsec: float | None = None
+    """Of the total, about the hull's axes."""
+    y_std_arcsec: float | None = None
+    z_std_arcsec: float | None = None
+    x_reachable_std_arcsec: float | None = None
+    """What the motion at hand would give in the end; absent: nothing."""
+    y_reachable_std_arcsec: float | None = None
+    z_reachable_std_arcsec: float | None = None
+    delay_s: float | None = None
+    """By which the second IMU is late, its configured latency included already."""
+    delay_std_s: float | None = None
+    refits: int
+    resets: int
+    warnings: tuple[str, ...] = ()
+
+
+class AttitudeRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class", tag="ATTITUDE"):
+    """Fused heave (about the trim, up) and pitch (bow up) of a craft."""
+
+    time: str
+    """UTC of validity."""
+    mono_s: float
+    heave_m: float
+    heave_std_m: float
+    heave_velocity_mps: float
+    heave_velocity_std_mps: float
+    pitch_deg: float
+    pitch_std_deg: float
+    pitch_rate_degps: float
+    pitch_rate_std_degps: float
+    probabilities: tuple[float, ...]
+    """Of the filters."""
+    switches: int
+    resets: int
+    cautions: tuple[str, ...]
 
 
 class QuietRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag_field="class", tag="QUIET"):
@@ -277,7 +327,7 @@ class StatusRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     rate_hz: float | None = None
     """Frames a second, measured over the last seconds."""
     heave: HeaveStatus
-    quality: QualityRecord
+    quality: Quality
     devices: tuple[DeviceStatus, ...]
     clients: int
     dropped: int

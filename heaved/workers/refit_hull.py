@@ -11,7 +11,7 @@ import sys
 
 import msgspec
 
-from heaved.estimation.hull.stage import RefitJob, RefitResult, refit
+from heaved.estimation.hull.refit import RefitJob, RefitResult, refit
 from heaved.workers.serve import serve
 
 

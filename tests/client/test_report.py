@@ -19,11 +19,10 @@ from heaved.outputs.records import (
     HeaveStatus,
     MotionRecord,
     ObserverStatus,
-    QualityRecord,
     StatusRecord,
     VersionRecord,
 )
-from heaved.samples import CorrectionState, HeaveState, LaserState, Vibration
+from heaved.samples import CorrectionState, HeaveState, LaserState, Quality, Vibration
 
 # Label=value[unit];[warn];[crit];[min];[max], as the monitoring plugins' guidelines have it.
 PERFORMANCE = re.compile(r"[a-z_]+=-?[0-9.e-]+[a-z]*;;;;")
@@ -35,8 +34,8 @@ def motion(age_s: float = 0.002) -> MotionRecord:
     return msgspec.json.decode(line, type=MotionRecord)
 
 
-def quality(heave: HeaveState, *reasons: str) -> QualityRecord:
-    return QualityRecord(heave=heave, laser=LaserState.VALID, correction=CorrectionState.ACTIVE, reasons=tuple(reasons))
+def quality(heave: HeaveState, *reasons: str) -> Quality:
+    return Quality(heave=heave, laser=LaserState.VALID, correction=CorrectionState.ACTIVE, reasons=tuple(reasons))
 
 
 def snapshot(status: StatusRecord | None = None, frame: MotionRecord | None = None) -> Snapshot:

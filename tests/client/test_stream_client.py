@@ -13,9 +13,9 @@ from stream_peers import Connect, Serve, make_frame, make_status
 
 from heaved.client.stream_client import Trouble, Unreachable, fetch_status, is_ready, wait_until_ready
 from heaved.outputs import wire
-from heaved.outputs.records import MotionRecord, QualityRecord, VersionRecord
+from heaved.outputs.records import MotionRecord, VersionRecord
 from heaved.outputs.stream import Publisher
-from heaved.samples import CorrectionState, HeaveState, LaserState
+from heaved.samples import CorrectionState, HeaveState, LaserState, Quality
 
 Play = Callable[[Callable[[socket.socket], None]], int]
 
@@ -74,7 +74,7 @@ async def frames(publisher: Publisher, heave: HeaveState = HeaveState.VALID) -> 
 
     async def publish() -> None:
         while True:
-            publisher.publish(make_frame(publisher.clock(), heave), utc_s=1.7e9)
+            publisher.publish(make_frame(publisher.clock(), heave))
             await asyncio.sleep(0.005)
 
     task = asyncio.create_task(publish())
@@ -186,7 +186,7 @@ def test_no_such_host(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None
 def test_what_a_compensator_may_start_on(
     heave: HeaveState, heave_m: float | None, age_s: float | None, ready: bool
 ) -> None:
-    quality = QualityRecord(heave=heave, laser=LaserState.OFF, correction=CorrectionState.OFF, reasons=())
+    quality = Quality(heave=heave, laser=LaserState.OFF, correction=CorrectionState.OFF, reasons=())
     motion = MotionRecord(seq=1, time="", mono_s=0.0, heave_m=heave_m, quality=quality, age_s=age_s)
     assert is_ready(motion) is ready
 

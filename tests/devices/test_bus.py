@@ -35,6 +35,7 @@ from modbus_slaves import (
 from heaved.daemon.supervise import cancelled
 from heaved.devices import bus as modbus
 from heaved.devices.bus import CONNECT_TIMEOUT_S, RETRY_S, Bus, PollResult
+from heaved.devices.frames import find_tcp_answer
 from heaved.devices.liveness import PROBE_S
 from heaved.devices.names import Name
 from heaved.devices.profile import Block, Field, Profile
@@ -123,7 +124,7 @@ async def test_sample_is_dated_by_the_block_with_the_vertical_acceleration() -> 
     asked: list[float] = []
     answer = slave.answer
 
-    def note(request: bytes) -> bytes:
+    def note(request: bytes) -> bytes | None:
         if request[9] == 0x34:
             asked.append(asyncio.get_running_loop().time())
         return answer(request)
@@ -438,7 +439,9 @@ RTU_FAULTS = [
 
 
 @pytest.mark.parametrize(("name", "bad", "fault", "words"), RTU_FAULTS, ids=[row[0] for row in RTU_FAULTS])
-async def test_rtu_fault_is_named_and_passes(name, bad, fault, words) -> None:  # type: ignore[no-untyped-def]
+async def test_rtu_fault_is_named_and_passes(
+    name: str, bad: Callable[[bytes], bytes], fault: Fault, words: str
+) -> None:
     broken = True
     count = CountingSlave()
     # While broken, short reads (that resynchronise) are answered well, so that the bad answer meets the data read.
@@ -524,7 +527,9 @@ MADE_ANEW = {"mute", "not Modbus", "a whole page", "half a frame", "half a heade
 
 
 @pytest.mark.parametrize(("name", "bad", "fault", "words"), TCP_FAULTS, ids=[row[0] for row in TCP_FAULTS])
-async def test_tcp_fault_is_named_and_passes(name, bad, fault, words) -> None:  # type: ignore[no-untyped-def]
+async def test_tcp_fault_is_named_and_passes(
+    name: str, bad: Callable[[bytes], bytes], fault: Fault, words: str
+) -> None:
     broken = True
     slave = TcpSlave(lambda request: bad(request) if broken else tcp_answer(request, [5] * 3))
     await slave.start()
@@ -882,7 +887,7 @@ async def test_a_cancellation_in_the_same_round_as_the_answer_ends_the_task(
     """``asyncio.wait_for`` of Python 3.11 swallows such a one."""
     polls: list[asyncio.Task[None]] = []
     answered = asyncio.Event()
-    find = modbus.find_tcp_answer
+    find = find_tcp_answer
 
     def cancel_and_find(*arguments: Any) -> bytes:
         polls.extend(task for task in asyncio.all_tasks() if task.get_name().startswith("poll"))

@@ -20,8 +20,7 @@ from pipelines import NoRock, numbers
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.heave.sea.refit import look
-from heaved.estimation.rock import maximum_likelihood as rock
-from heaved.pipeline import Pipeline, PipelineState
+from heaved.pipeline import Pipeline, PipelineState, assemble
 from heaved.samples import GRAVITY_MPS2, HeaveState, ImuSample, LaserSample, MotionFrame, Sample
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import record
@@ -36,15 +35,13 @@ G = GRAVITY_MPS2
 
 def built(*, has_laser: bool) -> Pipeline:
     """The default pipeline, but for the rock predictor and the training of a network."""
-    pipe = Pipeline(
+    return assemble(
         heave=heave.Params(forecast_horizons_s=(1.0,)),
         laser=reference.Params(),
         correction=correction.Params(),
-        rock=rock.Params(),
+        rock=NoRock(),
         has_laser=has_laser,
     )
-    pipe._rock = NoRock()  # type: ignore[assignment]
-    return pipe
 
 
 class Sea(NamedTuple):

@@ -17,6 +17,7 @@ import pytest
 from evidence import fault_table, faults
 from evidence.disasters import DISASTERS, HONEST_OF, IMU, Disaster, Span, spoiled
 from evidence.faults import Outcome, Plan, Published, Task
+from numpy.typing import NDArray
 
 from heaved.pipeline import Pipeline
 from heaved.samples import (
@@ -66,7 +67,7 @@ def point(t: float) -> float:
     return heave(t) + 30.0 * sin(p) + 10.0 * sin(r) * cos(p) + 20.0 * (cos(r) * cos(p) - 1.0)
 
 
-def true_motion() -> Motion:
+def true_motion() -> Motion[NDArray[np.float64]]:
     t = np.arange(round((PLAN.duration_s + 5.0) * RATE_HZ)) / RATE_HZ
     nothing = np.zeros(t.size)
     return Motion(
@@ -160,7 +161,7 @@ def test_what_is_right_is_not_blamed() -> None:
 
 def off(**fields: float) -> Callable[[MotionFrame], MotionFrame]:
     """These numbers of the frame, so much too large."""
-    return changed(**{name: lambda made, n=name, by=by: getattr(made, n) + by for name, by in fields.items()})  # type: ignore[misc]
+    return changed(**{name: lambda made, n=name, by=by: getattr(made, n) + by for name, by in fields.items()})
 
 
 def forecast_off(horizon_s: float, by_m: float) -> Callable[[MotionFrame], MotionFrame]:
@@ -390,7 +391,7 @@ def test_a_run_is_held_against_the_honest_one_of_its_own_record() -> None:
     run = outcome("gap_1", last_heave_m=0.012, last_rock_deg=0.21, valid_after_s=7.0, lies={"heave": 3})
     found = fault_table.honest_beside([elsewhere, honest, run], run)
     assert found is not None
-    assert (found.heave, found.rock) == (pytest.approx(1.2), pytest.approx(1.05))
+    assert (found.heave, found.rock) == pytest.approx((1.2, 1.05))
     assert fault_table.missed(run, found) == ["3 heave lies", "valid after 7 s > 5 s", "heave 1.20 > 1.1"]
     again = outcome("holes_again", last_heave_m=0.0105, last_rock_deg=nan, valid_after_s=79.0)
     later = fault_table.honest_beside([honest, again], again)

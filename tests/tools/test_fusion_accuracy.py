@@ -5,11 +5,15 @@ Short voyages; the bands leave room for them. The figures of 50 full ones are th
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import msgspec
 import numpy as np
 import pytest
 from evidence import attitude
-from evidence.attitude import FIVE, IMM, INSTANT, METHODS, OUTLIERS, POINT_SETS, Passage, Row
+from evidence.attitude import FIVE, IMM, INSTANT, METHODS, OUTLIERS, POINT_SETS, Row
+
+from heaved.simulate.hydrofoil import Passage
 
 SHORT = Passage(stages=((0.0, 0.3), (40.0, 2.5), (80.0, 0.3)), duration_s=120.0)
 SEEDS = (1, 2)
@@ -26,31 +30,31 @@ def row(rows: list[Row], method: str, part: str = "whole") -> Row:
     return next(r for r in rows if r.method == method and r.part == part)
 
 
-def test_mixing_beats_the_best_single_filter(rows) -> None:
+def test_mixing_beats_the_best_single_filter(rows: list[Row]) -> None:
     whole = row(rows, IMM)
     assert whole.against_best[HEAVE_RATE] < 0.90
     assert whole.against_best[PITCH_RATE] < 0.92
 
 
-def test_in_a_steady_sea_mixing_costs_next_to_nothing(rows) -> None:
+def test_in_a_steady_sea_mixing_costs_next_to_nothing(rows: list[Row]) -> None:
     steady = [r for r in rows if r.method == IMM and r.part != "whole"]
     assert len(steady) == 3
     for segment in steady:
         assert max(segment.against_best) < 1.06, segment
 
 
-def test_the_published_covariance_is_right(rows) -> None:
+def test_the_published_covariance_is_right(rows: list[Row]) -> None:
     assert 0.8 < row(rows, IMM).nees < 1.4
 
 
-def test_switching_by_the_average_is_nearly_as_good_and_calm(rows) -> None:
+def test_switching_by_the_average_is_nearly_as_good_and_calm(rows: list[Row]) -> None:
     imm, ewma = row(rows, IMM), row(rows, attitude.EWMA)
     for state in (HEAVE_RATE, PITCH_RATE):
         assert ewma.rms[state] < 1.05 * imm.rms[state]
     assert ewma.switches_per_s < 0.5
 
 
-def test_switching_at_every_instant_is_worse_than_the_better_filter(rows) -> None:
+def test_switching_at_every_instant_is_worse_than_the_better_filter(rows: list[Row]) -> None:
     """By a single innovation: it chatters, and is off by more than it says."""
     instant = row(rows, INSTANT)
     for state in (HEAVE_RATE, PITCH_RATE):
@@ -59,7 +63,7 @@ def test_switching_at_every_instant_is_worse_than_the_better_filter(rows) -> Non
     assert instant.nees > 2.0
 
 
-def test_point_sets_make_no_difference_that_could_be_chosen(rows) -> None:
+def test_point_sets_make_no_difference_that_could_be_chosen(rows: list[Row]) -> None:
     """The patent as printed: the errors of both filters are one, and even who knows the truth gains nothing."""
     sets = row(rows, POINT_SETS)
     assert min(sets.correlation) > 0.9995
@@ -68,7 +72,7 @@ def test_point_sets_make_no_difference_that_could_be_chosen(rows) -> None:
     assert sets.rms == pytest.approx(sets.filter_rms[1], rel=0.005)
 
 
-def test_outliers_cost_little(rows) -> None:
+def test_outliers_cost_little(rows: list[Row]) -> None:
     clean, wrong = row(rows, IMM), row(rows, OUTLIERS)
     for ours, without in zip(wrong.rms, clean.rms, strict=True):
         assert ours < 1.05 * without
@@ -87,7 +91,9 @@ def test_a_sensor_that_shakes_costs_little_and_is_said() -> None:
         assert 0.7 < shaken.nees < 1.4, shaken.method
 
 
-def test_report_figure_and_command_line(tmp_path, rows, capsys, monkeypatch) -> None:
+def test_report_figure_and_command_line(
+    tmp_path: Path, rows: list[Row], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     text = attitude.report(rows)
     assert "### 40 s, Hs 2.5 m" in text
     assert f"| {POINT_SETS}: filter 2 alone |" in text

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import msgspec
 import numpy as np
 import pytest
@@ -67,7 +69,7 @@ def test_told_is_the_flexure_of_the_scene_without_a_refit() -> None:
     assert params.method == "ckf"
 
 
-def test_report_and_figure(tmp_path, capsys) -> None:
+def test_report_and_figure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = [evaluate("A1", name, (1,), 15.0) for name in ("so3", "ckf, told", "ckf, told, zero ± 10°")]
     text = report(rows)
     assert "| so3 | 1 |" in text

@@ -29,7 +29,7 @@ def window(number: int, a: np.ndarray, **changes: object) -> SeaWindow:
 
 
 def sea(seconds: float) -> np.ndarray:
-    t = 0.05 * np.arange(round(seconds / 0.05))
+    t = 0.05 * np.arange(round(seconds / 0.05), dtype=np.float64)
     noise = 3e-3 * np.random.default_rng(1).standard_normal(len(t))
     return np.ascontiguousarray(seaway("S5", 1).motion(t).heave_acceleration_mps2 + noise)
 

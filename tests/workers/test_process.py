@@ -68,7 +68,7 @@ async def training(script: str, **options: float) -> AsyncIterator[tuple[Worker[
         watcher.failures.put_nowait,
         command=command(script),
         first_backoff_s=0.01,
-        **options,  # type: ignore[arg-type]
+        **options,
     )
     await trainer.start()
     try:
@@ -103,7 +103,7 @@ async def test_a_misbehaving_process_is_replaced_and_named(script: str, reason: 
     async with training(both, longest_s=0.3 if script is HANGS else 30.0) as (trainer, watcher):
         trainer.submit(asking(1))
         assert reason in await watcher.failures.get()
-        trainer._longest_training_s = 30.0  # A busy machine takes long to start a process that is well.
+        trainer._longest_s = 30.0  # A busy machine takes long to start a process that is well.
         trainer.submit(asking(2))
         assert (await watcher.results.get()).number == 2
         assert trainer.failures == 1

@@ -62,9 +62,9 @@ class _On(msgspec.Struct, frozen=True):
 
 
 _RATIO: Final = "ratio_to_limit"
-_PERCENT: Final = {"unit": "%", "times": 100.0}
-_OF_SIGMA: Final = {"unit": "% of σ", "times": 100.0}
-_MM: Final = {"unit": "mm", "times": 1e3}
+_PERCENT: Final[dict[str, Any]] = {"unit": "%", "times": 100.0}
+_OF_SIGMA: Final[dict[str, Any]] = {"unit": "% of σ", "times": 100.0}
+_MM: Final[dict[str, Any]] = {"unit": "mm", "times": 1e3}
 _FORECASTS: Final = (("0.5", 1.5), ("1", 1.5), ("2", 1.6), ("5", 1.4))
 _CHANGE: Final = (("growing", 0.12), ("first minute after", 0.10), ("second and third", 0.05), ("then", 0.035))
 
@@ -112,10 +112,17 @@ def _heave() -> Iterator[Asked]:
 def _closed_loop() -> Iterator[Asked]:
     setting = {"sensor": "A", "laser": "off", "shake": NONE, "observer": "sea", "warm_up_s": closed_loop.SCORED_FROM_S}
     for sea in closed_loop.DEFAULT_SEAS:
-        where = {"kind": "closed_loop", "sea": sea, "way": closed_loop.LIVE, "method": closed_loop.OURS.format("sea")}
+        where: dict[str, object] = {
+            "kind": "closed_loop",
+            "sea": sea,
+            "way": closed_loop.LIVE,
+            "method": closed_loop.OURS.format("sea"),
+        }
         where |= {f"setting.{name}": value for name, value in setting.items()}
-        what, percent = "closed loop, live: hook motion over heave", {"unit": "% of heave", "times": 100.0}
-        yield Asked(what=what, of=sea, where=where, figure="share", most=0.04, by_observer=False, **percent)
+        what = "closed loop, live: hook motion over heave"
+        yield Asked(
+            what=what, of=sea, where=where, figure="share", most=0.04, by_observer=False, unit="% of heave", times=100.0
+        )
 
 
 ASKED: Final[tuple[Asked, ...]] = (*_heave(), *_closed_loop())

@@ -26,8 +26,9 @@ from numpy.typing import NDArray
 
 from heaved.demo.craft_at_sea import hull
 from heaved.estimation.craft.dynamics import Craft, Vessel
-from heaved.estimation.craft.fusion import AttitudeEstimate, AttitudeFusion, Params
+from heaved.estimation.craft.fusion import AttitudeFusion, Differ, Mode, Params
 from heaved.estimation.craft.wave_force import Sea
+from heaved.samples import CraftMotion
 from heaved.simulate.hydrofoil import CRAFT_SHAKES, Passage, Voyage, sail
 
 Array = NDArray[np.float64]
@@ -68,12 +69,12 @@ OUTLIERS: Final = "imm, 2 % outliers"
 FIVE: Final = "ewma, five seas"
 METHODS: Final = (
     Method(name=IMM, params=Params()),
-    Method(name=EWMA, params=Params(mode="ewma")),
-    Method(name=INSTANT, params=Params(mode="instant", bank="seas")),
-    Method(name=POINT_SETS, params=Params(mode="instant")),
+    Method(name=EWMA, params=Params(mode=Mode.EWMA)),
+    Method(name=INSTANT, params=Params(mode=Mode.INSTANT, bank=Differ.SEAS)),
+    Method(name=POINT_SETS, params=Params(mode=Mode.INSTANT)),
     Method(name=OUTLIERS, params=Params(), outlier_share=0.02),
     Method(name="imm, craft 20 to 40 % wrong", params=Params(vessel=WRONG_VESSEL)),
-    Method(name=FIVE, params=Params(mode="ewma", seas=FIVE_SEAS)),
+    Method(name=FIVE, params=Params(mode=Mode.EWMA, seas=FIVE_SEAS)),
 )
 
 
@@ -147,7 +148,7 @@ def parts(passage: Passage) -> list[tuple[str, float, float]]:
 class Trace(msgspec.Struct, frozen=True, kw_only=True):
     """One voyage by one method, at every sample."""
 
-    estimates: list[AttitudeEstimate]
+    estimates: list[CraftMotion]
     error: Array
     """(n, 4)."""
     filter_error: Array
@@ -161,7 +162,10 @@ def follow(made: Voyage, trim: tuple[float, float], fusion: AttitudeFusion) -> T
     truth = made.truth.T - np.array([trim[0], 0.0, 0.0, 0.0])
     measured = (made.measured_heave_m - trim[0], made.measured_pitch_rad)
     columns = (made.t_s, *measured, made.speed_mps, made.flap_fore_rad, made.flap_aft_rad)
-    estimates, filters, moments, covariances = [], [], [], []
+    estimates: list[CraftMotion] = []
+    filters: list[Array] = []
+    moments: list[Array] = []
+    covariances: list[Array] = []
     for sample in zip(*(column.tolist() for column in columns), strict=True):
         estimate, now = fusion.step(*sample), fusion.filters
         if estimate is None or now is None:
@@ -239,7 +243,7 @@ def table(
             by_seed = pool.map(work, seeds, chunksize=1)
     names = [name for name, _, _ in parts(passage)]
     # Filters that nothing is mixed into; five tunings include the three, so that the best is not one between them.
-    alone = [m.name for m in methods if m.params.mode != "imm" and m.outlier_share == 0.0] or [methods[0].name]
+    alone = [m.name for m in methods if m.params.mode is not Mode.IMM and m.outlier_share == 0.0] or [methods[0].name]
     best = methods[[m.name for m in methods].index(FIVE if FIVE in alone else alone[0])]
     singles = [runs[methods.index(best)] for runs in by_seed]
     return [
@@ -358,7 +362,11 @@ def figure(path: Path, seed: int = 1, passage: Passage = PASSAGE) -> None:
     pyplot.close(fig)
 
 
-_DRAWN: Final = ((INSTANT, Params(mode="instant", bank="seas")), (EWMA, Params(mode="ewma")), (IMM, Params()))
+_DRAWN: Final = (
+    (INSTANT, Params(mode=Mode.INSTANT, bank=Differ.SEAS)),
+    (EWMA, Params(mode=Mode.EWMA)),
+    (IMM, Params()),
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

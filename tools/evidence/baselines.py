@@ -16,7 +16,8 @@ from scipy.signal import bilinear_zpk, butter, sosfilt, sosfilt_zi, zpk2sos
 from heaved.estimation.common import sigma
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.harmonic.inertial_displacement import InertialDisplacement
-from heaved.estimation.imu.levelling import up_acceleration
+from heaved.estimation.heave.harmonic.observer import HarmonicObserver
+from heaved.estimation.imu.attitude import up_acceleration
 from heaved.samples import GRAVITY_MPS2, ImuSample
 
 Array = NDArray[np.float64]
@@ -120,7 +121,7 @@ class OneStep:
     """The product's UKF with m = 0 in eq. (14): its frequency follows the FFT, its lead stays."""
 
     def __init__(self, params: heave.Params) -> None:
-        self._observer = heave.HarmonicObserver(params)
+        self._observer = HarmonicObserver(params)
 
     def step(self, t_s: float, a_up_mps2: float) -> float:
         self._observer.step(t_s, a_up_mps2)

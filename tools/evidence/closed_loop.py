@@ -30,7 +30,7 @@ from heaved.config.read import ConfigError, data_directory, load, parse
 from heaved.demo.hook import Lift
 from heaved.estimation.heave.sea.refit import look
 from heaved.outputs.wire import encode_motion
-from heaved.pipeline import Pipeline
+from heaved.pipeline import Pipeline, assemble
 from heaved.samples import HeaveState, ImuSample
 from heaved.simulate.compensator import Ahead, CompensatorParams, Source, Trust, Update
 from heaved.simulate.instruments import Instruments
@@ -243,7 +243,7 @@ def _pipeline(stream: Stream) -> Pipeline:
         config = parse(document, file="closed loop", directory=data_directory())
     except ConfigError as error:
         raise ValueError(str(error)) from error
-    return Pipeline(
+    return assemble(
         heave=config.heave, laser=config.laser, correction=config.correction, rock=config.rock, has_laser=True
     )
 

@@ -26,7 +26,7 @@ from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.heave.sea.refit import look
 from heaved.estimation.rock import maximum_likelihood as rock
-from heaved.pipeline import Pipeline
+from heaved.pipeline import Pipeline, assemble
 from heaved.samples import MotionFrame
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import SENSORS, laser_pattern, record
@@ -140,7 +140,7 @@ def _pipeline(trial: Trial) -> Pipeline:
     """The daemon's, with its defaults but for forecasts, which are not looked at, and the rock predictor, which shares
     nothing with the heave: the cheapest there is."""
     settings = {"forecast_horizons_s": (), "lead": {"enabled": trial.taught}}
-    return Pipeline(
+    return assemble(
         heave=msgspec.convert(settings, heave.Params),
         laser=reference.Params(),
         correction=correction.Params(),

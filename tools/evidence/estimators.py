@@ -23,7 +23,7 @@ from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.heave.sea.refit import look
 from heaved.estimation.rock import maximum_likelihood as rock
-from heaved.pipeline import Pipeline
+from heaved.pipeline import Pipeline, assemble
 from heaved.samples import HeaveState, ImuSample, MotionFrame, Sample
 
 Array = NDArray[np.float64]
@@ -124,7 +124,7 @@ def pipeline(observer: str, conditions: Conditions) -> Pipeline:
     """The daemon's, with its defaults but for the observer and the horizons. The rock predictor, which shares nothing
     with the heave, is the cheapest there is: the published method with one memory."""
     settings = {"observer": observer, "forecast_horizons_s": conditions.horizons_s}
-    return Pipeline(
+    return assemble(
         heave=msgspec.convert(settings, heave.Params),
         laser=reference.Params(),
         correction=correction.Params(),

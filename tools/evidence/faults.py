@@ -35,7 +35,7 @@ from heaved.estimation.heave.sea.refit import look
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.outputs.wire import motion_head
-from heaved.pipeline import Pipeline, PipelineState
+from heaved.pipeline import Pipeline, PipelineState, assemble
 from heaved.samples import Fault, HeaveState, ImuSample, MotionFrame, Sample
 from heaved.simulate.seaway import TRAINS
 from heaved.simulate.sensors import Recording, measure
@@ -60,8 +60,6 @@ HOLDS_S: Final = 20.0
 """A state counts as there again when it holds for so long: what is still valid before it is found out does not."""
 ENCODED_EVERY: Final = 10
 """One frame in so many is put into the words of the stream as well, which has to be possible."""
-BLOCK_SAMPLES: Final = 64
-"""As a replay hands them over."""
 LARGEST_MEMORY: Final = 8 << 30
 """Of a process, bytes of its address space: what asks for more fails instead of taking the machine along."""
 STATES: Final = tuple(HeaveState)
@@ -138,7 +136,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
 def pipeline(disaster: Disaster) -> Pipeline:
     """The daemon's with all its defaults, and a monitoring point."""
     has_laser = disaster.laser != "off"
-    return Pipeline(
+    return assemble(
         heave=heave.Params(),
         laser=reference.Params(role="aiding" if disaster.laser == "aiding" else "reference"),
         correction=correction.Params(),
@@ -189,24 +187,15 @@ def frames(pipe: Pipeline, delivered: Recording, polls_s: Array) -> Iterator[tup
     polls_s: times at which a sensor that answers every poll would have had a sample.
     """
     interval_s = float(np.median(np.diff(polls_s)))
-    block: list[Sample] = []
     last_s = inf
     for sample in delivered.samples():
         if sample.t_s - last_s > 1.5 * interval_s:
-            for frame in _through(pipe, block):
-                yield frame, False
-            block = []
             missed = polls_s[(polls_s > last_s + 0.5 * interval_s) & (polls_s < sample.t_s - 0.5 * interval_s)]
             for t_s in missed.tolist():
                 yield pipe.coast(t_s), True
         last_s = sample.t_s
-        block.append(_polled(sample))
-        if len(block) >= BLOCK_SAMPLES and isinstance(sample, ImuSample):
-            for frame in _through(pipe, block):
-                yield frame, False
-            block = []
-    for frame in _through(pipe, block):
-        yield frame, False
+        if (frame := _stepped(pipe, _polled(sample))) is not None:
+            yield frame, False
 
 
 def _polled(sample: Sample) -> Sample:
@@ -216,18 +205,16 @@ def _polled(sample: Sample) -> Sample:
     return sample
 
 
-def _through(pipe: Pipeline, block: Sequence[Sample]) -> Iterator[MotionFrame]:
-    for frame in pipe.run(block):
-        if (past := pipe.fit_due()) is not None:
-            pipe.accept_fit(look(past))
-        if (window := pipe.training_due()) is not None:
-            from heaved.workers.train_correction import (
-                fit,
-            )  # loads torch, which takes seconds: only when there is a laser
+def _stepped(pipe: Pipeline, sample: Sample) -> MotionFrame | None:
+    """One sample through the pipeline, what is due to be learned included."""
+    frame = pipe.step(sample)
+    if (past := pipe.fit_due()) is not None:
+        pipe.accept_fit(look(past))
+    if (window := pipe.training_due()) is not None:
+        from heaved.workers.train_correction import fit  # torch takes seconds: only when there is a laser
 
-            pipe.accept(fit(window))
-        if frame is not None:
-            yield frame
+        pipe.accept(fit(window))
+    return frame
 
 
 def _named(error: Exception) -> str:

@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator
 from numpy.typing import NDArray
-from scipy.signal import welch
+from scipy.signal import detrend, welch
 
 from evidence.estimators import KF, Trace
 from evidence.limits import causal_heave_limit
@@ -152,7 +152,7 @@ def spectra(path: Path, case: Case, ours: Trace, others: Sequence[Trace], title:
     def density(values: Array) -> tuple[Array, Array]:
         there = values[np.isfinite(values)]
         segment = min(there.size, round(SPECTRUM_S * rate_hz))
-        f, found = welch(there, rate_hz, nperseg=segment, detrend="linear")
+        f, found = welch(there, rate_hz, nperseg=segment, detrend=detrend)
         shown = (f >= 0.016) & (f <= 1.3)
         return f[shown], found[shown]
 

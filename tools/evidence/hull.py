@@ -15,10 +15,9 @@ import argparse
 import multiprocessing
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from math import pi
 from pathlib import Path
-from typing import Literal
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -29,7 +28,9 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from heaved.estimation.common.rotations import ARCSEC, rotation_vector
-from heaved.estimation.hull.stage import HullDeformation, Params
+from heaved.estimation.hull.estimate import Method as Filter
+from heaved.estimation.hull.estimate import Params, Start
+from heaved.estimation.hull.estimator import HullDeformation
 from heaved.simulate.flexure import DEG_H_RADPS, SCENES, Record, Scene, simulate
 from heaved.simulate.gyro_shaking import GYRO_SHAKES
 
@@ -58,18 +59,18 @@ class Method(msgspec.Struct, frozen=True, kw_only=True):
 
 DEFAULT = Method(name="so3", params=Params())
 TOLD = Method(name="so3, told", params=Params(), told=True)
-CKF = Method(name="ckf, told", params=Params(method="ckf"), told=True)
-UKF = Method(name="ukf, told", params=Params(method="ukf"), told=True)
+CKF = Method(name="ckf, told", params=Params(method=Filter.CKF), told=True)
+UKF = Method(name="ukf, told", params=Params(method=Filter.UKF), told=True)
 ZERO_STD_DEG = (3.0, 10.0, 30.0)
 """Prior deviation about a start at zero, 30 degrees off. The paper does not state its own; everything hangs on it."""
 
 
-def from_zero(kind: Literal["ckf", "ukf"], std_deg: float) -> Method:
-    params = Params(method=kind, start="zero", alignment_std_deg=std_deg)
+def from_zero(kind: Filter, std_deg: float) -> Method:
+    params = Params(method=kind, start=Start.ZERO, alignment_std_deg=std_deg)
     return Method(name=f"{kind}, told, zero ± {std_deg:g}°", params=params, told=True)
 
 
-ZERO = tuple(from_zero(kind, std) for std in ZERO_STD_DEG for kind in ("ckf", "ukf"))
+ZERO = tuple(from_zero(kind, std) for std in ZERO_STD_DEG for kind in (Filter.CKF, Filter.UKF))
 METHODS = {method.name: method for method in (DEFAULT, TOLD, CKF, UKF, *ZERO)}
 
 SHAKE_PLAN: tuple[tuple[str, tuple[str, ...]], ...] = (
@@ -167,7 +168,7 @@ def run(scene: Scene, method: Method, seed: int, duration_s: float = 600.0) -> R
         C = estimate.local_from_midships
         if np.isfinite(C).all():
             published.append(t)
-            errors.append(rotation_vector(truth[row_of[estimate.t_s]].T @ C) / ARCSEC)
+            errors.append(rotation_vector(truth[row_of[estimate.angles.t_s]].T @ C) / ARCSEC)
     error = np.array(errors)
     final = error[-1] * ARCSEC
     return Run(
@@ -253,7 +254,7 @@ def reached_s(t_s: Array, error_arcsec: Array) -> tuple[float, float, float]:
     return _triple(times)
 
 
-def _triple(values: Sequence[float]) -> tuple[float, float, float]:
+def _triple(values: Iterable[float]) -> tuple[float, float, float]:
     x, y, z = (float(v) for v in values)
     return x, y, z
 

@@ -69,7 +69,8 @@ def run(seas: tuple[Sea, ...], size: float, params: Params, duration_s: float, s
     for i, row in enumerate(measured.tolist()):
         t = i / RATE_HZ
         if i and i % every == 0:
-            quiescence.step(t, *row, forecast=MotionForecast(horizons, predictor.values, predictor.std))
+            roll, pitch, heave = row
+            quiescence.step(t, roll, pitch, heave, MotionForecast(horizons, predictor.values, predictor.std))
             given.append(quiescence.probabilities)
         else:
             quiescence.step(t, *row)

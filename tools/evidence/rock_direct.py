@@ -6,7 +6,7 @@ predictor for the known spectrum (``limits.prediction_limit``) with the same noi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from itertools import repeat
 from math import nan
@@ -82,7 +82,7 @@ def simple(x: Array, method: str) -> Array:
     if method == "rate":
         taps = fading_taps(1 / RATE_HZ, np.array([0.0, 1e-3]))
         slope = np.convolve(x, (taps[1] - taps[0])[::-1] / 1e-3)[: len(x)]
-        return x[:, None] + horizons * slope[:, None]
+        return np.asarray(x[:, None] + horizons * slope[:, None])
     powers = np.arange(4)
     fit = np.linalg.pinv((-np.arange(41.0) / 40)[:, None] ** powers)
     taps = (horizons[:, None] * RATE_HZ / 40) ** powers @ fit
@@ -112,11 +112,11 @@ def scene(ship: Ship, seeds: Sequence[int], duration_s: float) -> list[Row]:
         x = truth + ship.noise * rng.standard_normal(len(truth))
         t = np.arange(len(x)) / RATE_HZ
         out, half = direct(t, x[:, None])
-        methods: dict[str, Callable[[], Array]] = {"direct": lambda out=out: out[..., 0]}
-        methods |= {name: lambda t=t, x=x, p=p: paper(t, x, p) for name, p in PAPER.items()}
-        methods |= {name: lambda x=x, name=name: simple(x, name) for name in ("41 points", "rate", "hold")}
-        for name, predict in methods.items():
-            found = errors(predict(), x)
+        predicted = {"direct": out[..., 0]}
+        predicted |= {name: paper(t, x, params) for name, params in PAPER.items()}
+        predicted |= {name: simple(x, name) for name in ("41 points", "rate", "hold")}
+        for name, values in predicted.items():
+            found = errors(values, x)
             squares.setdefault(name, []).append(rms(found) ** 2)
             if name == "direct":
                 made = slice(round(SCORED_FROM_S * RATE_HZ), round(SCORED_FROM_S * RATE_HZ) + len(found[0]))

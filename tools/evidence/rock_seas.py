@@ -132,7 +132,7 @@ def known_spectrum(ship: Ship) -> Array:
         return spectrum(ship, F_HZ)
     long = motion(ship, 36_000.0, np.random.default_rng(99))
     f, density = welch(long, RATE_HZ, nperseg=8000, detrend=False)
-    return np.interp(F_HZ, f, density)
+    return np.asarray(np.interp(F_HZ, f, density))
 
 
 def palmer(path: Path) -> tuple[Array, Array]:

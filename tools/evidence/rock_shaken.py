@@ -20,10 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from heaved.estimation.imu.attitude import Attitude
+from heaved.estimation.imu.conditioning import NOTHING, Conditioned
 from heaved.estimation.rock import maximum_likelihood as rock
-from heaved.estimation.rock.estimator import RockChain
+from heaved.estimation.rock.estimator import RockEstimator
 from heaved.predictions import RockPredictions
-from heaved.samples import ImuSample
+from heaved.samples import Fault, ImuSample
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import Recording, record
 
@@ -129,6 +131,21 @@ def _band(count: int, interval_s: float, rng: np.random.Generator) -> tuple[Arra
     return both[0][::finer] / size, both[1][::finer] / size
 
 
+def unjudged(sample: ImuSample) -> Conditioned:
+    """A sample whose readings are all believed, with angles of its own time: for a predictor by itself."""
+    t_s = sample.t_s
+    return Conditioned(
+        sample=sample,
+        fault=Fault.NONE,
+        force_t_s=t_s,
+        force_std_s=0.0,
+        attitude=Attitude(t_s, sample.roll_rad, sample.pitch_rad, sample.yaw_rad, measured_s=t_s),
+        attitude_std_s=0.0,
+        attitude_is_slow=False,
+        notes=NOTHING,
+    )
+
+
 class Predicted(NamedTuple):
     """Roll and pitch ahead, and their standard deviations, (n, H, 2) each."""
 
@@ -138,7 +155,7 @@ class Predicted(NamedTuple):
 
 def predicted(recording: Recording, *, gyros: bool) -> Predicted:
     """What the daemon's predictor makes of a record, with its body rates or as if there were none."""
-    chain = RockChain(rock.Params())
+    chain = RockEstimator(rock.Params())
     kept = [chain.horizons_s.index(h) for h in HORIZONS_S]
     found, stds = [], []
     for sample in recording.samples():
@@ -146,7 +163,7 @@ def predicted(recording: Recording, *, gyros: bool) -> Predicted:
             continue
         if not gyros:
             sample = msgspec.structs.replace(sample, gx_radps=nan, gy_radps=nan, gz_radps=nan)
-        latest = chain.step(sample, good=True)
+        latest = chain.step(unjudged(sample))
         assert isinstance(latest, RockPredictions)
         found.append(latest)
         stds.append(latest.stds_rad[kept, :2])

@@ -96,6 +96,7 @@ def summary(records: Sequence[Judged]) -> list[Result]:
                 *("coverage", "valid_coverage", "lies", "valid_from_s", "delayed_age_s"),
             )
         }
+        delayed = [one.delayed for one in row if one.delayed is not None]
         settling = _pooled([one.settling for one in row])
         result.append(
             Result(
@@ -111,8 +112,8 @@ def summary(records: Sequence[Judged]) -> list[Result]:
                 worst_coverage=min(one.coverage for one in row),
                 states=_means([one.states for one in row]),
                 reasons=_means([one.reasons for one in row]),
-                forecast={key: _mean_later([one.forecast[key] for one in row]) for key in row[0].forecast},
-                delayed=_mean_later([one.delayed for one in row]),
+                forecast={key: _mean_score([one.forecast[key] for one in row]) for key in row[0].forecast},
+                delayed=_mean_score(delayed) if delayed else None,
                 settled_s=settled_from_s(settling),
                 worst_settled_s=max(settled_from_s(one.settling) for one in row),
                 settling=settling,
@@ -133,12 +134,9 @@ def _means(values: Sequence[dict[str, float]]) -> dict[str, float]:
     return {key: _mean([one.get(key, 0.0) for one in values]) for key in keys}
 
 
-def _mean_later(values: Sequence[ForecastScore | None]) -> ForecastScore | None:
-    there = [value for value in values if value is not None]
-    if not there:
-        return None
+def _mean_score(values: Sequence[ForecastScore]) -> ForecastScore:
     return ForecastScore(
-        **{name: _mean([getattr(one, name) for one in there]) for name in ForecastScore.__struct_fields__}
+        **{name: _mean([getattr(one, name) for one in values]) for name in ForecastScore.__struct_fields__}
     )
 
 

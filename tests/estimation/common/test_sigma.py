@@ -55,7 +55,7 @@ def test_a_linear_model_gives_the_kalman_filter(make: Callable[[int], PointSet],
     x = oracle_x = rng.normal(size=n)
     P = oracle_P = np.eye(n)
     for _ in range(200):
-        z = rng.normal(size=model.H.shape[0])
+        z = rng.normal(size=(model.H.shape[0],))
         predicted = sigma.predict(points, x, P, model.F, model.Q)
         assert predicted is not None
         result = sigma.update(points, predicted.x, predicted.P, z, model.H, model.R)
@@ -65,6 +65,7 @@ def test_a_linear_model_gives_the_kalman_filter(make: Callable[[int], PointSet],
         assert np.array_equal(P, P.T)
         for ours, oracle in ((x, oracle_x), (P, oracle_P), (result.y, y), (result.S, S)):
             assert np.abs(ours - oracle).max() <= 1e-12 * max(1.0, np.abs(oracle).max())
+    assert result is not None
     assert result.nis == pytest.approx(y @ np.linalg.inv(S) @ y, rel=1e-9)
 
 
@@ -168,9 +169,9 @@ def test_linear_consistency(make: Callable[[int], PointSet]) -> None:
             x, P = result.x, result.P
             nees[k] += (truth - x) @ np.linalg.solve(P, truth - x)
             nis += result.nis
-    low, high = chi2.ppf([0.025, 0.975], runs * n)
+    low, high = (chi2.ppf(level, runs * n) for level in (0.025, 0.975))
     assert np.mean((nees > low) & (nees < high)) >= 0.85
-    low, high = chi2.ppf([0.025, 0.975], runs * steps * m)
+    low, high = (chi2.ppf(level, runs * steps * m) for level in (0.025, 0.975))
     assert low < nis < high
 
 

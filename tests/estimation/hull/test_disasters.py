@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from heaved.estimation.common.rotations import ARCSEC, rotation_vector
-from heaved.estimation.hull.stage import HullDeformation, HullEstimate, HullState, HullWarning, Params
+from heaved.estimation.hull.estimate import HullEstimate, HullState, HullWarning, Params
+from heaved.estimation.hull.estimator import HullDeformation
 from heaved.simulate.flexure import SCENES, Record, Scene, simulate
 
 Rates = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -162,28 +163,28 @@ def test_named_and_survived(disaster: Disaster) -> None:
     record = simulate(disaster.scene, seed=1, duration_s=END_S)
     series = disaster.mutate(record)
     estimates = through(disaster.params, series)
-    t = np.array([e.t_s for e in estimates])
+    t = np.array([e.angles.t_s for e in estimates])
     last = estimates[-1]
     if disaster.passing:
         before, while_it_lasts = estimates[int(10 * HIT_S) - 10], estimates[int(10 * CURED_S) - 10]
         if disaster.warning is not None:
-            assert disaster.warning not in before.warnings
-            assert disaster.warning not in last.warnings
+            assert disaster.warning not in before.angles.warnings
+            assert disaster.warning not in last.angles.warnings
     else:
         while_it_lasts = last
     if disaster.warning is not None:
-        assert disaster.warning in while_it_lasts.warnings, while_it_lasts.warnings
+        assert disaster.warning in while_it_lasts.angles.warnings, while_it_lasts.angles.warnings
     if disaster.state is not None:
-        assert while_it_lasts.state is disaster.state
+        assert while_it_lasts.angles.state is disaster.state
     if disaster.cured:
         error = rotation_vector(record.deformation()[-3].T @ last.local_from_midships) / ARCSEC
-        assert last.state is HullState.CONVERGED
+        assert last.angles.state is HullState.CONVERGED
         assert np.max(np.abs(error)) < disaster.within_arcsec, error
-        assert last.t_s == t[-1]
+        assert last.angles.t_s == t[-1]
 
 
 def test_nothing_of_it_is_named_on_a_good_day() -> None:
     record = simulate(SCENE, seed=1, duration_s=END_S)
     estimates = through(EXPECTED_MOUNT, rates(record))
-    assert {w for e in estimates for w in e.warnings} == set()
-    assert estimates[-1].resets == 0
+    assert {w for e in estimates for w in e.angles.warnings} == set()
+    assert estimates[-1].angles.resets == 0

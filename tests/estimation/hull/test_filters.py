@@ -10,9 +10,11 @@ import pytest
 
 from heaved.estimation.common.rotations import ARCSEC, from_euler, passive, rotation_vector
 from heaved.estimation.hull.alignment import align
+from heaved.estimation.hull.estimate import Method
 from heaved.estimation.hull.euler import EulerFilter, euler_rate_matrix
 from heaved.estimation.hull.markov import Flexure
-from heaved.estimation.hull.so3 import GATE, At, Noise, So3Filter
+from heaved.estimation.hull.so3 import At, Noise, So3Filter
+from heaved.estimation.hull.tuning import TUNING
 
 FLEXURE = Flexure(np.full(3, 5 * ARCSEC), np.full(3, 0.1), np.full(3, 2 * pi * 0.16))
 NOISE = Noise(
@@ -101,15 +103,15 @@ def test_folding_changes_the_linearisation_and_not_the_deformation() -> None:
 def test_an_impossible_reading_is_gated_and_a_broken_covariance_is_said() -> None:
     filter = so3_filter()
     x, P = filter.x.copy(), filter.P.copy()
-    assert filter.update(MOTION, np.array([5.0, 5.0, 5.0]), NOTHING) > GATE
+    assert filter.update(MOTION, np.array([5.0, 5.0, 5.0]), NOTHING) > TUNING.gate_nis
     assert np.array_equal(filter.x, x)
     assert np.array_equal(filter.P, P)
     filter.P = -P
     assert np.isnan(filter.update(MOTION, MOUNT @ MOTION[0], NOTHING))
 
 
-@pytest.mark.parametrize("kind", ["ckf", "ukf"])
-def test_the_euler_filter_measures_what_the_kinematics_say(kind) -> None:
+@pytest.mark.parametrize("kind", [Method.CKF, Method.UKF])
+def test_the_euler_filter_measures_what_the_kinematics_say(kind: Method) -> None:
     """C(eta) w1 + the local rate of the frame, the latter by differencing C: [w x] = -dC/dt C'."""
     filter = EulerFilter(kind, (0.3, -0.5, 2.0), FLEXURE, NOISE)
     eta, rate, h = np.array([0.3, -0.5, 2.0]), np.array([0.02, -0.03, 0.05]), 1e-6
@@ -125,8 +127,8 @@ def test_the_euler_filter_measures_what_the_kinematics_say(kind) -> None:
     assert filter.residual(MOTION, z) == pytest.approx(C.T @ turning, abs=1e-9)
 
 
-@pytest.mark.parametrize("kind", ["ckf", "ukf"])
-def test_near_the_truth_the_euler_filter_is_the_default_one(kind) -> None:
+@pytest.mark.parametrize("kind", [Method.CKF, Method.UKF])
+def test_near_the_truth_the_euler_filter_is_the_default_one(kind: Method) -> None:
     """The same linear problem in two coordinates: the deviations about the hull's axes agree."""
     noise = Noise(
         alignment_rad=1e-3, bias_radps=1e-7, scale=1e-9, delay_s=1e-9, static_walk_rad_rts=0.0,
@@ -159,7 +161,7 @@ T = np.arange(50) / 10.0
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.005, -0.05, 0.12])
-def test_alignment_finds_the_rotation_and_the_delay(delay) -> None:
+def test_alignment_finds_the_rotation_and_the_delay(delay: float) -> None:
     known = motions(T, np.ones(3))
     late = motions(T - delay, np.ones(3))[:, 0]
     found = align(known, late @ MOUNT.T, 10.0, 0.15)

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.common import sigma
-from heaved.estimation.common.ring import Ring
+from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.common.spectrum import dominant_frequencies, heave_spectrum
 from heaved.estimation.heave.harmonic.inertial_displacement import InertialDisplacement
 from heaved.estimation.heave.observer import LaserAided, Motion, SavedObserver, Verdict, foretold
@@ -86,7 +86,7 @@ class HarmonicObserver:
         self._noise[-1] = params.drift_process_noise_m2 / TUNING.reference_step_s
         self._inertial = InertialDisplacement(params.highpass_period_s)
         self._history_s = 4.0 * params.window_s
-        self._ring = Ring(int(self._history_s * max_rate_hz), 2)
+        self._ring = RingBuffer(int(self._history_s * max_rate_hz), 2)
         self.resets: Counter[str] = Counter()
         self._start_over(2.0 * pi / params.initial_period_s * (1.0 + 0.25 * np.arange(n, dtype=np.float64)))
 

@@ -23,7 +23,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.common.ring import Ring
+from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.heave.laser.network import Network
 from heaved.samples import CorrectionState, TrainedNetwork, TrainingWindow
 
@@ -137,8 +137,8 @@ class ResidualCorrection:
     def __init__(self, params: Params, max_rate_hz: float = 250.0) -> None:
         self._params = params
         self._lags = params.step_s * np.arange(params.taps - 1, -1, -1.0)
-        self._outputs = Ring(int((self._lags[0] + 5.0) * max_rate_hz), 3)
-        self._rows = Ring(max(1, int(params.window_s / params.step_s)), 2 + params.taps)
+        self._outputs = RingBuffer(int((self._lags[0] + 5.0) * max_rate_hz), 3)
+        self._rows = RingBuffer(max(1, int(params.window_s / params.step_s)), 2 + params.taps)
         self.network: Network | None = None
         self._in_use: Saved | None = None
         self._pending: _Pending | None = None
@@ -195,7 +195,7 @@ class ResidualCorrection:
 
         constant_m: the constant as it is known now; nothing is learned before (nan).
         """
-        _, observer_m, raw_m = self._outputs.interpolate(t_s).tolist()
+        _, observer_m, raw_m = self._outputs.at(t_s).tolist()
         if not self._params.enabled or not isfinite(constant_m + observer_m):
             return
         if self.network is not None:

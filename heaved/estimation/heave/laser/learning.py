@@ -9,13 +9,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.common.ring import Ring
+from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.heave.laser import lead, reference
 from heaved.estimation.heave.laser.correction import ResidualCorrection
 from heaved.estimation.heave.laser.delayed_scale import DelayedOutput
 from heaved.estimation.heave.observer import HeaveObserver, LaserAided, Motion
-from heaved.estimation.imu.acceleration_gates import StuckGate
 from heaved.samples import Fault, LaserSample
+from heaved.unchanged import StuckDetector
 
 Array = NDArray[np.float64]
 
@@ -49,16 +49,21 @@ class LaserTeacher:
         self.lead = lead.LeadTracker(comparison)
         self.delayed = DelayedOutput(laser.noise_std_m)
         self.fault = Fault.NONE
-        self._stuck = StuckGate(must_live=True)
+        self._stuck = StuckDetector(must_live=True)
         self._waiting: deque[LaserSample] = deque(maxlen=1024)
-        self._outputs = Ring(int(LATE_S * max_rate_hz), 5)
+        self._outputs = RingBuffer(int(LATE_S * max_rate_hz), 5)
         """Time, observer output X*, published heave, and the unshifted observer's heave and velocity."""
-        self._compared = Ring(int(comparison.window_s * max_rate_hz), 4)
+        self._compared = RingBuffer(int(comparison.window_s * max_rate_hz), 4)
         """Time of a reading, the unshifted observer's heave and velocity then, the signed reading."""
         self._output_t_s = nan
         self._read_t_s = self._taken_t_s = -inf
         self._lead_t_s = nan
         self._remark = ""
+
+    @property
+    def lag_s(self) -> float:
+        """By which the accelerometers are later than the truth, as far as the laser has shown."""
+        return -self.lead.learned_s
 
     def std_scale(self, t_s: float) -> float:
         """What the laser says about the observer's standard deviation; nothing where that is made from it."""
@@ -73,7 +78,7 @@ class LaserTeacher:
         remark = self._remark or self.lead.remark
         return (remark,) if remark else ()
 
-    def give(self, sample: LaserSample) -> None:
+    def push(self, sample: LaserSample) -> None:
         """A reading, which waits until the heave of its time is known."""
         self._waiting.append(sample)
 
@@ -88,7 +93,7 @@ class LaserTeacher:
         self._compared.clear()
         self._correction.forget_outputs()
 
-    def teach(self, t_s: float, observer: HeaveObserver) -> None:
+    def step(self, t_s: float, observer: HeaveObserver) -> None:
         """Take the readings whose heave is known by now; every refresh, compare the lead."""
         while self._waiting and not self._waiting[0].t_s > self._output_t_s:
             self._take(self._waiting.popleft(), observer)
@@ -107,9 +112,9 @@ class LaserTeacher:
         if not sample.t_s > self._read_t_s:
             return
         self._read_t_s = sample.t_s
-        if self._stuck(sample.t_s, sample.laser_m) and sample.fault is Fault.NONE:
+        if self._stuck.step(sample.t_s, sample.laser_m) and sample.fault is Fault.NONE:
             self.fault = Fault.STUCK
-        row = self._outputs.interpolate(sample.t_s)
+        row = self._outputs.at(sample.t_s)
         settled = observer.settled_s >= REFERENCE_AFTER_S and observer.refreshes > 0
         usable = settled and isfinite(row[1] + sample.laser_m) and sample.t_s > self._taken_t_s
         if self.fault is not Fault.NONE or not usable:

@@ -14,7 +14,7 @@ from typing import Final
 
 import msgspec
 
-from heaved.estimation.common.history import Trail
+from heaved.estimation.common.ring import History
 from heaved.estimation.heave.sea.model import SeaSystem
 from heaved.samples import DelayedHeave, SeaState, vibration_in_words
 
@@ -79,7 +79,7 @@ class Divergence:
         """``capacity``: how much that was said is kept until the delayed heave of its time is known."""
         self._square, self._seconds, self._t_s = 1.0, 0.0, nan
         self._square_m2 = 0.0
-        self._said = Trail(capacity)
+        self._said = History(capacity)
 
     @property
     def ratio(self) -> float:

@@ -21,8 +21,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.estimation.common import down_sampler
 from heaved.estimation.common.bounds import HEAVE_M
-from heaved.estimation.common.down_sampler import BEAT_MIN_S, BEAT_S, Beat
+from heaved.estimation.common.down_sampler import DownSampler
 from heaved.estimation.heave.laser.aiding import Aiding
 from heaved.estimation.heave.observer import (
     UNKNOWN,
@@ -91,7 +92,7 @@ class SeaObserver:
         """Holds the same without the laser, when that is aiding: the smoother's weights are those without it."""
         self._candidates: tuple[Candidate, ...] = ()
         self._trial: Trial | None = None
-        self._down_sampler = Beat()
+        self._down_sampler = DownSampler()
         self._disturbance: tuple[Array, Array] | None = None
         self._start_over()
 
@@ -100,13 +101,13 @@ class SeaObserver:
         self.t_s = nan
         self.acceleration_mps2 = nan
         self._bias_mps2 = nan
-        self._down_sampler = Beat(self._down_sampler.period_s)
+        self._down_sampler = DownSampler(self._down_sampler.period_s)
         self._record.clear()
         self._looked_s = nan
         self.refreshes = 0
         self.sea: SeaState | None = None
         self.delayed: DelayedHeave | None = None
-        self._consistency = Consistency(int((self._params.delay_s + 5.0) / BEAT_MIN_S))
+        self._consistency = Consistency(int((self._params.delay_s + 5.0) / down_sampler.TUNING.least_s))
         self._smoother: FixedLagSmoother | None = None
         self._ripening: deque[DelayedHeave] = deque()
         """Delayed heave of a past with holes, not yet as old as it shall be."""
@@ -129,7 +130,7 @@ class SeaObserver:
             return
         self._begin(t_s)
         self.t_s, self.acceleration_mps2 = t_s, a_up_mps2 - self._bias_mps2
-        mean = self._down_sampler.take(t_s, a_up_mps2)
+        mean = self._down_sampler.step(t_s, a_up_mps2)
         if mean is None or not self._record.follows(mean[0]) or self._is_blow(*mean):
             return
         heave = self._heave
@@ -562,7 +563,7 @@ class SeaObserver:
             found = f"{len(model.damping)} chains of {model.stages}"
             raise ValueError(f"saved sea of {found} does not fit the configured {p.components} of {p.stages}")
         system = SeaSystem(model)
-        steady = system.steady(BEAT_S) if isfinite(heave_std(model)) else None
+        steady = system.steady(down_sampler.TUNING.length_s) if isfinite(heave_std(model)) else None
         if steady is None:
             raise ValueError("the filter of the saved sea does not converge")
         self._install(system, steady, nan, np.zeros(len(system.H)), system.stationary.copy())

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from heaved.estimation.common.down_sampler import BEAT_MIN_S
-from heaved.estimation.common.ring import Ring
+from heaved.estimation.common import down_sampler
+from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.heave.sea.model import SeaSystem
 
 Array = NDArray[np.float64]
@@ -66,7 +66,7 @@ class SeaRecord:
     def __init__(self, length_s: float, first_fit_s: float, refresh_s: float) -> None:
         self._length_s, self._first_fit_s, self._refresh_s = length_s, first_fit_s, refresh_s
         self._early_s = min(TUNING.early_every_s, refresh_s)
-        self._samples = Ring(int(length_s / BEAT_MIN_S), 2)
+        self._samples = RingBuffer(int(length_s / down_sampler.TUNING.least_s), 2)
         self._number = 0
         self.clear()
 

@@ -288,7 +288,8 @@ def test_agreement_by_chance_is_hardly_ever_applied(laser_s: float) -> None:
     2.3 % of cases. One that is half of the residual's mean square is applied for the most part."""
     rng = np.random.default_rng(1)
     t = np.arange(0.0, laser_s, 0.1)
-    harm, kept = [], []
+    harm: list[float] = []
+    kept: list[float] = []
     for _ in range(200):
         y, other = beating(rng, t), rng.standard_normal(len(t))
         for residual, found in ((beating(rng, t) + other, harm), (y + other, kept)):
@@ -425,7 +426,10 @@ def test_a_network_of_another_shape_is_refused(changed: dict[str, object]) -> No
 def test_what_the_trainer_makes_of_a_window_removes_the_residual() -> None:
     """The residual is the observer's output 0.4 s ago: gradient descent finds most of it."""
     rig = Rig(msgspec.structs.replace(PARAMS, hidden=10))
-    residual = lambda t: 0.2 * wave(t - 0.4) + 2e-3 * sin(31.7 * t)  # noqa: E731
+
+    def residual(t: float) -> float:
+        return 0.2 * wave(t - 0.4) + 2e-3 * sin(31.7 * t)
+
     rig.run(60.0, residual)
     window = rig.correction.due(rig.t_s, OMEGA)
     assert window is not None

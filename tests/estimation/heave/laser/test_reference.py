@@ -1,7 +1,10 @@
 """Oracle: readings made as sign * (heave + constant) + noise, with the heave known."""
 
+from __future__ import annotations
+
 import copy
 from math import isfinite, nan, pi, sqrt
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -34,7 +37,7 @@ class Gauge:
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_the_constant_is_found_and_the_sign_applied(sign: int) -> None:
+def test_the_constant_is_found_and_the_sign_applied(sign: Literal[1, -1]) -> None:
     gauge = Gauge(Params(sign=sign))
     assert set(gauge.run(100.0, 114.0, 12.3)) == {Verdict.ACCEPTED}
     assert not gauge.reference.known

@@ -9,7 +9,7 @@ from heaved.estimation.heave.sea.blows import BlowDetector
 from heaved.simulate.seaway import seaway
 
 DT_S, COUNT = 0.05, 6000
-T = DT_S * np.arange(COUNT)
+T = DT_S * np.arange(COUNT, dtype=np.float64)
 Array = np.ndarray
 
 

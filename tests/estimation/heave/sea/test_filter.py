@@ -277,7 +277,7 @@ def test_the_error_of_a_gauge_is_estimated_as_by_the_textbooks_augmented_filter(
             P[n:, n:] += np.diag(np.square(TUNING.wanders)) * 3.0 * DT_S / 60.0
             moving = row @ system.A
             expected_m = x[n] + (1.0 + x[n + 1]) * (row @ x[:n]) + x[n + 2] * (moving @ x[:n])
-            jacobian = np.concatenate(((1.0 + x[n + 1]) * row + x[n + 2] * moving, (1.0, row @ x[:n], moving @ x[:n])))
+            jacobian = np.append((1.0 + x[n + 1]) * row + x[n + 2] * moving, [1.0, row @ x[:n], moving @ x[:n]])
             y, variance = ours.laser_innovation(row, laser_m)
             assert (y, variance) == pytest.approx((laser_m - expected_m, jacobian @ P @ jacobian), rel=1e-6, abs=1e-9)
             ours.aid(row, laser_m, 4e-6)

@@ -17,7 +17,7 @@ from heaved.simulate.seaway import seaway
 
 DT_S, RATE_HZ, COUNT = 0.05, 20.0, 12_000
 NOISE_PSD = 1e-6
-T = DT_S * np.arange(COUNT)
+T = DT_S * np.arange(COUNT, dtype=np.float64)
 Array = np.ndarray
 
 

@@ -48,9 +48,11 @@ def test_any_moment_from_the_state_is_that_of_the_exponential(system: SeaSystem,
         F = expm(system.A * tau)
         found = propagation.along(series, tau)
         heave, velocity = system.heave @ F, system.velocity @ F
-        assert found.heave_m == pytest.approx(heave @ x, abs=1e-5 * np.linalg.norm(heave * spread))
-        assert found.velocity_mps == pytest.approx(velocity @ x, abs=1e-5 * np.linalg.norm(velocity * spread))
-        assert propagation.row(tau) @ x == pytest.approx(found.heave_m, abs=1e-9 * np.linalg.norm(heave * spread))
+        assert found.heave_m == pytest.approx(heave @ x, abs=1e-5 * float(np.linalg.norm(heave * spread)))
+        assert found.velocity_mps == pytest.approx(velocity @ x, abs=1e-5 * float(np.linalg.norm(velocity * spread)))
+        assert propagation.row(tau) @ x == pytest.approx(
+            found.heave_m, abs=1e-9 * float(np.linalg.norm(heave * spread))
+        )
 
 
 def test_heave_between_beats_is_carried_on(system: SeaSystem, propagation: Propagation) -> None:
@@ -71,11 +73,11 @@ def test_what_is_unknown_ahead_is_the_brute_force_covariance(system: SeaSystem, 
     for tau in (0.0, 0.05, 0.15, 0.5, 1.0, 2.0, 5.0, 7.5):
         F, Q = (np.eye(len(P)), np.zeros_like(P)) if tau == 0.0 else whole(system, tau)
         expected = np.sqrt(system.heave @ (F @ P @ F.T + Q) @ system.heave)
-        assert propagation.between(stds, (tau,))[0] == pytest.approx(expected, rel=3e-3)
+        assert propagation.between(stds.tolist(), (tau,))[0] == pytest.approx(expected, rel=3e-3)
     taus = (-TUNING.back_s, -0.02, 0.0, 0.777, AHEAD_S)
-    assert propagation.stds_at(P, taus) == pytest.approx(propagation.between(stds, taus))
+    assert propagation.stds_at(P, taus) == pytest.approx(propagation.between(stds.tolist(), taus))
     sigma = np.sqrt(system.heave @ system.stationary @ system.heave)
-    assert propagation.between(stds, (AHEAD_S,))[0] < sigma
+    assert propagation.between(stds.tolist(), (AHEAD_S,))[0] < sigma
 
 
 def test_a_place_between_two_is_on_the_line_and_ends_are_ends(propagation: Propagation) -> None:

@@ -138,7 +138,7 @@ def test_missing_samples_are_filled_and_holes_are_holes(jitter: float) -> None:
 
 def test_a_clock_that_drifts_is_followed() -> None:
     """One part in a thousand fast: over ten minutes that is twelve samples."""
-    t = DT_S * 1.001 * np.arange(12_000)
+    t = DT_S * 1.001 * np.arange(12_000, dtype=np.float64)
     made = even(t, signal(t))
     assert made.dt_s == pytest.approx(DT_S * 1.001, rel=1e-6)
     assert np.max(np.abs(made.a_mps2 - signal(grid_of(made)))) < 1e-4

@@ -16,86 +16,107 @@ from __future__ import annotations
 from math import floor, inf, nan, sqrt
 from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.estimation.common.sample_rate import Clock
+
 Array = NDArray[np.float64]
 
-FEW: Final = 24
-"""New readings, and repetitions, that are looked at together, at least;"""
-FEW_RUNS: Final = 12
-"""so few new ones do where each is followed by several repetitions."""
-MANY: Final = 4.0
-"""Polls per reading from which that is so, and the number of a reading is clear from its time."""
-ALL_NEW: Final = 50
-"""Readings without a repetition after which the sensor keeps up with its polls: later ones are something else."""
-LOOK_S: Final = 30.0
-"""Whatever has been found in so long a time is all there is."""
-LONGEST_LOOK: Final = 3000
-"""Likewise in so many polls."""
-REST_S: Final = 20.0
-"""Repetitions that no clock explains are not looked at again before, and then twice that, up to LONGEST_REST_S."""
-LONGEST_REST_S: Final = 600.0
-UNEXPLAINED: Final = 0.3
-"""Share of the repetitions (or new readings, whichever are fewer) that a clock may fail to explain: devices are held
-up, too. Of repetitions by chance it fails to explain half and more."""
-LEAST_SHARE: Final = 0.045
-"""Of repetitions, or of new readings, for which a clock is sought among all there can be."""
-UNEVEN: Final = 0.3
-"""Runs of repetitions are even whose lengths are off the usual one by less than this share of it,"""
-EVEN_RUNS: Final = 0.8
-"""so many of them. Of runs by chance, a fifth is."""
-WHOLE: Final = 0.4
-"""Of the new readings so many are new in all channels: coarse registers of a smooth motion change evenly, too, but one
-after the other."""
-HELD_UP: Final = 1.5
-"""A poll later than so many median intervals may have missed readings."""
-LONGEST: Final = 60
-"""Readings by which phase and period are known: the quartzes of device and poller drift by some ppm in that time."""
-SURPRISES: Final = 8.0
-"""New readings that no tick explains, in excess of a tenth of all, after which the clock is another."""
-LOST_TICKS: Final = 4.0
-"""Without a new reading for so many periods the sensor hangs."""
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """When polls are looked at, what a clock must explain of them, and how it is followed.
+
+    Without a source: chosen, and held by the tests over devices and polls of many rates.
+    """
+
+    few: int = 24
+    """New readings, and repetitions, that are looked at together, at least;"""
+    few_runs: int = 12
+    """so few new ones do where each is followed by several repetitions."""
+    many: float = 4.0
+    """Polls per reading from which that is so, and the number of a reading is clear from its time."""
+    all_new: int = 50
+    """Readings without a repetition after which the sensor keeps up with its polls: later ones are something else."""
+    look_s: float = 30.0
+    """Whatever has been found in so long a time is all there is."""
+    longest_look: int = 3000
+    """Likewise in so many polls."""
+    rest_s: float = 20.0
+    """Repetitions that no clock explains are not looked at again before, and then twice that, up to ..."""
+    longest_rest_s: float = 600.0
+    """... so long."""
+    unexplained: float = 0.3
+    """Share of the repetitions (or new readings, whichever are fewer) that a clock may fail to explain: devices are
+    held up, too. Of repetitions by chance it fails to explain half and more."""
+    least_share: float = 0.045
+    """Of repetitions, or of new readings, for which a clock is sought among all there can be."""
+    uneven: float = 0.3
+    """Runs of repetitions are even whose lengths are off the usual one by less than this share of it,"""
+    even_runs: float = 0.8
+    """so many of them. Of runs by chance, a fifth is."""
+    whole: float = 0.4
+    """Of the new readings so many are new in all channels: coarse registers of a smooth motion change evenly, too, but
+    one after the other."""
+    held_up: float = 1.5
+    """A poll later than so many median intervals may have missed readings."""
+    longest: int = 60
+    """Readings by which phase and period are known: the quartzes of device and poller drift by some ppm meanwhile."""
+    scatter_memory: float = 30.0
+    """Readings by which the scatter about the clock is known."""
+    surprises: float = 8.0
+    """New readings that no tick explains, in excess of ..."""
+    surprising: float = 0.1
+    """... this share of all, after which the clock is another."""
+    lost_ticks: float = 4.0
+    """Without a new reading for so many periods the sensor hangs."""
 
 
-class MeasuredRate:
+TUNING: Final = Tuning()
+
+
+class SensorClock:
     """Feed it every poll of some channels that are measured together.
 
     Attributes:
-        period_s: of the device's own measurements where it is slower than the polls; nan: each poll is a reading.
-        poll_s: usual interval of the polls at which that was found.
+        poll_s: usual interval of the polls at which a slower clock was found.
+        is_slow: whether there is one; otherwise each poll is a reading.
     """
 
     def __init__(self) -> None:
         self._begin()
 
     def _begin(self) -> None:
-        self.period_s = self.poll_s = nan
+        self.is_slow = False
+        self.poll_s = nan
+        self._clock = Clock(TUNING.longest)
         self._t_s = nan
         self._undecided = True
         """Nothing has been judged yet: repetitions are not taken for readings until it has."""
-        self._looking, self._rests_until_s, self._rest_s = False, -inf, REST_S
+        self._looking, self._rests_until_s, self._rest_s = False, -inf, TUNING.rest_s
         self._polls: list[tuple[float, bool]] = []
         self._repeats = self._new = self._whole = 0
-        self._tick_s = nan
-        self._known = 1.0
         self._scatter_s2 = 0.0
         self._surprises = 0.0
 
-    def take(self, t_s: float, is_new: bool, is_whole: bool = True) -> float:
+    @property
+    def period_s(self) -> float:
+        """Of the device's own measurements where it is slower than the polls; nan: it is not."""
+        return self._clock.period_s
+
+    def step(self, t_s: float, is_new: bool, is_whole: bool = True) -> float:
         """Time at which the reading of the poll at ``t_s`` was measured; nan where it is no new one.
 
         ``is_new``: it differs from the one before; a first reading does. ``is_whole``: in all its channels.
         """
         before_s, self._t_s = self._t_s, t_s
-        if self.period_s == self.period_s:
+        if self.is_slow:
             if is_new:
                 return self._measured(before_s, t_s)
-            overdue_s = t_s - self._tick_s - self.period_s
+            overdue_s = t_s - self._clock.tick_s - self._clock.period_s
             if 0.0 < overdue_s <= t_s - before_s:  # The first poll without a reading that was expected.
-                n = self._known
-                self._tick_s += overdue_s * _gain(n)
-                self.period_s += overdue_s * 6.0 / (n * (n + 1.0))
+                self._clock.correct(overdue_s)
             return nan
         if self._looking:
             self._polls.append((t_s, is_new))
@@ -105,7 +126,7 @@ class MeasuredRate:
                 self._judge()
         elif is_new:
             self._new += 1
-            if self._new == ALL_NEW:
+            if self._new == TUNING.all_new:
                 self._undecided = False
         elif t_s >= self._rests_until_s:
             self._looking, self._polls, self._repeats = True, [(before_s, True), (t_s, False)], 1
@@ -115,7 +136,7 @@ class MeasuredRate:
     @property
     def hangs(self) -> bool:
         """The sensor's clock has stood still for several of its periods."""
-        return self._t_s - self._tick_s > LOST_TICKS * self.period_s
+        return self._t_s - self._clock.tick_s > TUNING.lost_ticks * self._clock.period_s
 
     @property
     def uncertainty_s(self) -> float:
@@ -124,82 +145,82 @@ class MeasuredRate:
         A tick lies anywhere between two polls, a variance of a twelfth of their square: it shows as scatter about the
         clock, and averages out, unless the two clocks run locked.
         """
-        if self.period_s != self.period_s:
+        if not self.is_slow:
             return 0.0
         whole = self.poll_s**2 / 12.0
-        return sqrt(max(whole - self._scatter_s2, 0.0) + 4.0 * whole / self._known)
+        return sqrt(max(whole - self._scatter_s2, 0.0) + 4.0 * whole / self._clock.ticks)
 
     # --- the phase ---------------------------------------------------------------------------------------------------
 
     def _measured(self, before_s: float, t_s: float) -> float:
         """A tick lies between two polls, the newest before the later: where, from all the ticks so far."""
-        period_s, poll_s = self.period_s, self.poll_s
+        clock, poll_s = self._clock, self.poll_s
+        period_s = clock.period_s
         # The reading is the newest there is, of the latest tick before the poll, or of one that seems to be just after.
         before_s = max(before_s + 0.01 * (t_s - before_s), t_s - period_s)  # Later than any tick before.
-        steps = max(floor((t_s - self._tick_s) / period_s), 1)
-        if before_s - (self._tick_s + steps * period_s) > self._tick_s + (steps + 1) * period_s - t_s:
+        steps = max(floor((t_s - clock.tick_s) / period_s), 1)
+        if before_s - (clock.tick_s + steps * period_s) > clock.tick_s + (steps + 1) * period_s - t_s:
             steps += 1
-        expected_s = self._tick_s + steps * period_s
-        is_surprise = max(before_s - expected_s, expected_s - t_s) > max(0.5 * poll_s, UNEVEN * period_s)
-        self._surprises = max(self._surprises + (0.9 if is_surprise else -0.1), 0.0)
-        if self._surprises > SURPRISES:
+        expected_s = clock.tick_s + steps * period_s
+        off_s = max(before_s - expected_s, expected_s - t_s)
+        is_surprise = off_s > max(0.5 * poll_s, TUNING.uneven * period_s)
+        self._surprises = max(self._surprises + is_surprise - TUNING.surprising, 0.0)
+        if self._surprises > TUNING.surprises:
             self._begin()
             return t_s
+        clock.advance(steps)
         gap_s = t_s - before_s
         off_s = before_s + 0.5 * gap_s - expected_s
-        n = self._known = min(self._known + 1.0, LONGEST)
-        # Gains of a least-squares line through n points, less for an interval that says less.
-        weight = min((poll_s / gap_s) ** 2, 1.0)
-        self._scatter_s2 += weight * (min(off_s * off_s, gap_s * gap_s) - self._scatter_s2) / min(n, 30.0)
-        self._tick_s = min(max(expected_s + weight * off_s * _gain(n), before_s), t_s)
-        self.period_s += weight * off_s * 6.0 / (n * (n + 1.0)) / steps
-        return self._tick_s
+        weight = min((poll_s / gap_s) ** 2, 1.0)  # An interval that is longer says less.
+        self._scatter_s2 += (
+            weight * (min(off_s * off_s, gap_s * gap_s) - self._scatter_s2) / min(clock.ticks, TUNING.scatter_memory)
+        )
+        clock.correct(weight * off_s, steps)
+        clock.tick_s = min(max(clock.tick_s, before_s), t_s)
+        return clock.tick_s
 
     # --- whether there is a clock at all -----------------------------------------------------------------------------
 
     def _is_enough(self, t_s: float) -> bool:
         count = len(self._polls)
         news = count - self._repeats
-        few = FEW_RUNS if count > MANY * news else FEW
-        enough = news >= few and self._repeats >= FEW
-        return enough or count >= LONGEST_LOOK or t_s - self._polls[0][0] > LOOK_S
+        few = TUNING.few_runs if count > TUNING.many * news else TUNING.few
+        enough = news >= few and self._repeats >= TUNING.few
+        return enough or count >= TUNING.longest_look or t_s - self._polls[0][0] > TUNING.look_s
 
     def _judge(self) -> None:
         polls, repeats = self._polls, self._repeats
         self._looking, self._polls = False, []
         self._rests_until_s = self._t_s + self._rest_s
-        self._rest_s = min(2.0 * self._rest_s, LONGEST_REST_S)
+        self._rest_s = min(2.0 * self._rest_s, TUNING.longest_rest_s)
         self._undecided = False
         readings = len(polls) - repeats
-        if repeats < FEW or readings < FEW_RUNS or self._whole < WHOLE * readings:
+        if repeats < TUNING.few or readings < TUNING.few_runs or self._whole < TUNING.whole * readings:
             return
         t_s = np.array([t for t, _ in polls])
-        found = _clock(t_s, np.array([new for _, new in polls]))
+        found = _find_clock(t_s, np.array([new for _, new in polls]))
         if found is None:
             return
-        self.period_s, tick_s, self.poll_s = found
-        self._tick_s = tick_s + floor((self._t_s - tick_s) / self.period_s) * self.period_s
+        period_s, tick_s, self.poll_s = found
+        tick_s += floor((self._t_s - tick_s) / period_s) * period_s
+        self._clock.set(period_s, tick_s, min(readings, TUNING.longest))
         self._scatter_s2 = self.poll_s**2 / 12.0
-        self._known = min(float(readings), LONGEST)
+        self.is_slow = True
 
 
-def _gain(n: float) -> float:
-    """Of the position, in a least-squares line through n points, each newer one weighed in as it comes."""
-    return 2.0 * (2.0 * n - 1.0) / (n * (n + 1.0))
-
-
-def _clock(t_s: Array, is_new: NDArray[np.bool_]) -> tuple[float, float, float] | None:
+def _find_clock(t_s: Array, is_new: NDArray[np.bool_]) -> tuple[float, float, float] | None:
     """Period and a tick of a clock that explains which polls (n,) have shown a new reading, and the usual interval of
-    the polls; None: there is none."""
+    the polls; None: there is none.
+    """
     gaps = np.diff(t_s)
     new = is_new[1:]
     poll_s = float(np.median(gaps))
-    usual = gaps < HELD_UP * poll_s
+    usual = gaps < TUNING.held_up * poll_s
     shown = int(np.sum(new & usual))
     if shown == 0:
         return None
     period_s = float(np.sum(gaps[usual])) / shown
-    found = _even(t_s, new, poll_s) if period_s >= MANY * poll_s else _explaining(t_s, new, period_s, poll_s)
+    found = _even(t_s, new, poll_s) if period_s >= TUNING.many * poll_s else _explaining(t_s, new, period_s, poll_s)
     return (float(found[0]), float(found[1]), poll_s) if found is not None else None
 
 
@@ -208,7 +229,10 @@ def _even(t_s: Array, new: NDArray[np.bool_], poll_s: float) -> tuple[float, flo
     middles_s = (0.5 * (t_s[1:] + t_s[:-1]))[new]
     runs_s = np.diff(middles_s)
     usual_s = float(np.median(runs_s))
-    if usual_s < 0.5 * MANY * poll_s or np.mean(np.abs(runs_s - usual_s) < UNEVEN * usual_s) < EVEN_RUNS:
+    if (
+        usual_s < 0.5 * TUNING.many * poll_s
+        or np.mean(np.abs(runs_s - usual_s) < TUNING.uneven * usual_s) < TUNING.even_runs
+    ):
         return None
     numbers = np.concatenate([[0.0], np.cumsum(np.maximum(np.rint(runs_s / usual_s), 1.0))])
     period_s, first_s = np.polyfit(numbers, middles_s, 1)
@@ -222,7 +246,7 @@ def _explaining(t_s: Array, new: NDArray[np.bool_], period_s: float, poll_s: flo
     have given as many readings, in steps of a part of what a poll and a tick may be apart.
     """
     share = min(poll_s, period_s - poll_s) / period_s
-    if share < LEAST_SHARE:
+    if share < TUNING.least_share:
         return None
     count, repeats = int(new.sum()), int((~new).sum())
     telling = np.flatnonzero(new if count <= repeats else ~new)
@@ -241,4 +265,4 @@ def _explaining(t_s: Array, new: NDArray[np.bool_], period_s: float, poll_s: flo
     ticked = np.diff(np.floor((t_s - tick_s) / period_s + 1e-9)) > 0.0
     # A new reading that comes a poll late is two polls that are not as expected.
     unexplained = float(np.sum(ticked != new))
-    return (period_s, tick_s) if unexplained <= 2.0 * UNEXPLAINED * min(count, repeats) else None
+    return (period_s, tick_s) if unexplained <= 2.0 * TUNING.unexplained * min(count, repeats) else None

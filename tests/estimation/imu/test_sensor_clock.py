@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from heaved.estimation.imu.measured_rate import MeasuredRate
+from heaved.estimation.imu.sensor_clock import SensorClock
 
 
 class Case(NamedTuple):
@@ -54,18 +54,18 @@ def polls(case: Case, duration_s: float, seed: int = 1) -> tuple[np.ndarray, np.
     return t, ticks[np.searchsorted(ticks, t + 1e-9) - 1]
 
 
-def taken(rate: MeasuredRate, t: np.ndarray, shown: np.ndarray) -> np.ndarray:
+def taken(clock: SensorClock, t: np.ndarray, shown: np.ndarray) -> np.ndarray:
     new = np.append(True, np.diff(shown) != 0.0)
-    return np.array([rate.take(*pair) for pair in zip(t.tolist(), new.tolist(), strict=True)])
+    return np.array([clock.step(*pair) for pair in zip(t.tolist(), new.tolist(), strict=True)])
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_a_slower_device_is_found_and_its_readings_are_given_their_times(case: Case) -> None:
     t, shown = polls(case, 60.0)
-    rate = MeasuredRate()
-    times = taken(rate, t, shown)
-    assert 1.0 / rate.period_s == pytest.approx(case.device_hz, rel=0.02)
-    assert 1.0 / rate.poll_s == pytest.approx(case.poll_hz, rel=0.1)
+    clock = SensorClock()
+    times = taken(clock, t, shown)
+    assert 1.0 / clock.period_s == pytest.approx(case.device_hz, rel=0.02)
+    assert 1.0 / clock.poll_s == pytest.approx(case.poll_hz, rel=0.1)
     late = t > 15.0
     known = late & np.isfinite(times)
     assert known.sum() == (np.diff(shown[late]) != 0.0).sum() + (np.diff(shown)[t[1:] > 15.0][0] != 0.0)
@@ -80,9 +80,9 @@ def test_a_slower_device_is_found_and_its_readings_are_given_their_times(case: C
 def test_coarse_registers_that_repeat_by_chance_are_left_as_they_are(poll_hz: float, share: float) -> None:
     rng = np.random.default_rng(3)
     t = np.arange(round(120.0 * poll_hz)) / poll_hz
-    rate = MeasuredRate()
-    times = taken(rate, t, np.cumsum(rng.random(t.size) >= share).astype(float))
-    assert np.isnan(rate.period_s)
+    clock = SensorClock()
+    times = taken(clock, t, np.cumsum(rng.random(t.size) >= share).astype(float))
+    assert np.isnan(clock.period_s)
     assert (times[t > 31.0] == t[t > 31.0]).all()
     if share == 0.0:
         assert (times == t).all()
@@ -90,17 +90,17 @@ def test_coarse_registers_that_repeat_by_chance_are_left_as_they_are(poll_hz: fl
 
 def test_a_device_that_becomes_faster_is_followed() -> None:
     slow, fast = polls(Case(100, 5, 0.0), 30.0), polls(Case(100, 20, 0.0), 60.0)
-    rate = MeasuredRate()
-    taken(rate, *slow)
-    assert 1.0 / rate.period_s == pytest.approx(5.0, rel=0.01)
-    taken(rate, fast[0] + 30.0, fast[1] + 30.0)
-    assert 1.0 / rate.period_s == pytest.approx(20.0, rel=0.01)
+    clock = SensorClock()
+    taken(clock, *slow)
+    assert 1.0 / clock.period_s == pytest.approx(5.0, rel=0.01)
+    taken(clock, fast[0] + 30.0, fast[1] + 30.0)
+    assert 1.0 / clock.period_s == pytest.approx(20.0, rel=0.01)
 
 
 def test_a_slow_device_that_hangs_says_so() -> None:
     t, shown = polls(Case(100, 10, 0.0), 20.0)
-    rate = MeasuredRate()
-    taken(rate, t, shown)
-    assert not rate.hangs
-    taken(rate, t[:60] + 20.0, np.full(60, shown[-1]))
-    assert rate.hangs
+    clock = SensorClock()
+    taken(clock, t, shown)
+    assert not clock.hangs
+    taken(clock, t[:60] + 20.0, np.full(60, shown[-1]))
+    assert clock.hangs

@@ -13,9 +13,8 @@ from collections.abc import AsyncIterator
 import pytest
 from structlog.testing import capture_logs
 
-from heaved.outputs import listener as listener_module
-from heaved.outputs.access import ListenError
-from heaved.outputs.listener import Listener
+from heaved.outputs import listen as listen_module
+from heaved.outputs.listen import Listener, ListenError
 
 
 class Greeter(asyncio.Protocol):
@@ -54,7 +53,7 @@ async def test_who_comes_is_let_in(address: tuple[str, int]) -> None:
 async def test_the_last_descriptors_are_kept_for_others(
     address: tuple[str, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(listener_module, "_highest_descriptor", lambda: 3)
+    monkeypatch.setattr(listen_module, "_highest_descriptor", lambda: 3)
     with capture_logs() as logs:
         assert await said(address) == b""
     monkeypatch.undo()
@@ -68,7 +67,7 @@ async def test_the_last_descriptors_are_kept_for_others(
 )
 def test_how_many_descriptors_there_are(monkeypatch: pytest.MonkeyPatch, limit: int, highest: int) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda kind: (limit, limit))
-    assert listener_module._highest_descriptor() == highest
+    assert listen_module._highest_descriptor() == highest
 
 
 @pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EPROTO])
@@ -76,17 +75,19 @@ async def test_what_cannot_be_accepted_waits(monkeypatch: pytest.MonkeyPatch, nu
     """One line for each attempt, not one for each that waits, and nobody is lost."""
     faults = [OSError(number, os.strerror(number))] * 2
 
+    ordinary = socket.socket
+
     class Exhausted(socket.socket):
         def accept(self) -> tuple[socket.socket, object]:
             if faults:
                 raise faults.pop()
             return super().accept()
 
-    monkeypatch.setattr(listener_module, "_PAUSE_S", 0.0)
-    monkeypatch.setattr(listener_module.socket, "socket", Exhausted)
+    monkeypatch.setattr(listen_module, "_PAUSE_S", 0.0)
+    monkeypatch.setattr(socket, "socket", Exhausted)
     listener = Listener("http", "127.0.0.1", 0, Greeter)
     address = await listener.start()
-    monkeypatch.setattr(listener_module.socket, "socket", socket.socket)
+    monkeypatch.setattr(socket, "socket", ordinary)
     with capture_logs() as logs:
         assert await asyncio.gather(*(said(address) for _ in range(20))) == [b"127.0.0.1"] * 20
     listener.close()

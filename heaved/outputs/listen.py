@@ -1,19 +1,24 @@
-"""Listening sockets of the two servers: connections are let in one by one, and only while there is room for them."""
+"""Where the two servers listen, and for whom: loopback always, other machines only from networks that the configuration
+names. Connections are let in one by one, and only while there is room for them.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import errno
+import ipaddress
 import resource
 import socket
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Final
 
 import structlog
 
-from heaved.outputs.access import listen_error
+Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
+_MAPPED: Final = ipaddress.IPv6Network("::ffff:0:0/96")
+"""IPv4 addresses in IPv6 (RFC 4291, section 2.5.5.2)."""
 _BACKLOG: Final = 100
 """Connections that may wait to be let in; as many are let in at once."""
 _PAUSE_S: Final = 1.0
@@ -24,6 +29,77 @@ small number.)"""
 _EXHAUSTED: Final = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 
 _log = structlog.get_logger(__name__)
+
+
+# ---- who may connect -------------------------------------------------------------------------------------------------
+
+
+class ListenError(OSError):
+    """A server cannot listen where it was told to; the message says where and what to do."""
+
+
+def parse_networks(entries: Iterable[str]) -> tuple[Network, ...]:
+    """Networks of CIDR texts such as ``192.168.10.0/24`` (a bare address is a network of one).
+
+    One of IPv4 addresses as IPv6 writes them (``::ffff:10.0.0.0/104``) is that of the IPv4 addresses.
+
+    Raises:
+        ValueError: names the entry and what is wrong with it.
+    """
+    networks = []
+    for entry in entries:
+        try:
+            networks.append(_unmapped(ipaddress.ip_network(entry)))
+        except ValueError as error:
+            raise ValueError(f"allow: {entry!r} is not a network such as 192.168.10.0/24: {error}") from error
+    return tuple(networks)
+
+
+def _unmapped(network: Network) -> Network:
+    if isinstance(network, ipaddress.IPv6Network) and network.subnet_of(_MAPPED):
+        first = int(network.network_address) - int(_MAPPED.network_address)
+        return ipaddress.IPv4Network((first, network.prefixlen - _MAPPED.prefixlen))
+    return network
+
+
+def is_allowed(address: str, networks: Iterable[Network]) -> bool:
+    """Whether a peer at ``address`` may connect. Anything that is not an IP address may not."""
+    try:
+        peer = ipaddress.ip_address(address)
+    except ValueError:
+        return False
+    if isinstance(peer, ipaddress.IPv6Address) and peer.ipv4_mapped is not None:
+        peer = peer.ipv4_mapped  # How an IPv4 peer looks to a socket that listens on both.
+    return peer.is_loopback or any(peer in network for network in networks)
+
+
+def is_loopback_host(host: str) -> bool:
+    """Whether listening on ``host`` (an address or a name) stays within this machine."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def checked_networks(section: str, host: str, allow: Iterable[str]) -> tuple[Network, ...]:
+    """The networks that may reach a server which listens on ``host``; ``section`` of the configuration.
+
+    Raises:
+        ValueError: an entry is not a network, or ``host`` reaches beyond this machine and no network is named.
+    """
+    try:
+        networks = parse_networks(allow)
+    except ValueError as error:
+        raise ValueError(f"[{section}] {error}") from error
+    if not networks and not is_loopback_host(host):
+        raise ValueError(
+            f"[{section}] host {host} can be reached from other machines: name the networks that may connect, "
+            f'for example allow = ["192.168.10.0/24"], or set host = "127.0.0.1"'
+        )
+    return networks
+
+
+# ---- sockets ---------------------------------------------------------------------------------------------------------
 
 
 class Listener:
@@ -55,7 +131,7 @@ class Listener:
         except (OSError, UnicodeError) as error:  # The latter for what no host can be called.
             self.close()
             reason = error if isinstance(error, OSError) else OSError(errno.EINVAL, f"no such host: {error}")
-            raise listen_error(self._section, self._host, self._port, reason) from error
+            raise _listen_error(self._section, self._host, self._port, reason) from error
         for listening in self._sockets:
             loop.add_reader(listening, self._accept, listening)
         host, port, *_ = self._sockets[0].getsockname()
@@ -137,3 +213,14 @@ def _highest_descriptor() -> int:
     """A connection's descriptor is below this. The system gives the lowest that is free, so it tells how many are."""
     most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     return sys.maxsize if most == resource.RLIM_INFINITY else most - min(_RESERVED, most // 4)
+
+
+def _listen_error(section: str, host: str, port: int, error: OSError) -> ListenError:
+    """What a failed bind means for the person at the machine."""
+    if error.errno == errno.EADDRINUSE:
+        advice = f"the port is in use: stop the other program or change [{section}] port"
+    elif error.errno in (errno.EACCES, errno.EPERM):
+        advice = f"not permitted: choose a [{section}] port above 1023"
+    else:
+        advice = f"{error.strerror or error}: change [{section}] host"
+    return ListenError(f"[{section}] cannot listen on {host}:{port}: {advice}")

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from heaved.estimation.common.rotations import ARCSEC
-from heaved.estimation.hull.band import SHORTEST, WAVES_END_HZ, Band, Pair
+from heaved.estimation.hull.slow_motion import SlowMotion, SlowPair
+from heaved.estimation.hull.tuning import TUNING
 from heaved.simulate.gyro_shaking import GYRO_SHAKES, GyroHum, GyroShake, GyroShaking
 
 RATE_HZ = 10.0
@@ -31,8 +32,8 @@ def read(shake: str | GyroShake, seed: int = 1) -> np.ndarray:
     return np.column_stack([T, *triads])
 
 
-def learned(rows: np.ndarray) -> Pair:
-    pair = Pair(Band(RATE_HZ, LEAST), Band(RATE_HZ, LEAST))
+def learned(rows: np.ndarray) -> SlowPair:
+    pair = SlowPair(SlowMotion(RATE_HZ, LEAST), SlowMotion(RATE_HZ, LEAST))
     pair.learn(rows, to_end=False)
     pair.identify(rows, 4)
     return pair
@@ -40,7 +41,7 @@ def learned(rows: np.ndarray) -> Pair:
 
 def test_the_motion_comes_with_its_derivatives() -> None:
     pair = learned(read(""))
-    for t, midships, local in pair.along(read(""))[20:]:
+    for t, midships, local in pair.through(read(""))[20:]:
         assert midships is not None
         assert local is not None
         truth = np.array([waves(np.array([t]), k)[0] / f for k, f in enumerate((1.0, 1.0, 2.0))])
@@ -66,7 +67,7 @@ def test_what_vibrates_is_left_out_and_what_is_left_is_said(shake: str, within_a
     """The local gyro's lines of 4 mrad/s are 580 arcsec/s RMS each; the hum of 1 mrad/s is 206."""
     rows = read(shake)
     pair = learned(rows)
-    found = [(t, local) for t, _, local in pair.along(rows)[20:] if local is not None]
+    found = [(t, local) for t, _, local in pair.through(rows)[20:] if local is not None]
     error = np.array([local.motion[0] for _, local in found]) - waves(np.array([t for t, _ in found]))
     rms = float(np.sqrt(np.mean(error**2)))
     assert len(found) > 240
@@ -81,7 +82,7 @@ def test_a_spike_is_found_and_nothing_else() -> None:
     rows[600, 5] += 0.1
     rows[603, 4] -= 0.3
     struck = rows.copy()
-    pair.along(struck)
+    pair.through(struck)
     wrong = np.flatnonzero(np.isnan(struck[:, 4:]).all(axis=1))
     assert wrong.tolist() == [600, 603]
     assert np.isfinite(struck[:, 1:4]).all()
@@ -91,7 +92,7 @@ def test_a_jump_in_vibration_is_no_row_of_spikes_and_its_size_is_said() -> None:
     rows, quiet = read("line-3.1"), read("")
     pair = learned(quiet.copy())
     rows[:600] = quiet[:600]
-    found = [(t, local) for t, _, local in pair.along(rows) if t > 63.0 and local is not None]
+    found = [(t, local) for t, _, local in pair.through(rows) if t > 63.0 and local is not None]
     assert len(found) > 130
     error = np.array([local.motion[0] for _, local in found]) - waves(np.array([t for t, _ in found]))
     said = np.sqrt([local.variance for _, local in found])
@@ -102,10 +103,10 @@ def test_nothing_is_said_across_a_hole_and_all_behind_it() -> None:
     rows = read("")
     pair = learned(rows.copy())
     rows[500:508, 4:] = np.nan
-    t = np.array([t for t, _, local in pair.along(rows) if local is None])
+    t = np.array([t for t, _, local in pair.through(rows) if local is None])
     assert t.min() > 49.0
     assert t.max() < 52.0
-    assert all(midships is not None for _, midships, _ in pair.along(rows))
+    assert all(midships is not None for _, midships, _ in pair.through(rows))
 
 
 def test_the_spectrum_above_the_waves_is_that_of_what_vibrates() -> None:
@@ -115,10 +116,10 @@ def test_the_spectrum_above_the_waves_is_that_of_what_vibrates() -> None:
     f = np.linspace(0.0, 0.5 * RATE_HZ, len(band.power))
     hum = (f > 2.2) & (f < 4.3)
     assert np.mean(band.power[hum]) == pytest.approx(1e-6 / 5.0, rel=0.3)
-    assert np.max(band.power[f < WAVES_END_HZ]) < 1e-3 * np.mean(band.power[hum])
+    assert np.max(band.power[f < TUNING.waves_end_hz]) < 1e-3 * np.mean(band.power[hum])
 
 
 def test_a_record_too_short_has_no_window() -> None:
-    pair = Pair(Band(RATE_HZ, LEAST), Band(RATE_HZ, LEAST))
-    assert pair.learn(read("")[: 2 * SHORTEST], to_end=True) == []
+    pair = SlowPair(SlowMotion(RATE_HZ, LEAST), SlowMotion(RATE_HZ, LEAST))
+    assert pair.learn(read("")[: 2 * TUNING.shortest_window], to_end=True) == []
     assert all(name in GYRO_SHAKES for name in ("slams", "whipping"))

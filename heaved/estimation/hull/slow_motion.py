@@ -27,62 +27,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotrs
 
+from heaved.estimation.hull.tuning import TUNING
+
 Array = NDArray[np.float64]
 
-AHEAD_S: Final = 1.0
-"""The window reaches so far ahead of its moment ..."""
-BACK_S: Final = 3.0
-"""... and so far back: a line is the better known the longer it has been heard."""
-SHORTEST: Final = 2
-"""Readings ahead and back without which there is no window: at the ends of a record."""
-OUT_HZ: Final = 2.5
-"""Slow readings are made about so often: twice what passes the window under vibration, 0.9 Hz, and more."""
-TERMS: Final = 5
-"""Of the polynomial: up to the fourth power of time."""
-BAND_HZ: Final = 0.15
-"""The slow motion's spectrum falls as a Gaussian of this width: by 35 dB at 0.6 Hz, by 97 dB at 1 Hz."""
-MOTION_RADPS: Final = (0.05, 1.0)
-"""Its standard deviation, at least and at most: far above any vessel's, so that next to nothing of a motion is taken
-for noise, as far as the digits of a double allow (``CLEAREST``)."""
-CLEAREST: Final = 1e12
-"""Variance of the motion over that of the white noise."""
-WAVES_END_HZ: Final = 1.0
-"""What the record shows above it is no wave."""
-LINES: Final = 129
-"""Frequencies of a spectrum, from 0 to half of the sampling rate."""
-SEGMENT: Final = 256
-"""Readings that a spectrum is taken from at a time."""
-FEWEST: Final = 24
-"""Readings that one can be taken from."""
-COHERENT_S: Final = 3.0
-"""Standard deviation of the time over which a line keeps its phase: one that wanders by 5 % does for about as long."""
-FLOOR: Final = 0.1
-"""Quantile of the spectrum above the waves that is taken for white."""
-FINE: Final = 8
-"""Lags of a covariance that are worked out per step of the readings; between them it runs straight."""
-GATE_STD: Final = 8.0
-"""A reading further than this from what the others expect is no reading of a gyro."""
-MOST_WRONG: Final = 0.25
-"""Share of a window's readings that may be."""
-MEMORY: Final = 0.1
-"""Weight of one window in the size of the residuals."""
 MEDIAN_OF_SQUARE: Final = 0.4549
 """Of a standard normal value."""
-LONGEST_HOLE_S: Final = 0.55
-"""Neither a rigid hull nor its vibration is known across a longer one."""
 COLUMNS: Final = (slice(1, 4), slice(4, 7))
 """Rates of both triads in a row of a record."""
-ROUNDS: Final = 4
-"""Each takes most of what the missing readings added to a spectrum out of it again."""
-PATTERNS: Final = 200
-"""Patterns of holes that are remembered."""
 
 
-class Slow(msgspec.Struct, frozen=True, eq=False, gc=False):
+class SlowRate(msgspec.Struct, frozen=True, eq=False, gc=False):
     """The slow motion of one gyro triad about one moment."""
 
     motion: Array
-    """(TERMS, 3): a polynomial in seconds, constant term first, rad/s."""
+    """(terms, 3): a polynomial in seconds, constant term first, rad/s."""
     variance: Array
     """(3,) of the constant term, by holes and vibration."""
     wrong: list[int]
@@ -99,58 +58,60 @@ class _Pattern(msgspec.Struct, frozen=True, eq=False, gc=False):
     freedom: float
     """Mean square of the normalised readings when there is no motion: the share of them that the motion leaves over."""
     weights: Array
-    """(TERMS, n)."""
+    """(terms, n)."""
     variance: float
 
 
-class Band:
+class SlowMotion:
     """One gyro triad at ``rate_hz``.
 
     Attributes:
-        power: spectrum of the vibration, two-sided, (rad/s)^2/Hz, at LINES frequencies from 0 to half of the rate.
+        power: spectrum of the vibration, two-sided, (rad/s)^2/Hz, from 0 to half of the rate.
     """
 
     def __init__(self, rate_hz: float, least_noise_radps: float) -> None:
         """``least_noise_radps``: standard deviation of the white noise of one reading that is assumed at the least."""
         self.rate_hz = rate_hz
-        self.ahead = max(2, ceil(AHEAD_S * rate_hz - 1e-6))
-        self.back = max(2, ceil(BACK_S * rate_hz - 1e-6))
+        self.ahead = max(2, ceil(TUNING.ahead_s * rate_hz - 1e-6))
+        self.back = max(2, ceil(TUNING.back_s * rate_hz - 1e-6))
         self._least = least_noise_radps**2 / rate_hz
-        self._f = np.linspace(0.0, 0.5 * rate_hz, LINES)
-        self.shake(np.full(LINES, self._least))
+        self._f = np.linspace(0.0, 0.5 * rate_hz, TUNING.spectrum_lines)
+        self.set_vibration(np.full(TUNING.spectrum_lines, self._least))
 
-    def copy(self) -> Band:
-        twin = Band(self.rate_hz, (self._least * self.rate_hz) ** 0.5)
-        twin.shake(self.power)
+    def copy(self) -> SlowMotion:
+        twin = SlowMotion(self.rate_hz, (self._least * self.rate_hz) ** 0.5)
+        twin.set_vibration(self.power)
         twin._square = self._square.copy()
         return twin
 
-    def shake(self, power: Array) -> None:
-        """Take a spectrum (LINES,) for that of the vibration."""
+    def set_vibration(self, power: Array) -> None:
+        """Take a spectrum (lines,) for that of the vibration."""
         self.power = np.maximum(power, self._least)
         white = float(np.min(self.power)) * self.rate_hz
-        self._motion = float(np.clip(CLEAREST * white, *np.square(MOTION_RADPS)))
-        self._table = self._covariance(np.arange((self.back + self.ahead + 2) * FINE) / (FINE * self.rate_hz))
+        self._motion = float(np.clip(TUNING.motion_over_white * white, *np.square(TUNING.motion_std_radps)))
+        self._table = self._covariance(
+            np.arange((self.back + self.ahead + 2) * TUNING.lags_per_step) / (TUNING.lags_per_step * self.rate_hz)
+        )
         self._patterns: dict[bytes, _Pattern | None] = {}
         self._square = np.ones(3)
         """Size of the residuals: their mean square over what the spectrum makes of it, per axis."""
 
     def _covariance(self, lag_s: Array) -> Array:
         """Of the vibration."""
-        lines = np.full(LINES, 2.0)
+        lines = np.full(TUNING.spectrum_lines, 2.0)
         lines[[0, -1]] = 1.0
-        step = 0.5 * self.rate_hz / (LINES - 1)
+        step = 0.5 * self.rate_hz / (TUNING.spectrum_lines - 1)
         result: Array = np.cos(2.0 * pi * np.multiply.outer(lag_s, self._f)).dot(lines * self.power * step)
-        result *= np.exp(-0.5 * (lag_s / COHERENT_S) ** 2)
+        result *= np.exp(-0.5 * (lag_s / TUNING.coherent_s) ** 2)
         return result
 
     def _smooth(self, lag_s: Array) -> Array:
         """Covariance of the slow motion."""
-        return np.asarray(self._motion * np.exp(-0.5 * (2.0 * pi * BAND_HZ * lag_s) ** 2))
+        return np.asarray(self._motion * np.exp(-0.5 * (2.0 * pi * TUNING.motion_hz * lag_s) ** 2))
 
     # --- one moment --------------------------------------------------------------------------------------------------
 
-    def at(self, offset_s: Array, rates: Array) -> Slow | None:
+    def at(self, offset_s: Array, rates: Array) -> SlowRate | None:
         """The slow motion at the moment from which readings ``rates`` (n, 3), nan where missing, are ``offset_s`` away.
 
         None: too much is missing or wrong.
@@ -163,7 +124,7 @@ class Band:
             return None
         square = self._misfits(pattern, rates[known])[1]
         wrong = list[int]()
-        if float((square / np.maximum(self._square, 1.0)).max()) > GATE_STD**2:
+        if float((square / np.maximum(self._square, 1.0)).max()) > TUNING.reading_gate_std**2:
             wrong = self._wrong(offset_s, rates, known)
             known[wrong] = False
             pattern = self._pattern(offset_s[known])
@@ -171,19 +132,19 @@ class Band:
                 return None
         values = rates[known]
         here = self._misfits(pattern, values)[0]
-        self._square += MEMORY * (here - self._square)
+        self._square += TUNING.residual_weight * (here - self._square)
         # What has just begun shows in this window, and in the mean only later.
         variance = pattern.variance * np.maximum(self._square, here)
-        return Slow(pattern.weights.dot(values), variance, wrong)
+        return SlowRate(pattern.weights.dot(values), variance, wrong)
 
     def _is_torn(self, offset_s: Array, known: NDArray[np.bool_]) -> bool:
         """Is there a hole about the moment?"""
-        near = np.abs(offset_s) < AHEAD_S + 0.5 / self.rate_hz
+        near = np.abs(offset_s) < TUNING.ahead_s + 0.5 / self.rate_hz
         ends, inside = offset_s[near], offset_s[near & known]
         if len(inside) < 3:
             return True
         longest = max(float(np.max(np.diff(inside))), float(inside[0] - ends[0]), float(ends[-1] - inside[-1]))
-        return longest > max(LONGEST_HOLE_S, 2.5 / self.rate_hz)
+        return longest > max(TUNING.longest_hole_s, 2.5 / self.rate_hz)
 
     def _misfits(self, pattern: _Pattern, values: Array) -> tuple[Array, Array]:
         """Of readings (n, 3): mean normalised square of all (3,), and of each from what the others expect (n, 3)."""
@@ -198,7 +159,7 @@ class Band:
         the other, and as long as one was many times as wrong as those that then remain, it and those before it are.
         """
         left, found, wrong = known.copy(), list[int](), 0
-        for _ in range(int(MOST_WRONG * np.count_nonzero(known))):
+        for _ in range(int(TUNING.most_wrong * np.count_nonzero(known))):
             pattern = self._pattern(offset_s[left])
             if pattern is None:
                 break
@@ -210,7 +171,7 @@ class Band:
             worst = int(odd.argmax())
             found.append(int(np.flatnonzero(left)[worst]))
             left[found[-1]] = False
-            if odd[worst] > GATE_STD**2:
+            if odd[worst] > TUNING.reading_gate_std**2:
                 wrong = len(found)
         return found[:wrong]
 
@@ -219,22 +180,22 @@ class Band:
         ticks = np.round(offset_s * (1e4 * self.rate_hz)).astype(np.int64)
         key = ticks.tobytes()
         if key not in self._patterns:
-            if len(self._patterns) >= PATTERNS:
+            if len(self._patterns) >= TUNING.patterns_kept:
                 self._patterns.clear()
             self._patterns[key] = self._new_pattern(ticks / (1e4 * self.rate_hz))
         return self._patterns[key]
 
     def _new_pattern(self, at_s: Array) -> _Pattern | None:
         lag = np.abs(np.subtract.outer(at_s, at_s))
-        vibration = np.interp(lag * (FINE * self.rate_hz), np.arange(len(self._table)), self._table)
+        vibration = np.interp(lag * (TUNING.lags_per_step * self.rate_hz), np.arange(len(self._table)), self._table)
         factor, info = dpotrf(self._smooth(lag) + vibration, lower=1)
         if info != 0:
             return None
         # Derivatives of a Gaussian are Hermite polynomials times it: the powers of time about the moment.
-        scale = 2.0 * pi * BAND_HZ
+        scale = 2.0 * pi * TUNING.motion_hz
         u = -scale * at_s
         hermite = [np.ones_like(u), u]
-        for k in range(1, TERMS - 1):
+        for k in range(1, TUNING.motion_terms - 1):
             hermite.append(u * hermite[k] - k * hermite[k - 1])
         smooth = self._smooth(at_s)
         sides = [(-scale) ** k / factorial(k) * h * smooth for k, h in enumerate(hermite)]
@@ -250,36 +211,38 @@ class Band:
 
     # --- what vibrates -----------------------------------------------------------------------------------------------
 
-    def expect(self, rates: Array) -> None:
+    def assume_white(self, rates: Array) -> None:
         """Take a record (n, 3) of unknown vibration for slow motion and white noise: of its usual second difference."""
         bends = np.diff(rates, 2, axis=0)
         square = bends[np.isfinite(bends)] ** 2
         if len(square):
-            self.shake(np.full(LINES, float(np.median(square)) / (6.0 * MEDIAN_OF_SQUARE * self.rate_hz)))
+            self.set_vibration(
+                np.full(TUNING.spectrum_lines, float(np.median(square)) / (6.0 * MEDIAN_OF_SQUARE * self.rate_hz))
+            )
 
     def identify(self, t_s: Array, rates: Array) -> Array | None:
-        """Spectrum (LINES,) of the vibration of a record, rates (n, 3), nan where missing; None: it is too short.
+        """Spectrum (lines,) of the vibration of a record, rates (n, 3), nan where missing; None: it is too short.
 
         Missing readings are first put in as the present spectrum expects them; what that leaves open is added as white.
-        Hence identifying again with the spectrum that was found finds it better. Below ``WAVES_END_HZ`` only the white
-        part is assumed.
+        Hence identifying again with the spectrum that was found finds it better. Below the end of the waves only
+        the white part is assumed.
         """
         place = np.round((t_s - t_s[0]) * self.rate_hz).astype(np.int64)
         series = np.full((int(place[-1]) + 1, 3), np.nan)
         series[place] = rates
-        count = max(1, len(series) // SEGMENT)
+        count = max(1, len(series) // TUNING.spectrum_segment)
         powers = [p for part in np.array_split(series, count) if (p := self._spectrum(part)) is not None]
         if not powers:
             return None
         power = np.mean(powers, axis=0)
-        above = self._f >= min(WAVES_END_HZ, 0.25 * self.rate_hz)
-        power[~above] = np.quantile(power[above], FLOOR)
+        above = self._f >= min(TUNING.waves_end_hz, 0.25 * self.rate_hz)
+        power[~above] = np.quantile(power[above], TUNING.white_quantile)
         return np.asarray(power)
 
     def _spectrum(self, series: Array) -> Array | None:
         known = np.isfinite(series[:, 0])
         n = len(series)
-        if np.count_nonzero(known) < max(FEWEST, 0.3 * n):
+        if np.count_nonzero(known) < max(TUNING.spectrum_from, 0.3 * n):
             return None
         white = 0.0
         if not known.all():
@@ -304,38 +267,38 @@ class Band:
         return np.asarray(np.interp(self._f, f, mean) + white)
 
 
-Reading = tuple[float, Slow | None, Slow | None]
+SlowReading = tuple[float, SlowRate | None, SlowRate | None]
 """Time, and the slow motion midships and local."""
 
 
-class Pair:
+class SlowPair:
     """Both gyro triads of a hull; rows (n, 7) are t, midships rates, local rates."""
 
-    def __init__(self, midships: Band, local: Band) -> None:
+    def __init__(self, midships: SlowMotion, local: SlowMotion) -> None:
         self.midships, self.local = midships, local
         self.back, self.ahead = midships.back, midships.ahead
-        self.out_hz = midships.rate_hz / max(1, round(midships.rate_hz / OUT_HZ))
+        self.out_hz = midships.rate_hz / max(1, round(midships.rate_hz / TUNING.slow_hz))
 
-    def copy(self) -> Pair:
-        return Pair(self.midships.copy(), self.local.copy())
+    def copy(self) -> SlowPair:
+        return SlowPair(self.midships.copy(), self.local.copy())
 
     def is_due(self, before_s: float, t_s: float) -> bool:
         """Is a slow reading made of the row at ``t_s``, that before it at ``before_s``?"""
         return (t_s * self.out_hz + 1e-6) // 1.0 > (before_s * self.out_hz + 1e-6) // 1.0
 
-    def at(self, rows: Array, ahead: int) -> Reading:
+    def at(self, rows: Array, ahead: int) -> SlowReading:
         """Time and both slow motions ``ahead`` rows before the last one."""
         t = float(rows[-1 - ahead, 0])
         offset = rows[:, 0] - t
         return t, self.midships.at(offset, rows[:, 1:4]), self.local.at(offset, rows[:, 4:])
 
-    def along(self, rows: Array, after_s: float = -inf, to_end: bool = False) -> list[Reading]:
+    def through(self, rows: Array, after_s: float = -inf, to_end: bool = False) -> list[SlowReading]:
         """What is slow in a record wherever it is due, later than ``after_s``. Readings that are none are struck out.
 
         ``to_end``: with ever shorter windows to its end, not just as far as whole ones fit into it.
         """
-        found = list[Reading]()
-        for i in range(SHORTEST, len(rows) - (SHORTEST if to_end else self.ahead)):
+        found = list[SlowReading]()
+        for i in range(TUNING.shortest_window, len(rows) - (TUNING.shortest_window if to_end else self.ahead)):
             if rows[i, 0] > after_s and self.is_due(float(rows[i - 1, 0]), float(rows[i, 0])):
                 window = rows[max(0, i - self.back) : i + self.ahead + 1]
                 reading = self.at(window, min(self.ahead, len(rows) - 1 - i))
@@ -357,12 +320,12 @@ class Pair:
                 if 0 < number < rounds - 1:
                     # What falls from round to round would go on falling for many more.
                     power = power * np.clip((power / band.power) ** 2, 0.1, 1.0)
-                band.shake(power)
+                band.set_vibration(power)
 
-    def learn(self, rows: Array, to_end: bool) -> list[Reading]:
-        """Go ``along`` a record of which nothing is known yet."""
+    def learn(self, rows: Array, to_end: bool) -> list[SlowReading]:
+        """Go ``through`` a record of which nothing is known yet."""
         for band, columns in zip((self.midships, self.local), COLUMNS, strict=True):
-            band.expect(rows[:, columns])
-        self.along(rows, to_end=to_end)
-        self.identify(rows, ROUNDS)
-        return self.along(rows, to_end=to_end)
+            band.assume_white(rows[:, columns])
+        self.through(rows, to_end=to_end)
+        self.identify(rows, TUNING.rounds)
+        return self.through(rows, to_end=to_end)
