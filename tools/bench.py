@@ -58,7 +58,8 @@ from heaved.simulate.flexure import SCENES, Record, simulate
 from heaved.simulate.play import write_recording
 from heaved.simulate.seaway import SEAS, seaway
 from heaved.simulate.sensors import record
-from heaved.workers.process import TRAINER, Worker
+from heaved.workers.jobs import TRAINING
+from heaved.workers.process import Worker
 
 Array = NDArray[np.float64]
 Step = Callable[[], object]
@@ -390,7 +391,7 @@ async def process(window: TrainingWindow, seconds: float) -> tuple[Array, int]:
         trained += 1
         trainer.submit(window)
 
-    trainer = Worker("trainer", TrainedNetwork, next_one, print, command=TRAINER)
+    trainer = Worker(TRAINING, next_one, print)
     await trainer.start()
     trainer.submit(window)
     try:

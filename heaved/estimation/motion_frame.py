@@ -184,7 +184,7 @@ class MotionFrames:
             return last
         if (now := predicted(t_s, last, rock)) is not None:
             return now
-        if not last.serves(t_s):
+        if not self._vertical.serves(t_s):
             return UNKNOWN
         roll, pitch = last.at(t_s)
         return msgspec.structs.replace(last, roll_rad=roll, pitch_rad=pitch)
