@@ -199,7 +199,7 @@ def test_the_stream_runs_on_a_machine_that_is_always_late(rig):
 
 
 def test_without_any_imu_the_stream_runs_all_the_same(rig):
-    rig.run(2.0, lambda number: None)
+    rig.run(2.0, lambda _number: None)
     assert len(rig.frames) == 200
     assert all(frame.heave_m == 0.0 for frame in rig.frames)
     check_increasing(rig.frames)
@@ -215,10 +215,10 @@ def test_idle_rate_without_an_imu_configured(rig):
 @pytest.mark.parametrize(
     "outage",
     [
-        lambda number: None,
-        lambda number: (0.0, Fault.DISCONNECTED),
-        lambda number: (0.05, Fault.TIMEOUT),
-        lambda number: (0.002, Fault.NOT_FINITE),
+        lambda _number: None,
+        lambda _number: (0.0, Fault.DISCONNECTED),
+        lambda _number: (0.05, Fault.TIMEOUT),
+        lambda _number: (0.002, Fault.NOT_FINITE),
     ],
     ids=["nothing", "disconnected", "timeouts of 50 ms", "nan"],
 )
@@ -245,7 +245,7 @@ def test_devices_that_answer_old_values_come_back_too(rig, latency_s):
             rig.acquisition.heartbeat()
 
     poll_run(1.0)
-    rig.run(1.0, lambda number: None)
+    rig.run(1.0, lambda _number: None)
     poll_run(1.0)
     check_increasing(rig.frames)
     assert sum(frame.heave_m == 1.0 for frame in rig.frames) >= 195
@@ -254,7 +254,7 @@ def test_devices_that_answer_old_values_come_back_too(rig, latency_s):
 
 def test_first_contact_after_extrapolation_without_known_lag(rig):
     """Frames of "now" were published before the first sample showed that validity is 0.5 s earlier."""
-    rig.run(1.0, lambda number: None)
+    rig.run(1.0, lambda _number: None)
     for _ in range(100):
         rig.now_s += PERIOD_S
         rig.poll(rig.now_s - 0.5)
@@ -265,7 +265,7 @@ def test_first_contact_after_extrapolation_without_known_lag(rig):
 
 def test_a_slow_device_is_filled_up(rig):
     """33 Hz where 100 Hz were configured: no sample is lost for a replacement."""
-    rig.run(3.0, lambda number: (0.024, Fault.NONE))
+    rig.run(3.0, lambda _number: (0.024, Fault.NONE))
     check_increasing(rig.frames)
     assert len(rig.frames) >= 200 - 2
     assert sum(frame.heave_m == 1.0 for frame in rig.frames) >= 100 - 1  # Before the first, its lag is not known.

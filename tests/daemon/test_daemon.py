@@ -123,7 +123,7 @@ def utc_s(text):
 
 async def test_http_says_alive_and_not_yet_ready_without_sensors(tmp_path):
     async with running(demo_config(tmp_path, device=())) as daemon:
-        await until(daemon, lambda record: True)
+        await until(daemon, lambda _record: True)
         status, body = await get(daemon, "/healthz")
         assert (status, json.loads(body)["alive"]) == (200, True)
         status, body = await get(daemon, "/readyz")
@@ -163,7 +163,7 @@ async def test_a_restart_remembers(tmp_path, params, learned, frequency_hz):
 async def test_the_state_is_saved_now_and_then(tmp_path):
     state = msgspec.structs.replace(demo_config(tmp_path).state, save_period_s=1.0)
     async with running(demo_config(tmp_path, device=(), state=state)) as daemon:
-        await until(daemon, lambda record: metric(daemon, 'heaved_state_saves_total{result="saved"}') >= 1)
+        await until(daemon, lambda _record: metric(daemon, 'heaved_state_saves_total{result="saved"}') >= 1)
         assert daemon.memory.file.read().state == daemon.acquisition.pipeline.state()
 
 
@@ -222,7 +222,7 @@ async def test_reload_of_an_estimator_keeps_what_was_learned(tmp_path, params, l
             path.write_text(to_toml(msgspec.structs.replace(config, heave=msgspec.structs.replace(params, **other))))
             await daemon.reload()
         assert any("start cold" in line["event"] for line in logs)
-        frame = await until(daemon, lambda record: True)
+        frame = await until(daemon, lambda _record: True)
         assert frame["quality"]["heave"] == "invalid"
 
 
@@ -238,7 +238,7 @@ async def test_a_fitter_runs_for_the_observer_that_needs_it_and_only_then(tmp_pa
             assert ("fitter" in daemon.workers.running) == (name == "sea")
             assert daemon.status().observer.name == name
         assert daemon.workers.running["fitter"] is not first
-        await until(daemon, lambda record: True)
+        await until(daemon, lambda _record: True)
 
 
 async def test_reload_says_what_needs_a_restart(tmp_path):
@@ -352,7 +352,7 @@ async def test_a_bus_that_fails_is_polled_again(tmp_path, monkeypatch):
         monkeypatch.setattr(daemon.acquisition, "on_poll", fail_once)
         await daemon.start()
         try:
-            await until(daemon, lambda record: daemon.status().devices[0].up and daemon.status().devices[1].up)
+            await until(daemon, lambda _record: daemon.status().devices[0].up and daemon.status().devices[1].up)
         finally:
             await daemon.stop()
         assert failures
@@ -361,7 +361,7 @@ async def test_a_bus_that_fails_is_polled_again(tmp_path, monkeypatch):
 async def test_frames_carry_utc_of_validity(tmp_path):
     frames = []
     async with running(demo_config(tmp_path, device=()), realtime=lambda: 1_767_225_600.0) as daemon:
-        record = await until(daemon, lambda record: True)
+        record = await until(daemon, lambda _record: True)
         frames.append(daemon.acquisition.last_frame)
         assert record["time"].startswith("2026-01-01T00:00:00.") or record["time"].startswith("2025-12-31T23:59:59.")
     assert isinstance(frames[0], MotionFrame)

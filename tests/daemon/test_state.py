@@ -88,18 +88,18 @@ def flipped(content, place, value):
 @pytest.mark.parametrize(
     ("damage", "reason"),
     [
-        (lambda content: b"", "damaged"),
+        (lambda _content: b"", "damaged"),
         (lambda content: content[:-20], "damaged"),
         (lambda content: content[: len(content) // 2], "damaged"),
-        (lambda content: bytes(4096), "damaged"),
+        (lambda _content: bytes(4096), "damaged"),
         (lambda content: content.replace(b'"version":3', b'"version":1'), "version 1"),
         (lambda content: content.replace(b'"version":3', b'"version":4'), "version 4"),
         (lambda content: content.replace(b"0.11", b"0.12"), "checksum"),
         (lambda content: content.replace(b"0.11", b"1e999"), "checksum"),
         (lambda content: content.replace(b"0.11", b"NaN"), "damaged"),
-        (lambda content: b"[]", "damaged"),
+        (lambda _content: b"[]", "damaged"),
         (lambda content: b"\xff\xfe" + content, "damaged"),
-        (lambda content: b"[" * 100_000, "damaged"),
+        (lambda _content: b"[" * 100_000, "damaged"),
     ],
 )
 def test_damage_is_seen(file, damage, reason):
@@ -256,10 +256,10 @@ def memory(file, counted):
 
 async def test_saved_and_restored(memory, counted):
     taken = []
-    await memory.restore(lambda state, age_s: taken.append(state))
+    await memory.restore(lambda state, _age_s: taken.append(state))
     assert taken == []
     await memory.save()
-    await memory.restore(lambda state, age_s: taken.append(state))
+    await memory.restore(lambda state, _age_s: taken.append(state))
     assert taken == [LEARNED]
     assert counted == ["absent", "saved", "restored"]
 
@@ -270,7 +270,7 @@ async def test_a_useless_file_is_set_aside_counted_and_named(memory, counted, co
     memory.file.path.write_bytes(content)
     taken = []
     with capture_logs() as logs:
-        await memory.restore(lambda state, age_s: taken.append(state))
+        await memory.restore(lambda state, _age_s: taken.append(state))
     assert taken == []
     (line,) = logs
     assert line["log_level"] == "warning"
@@ -316,7 +316,7 @@ async def test_a_directory_that_cannot_be_is_said_at_the_start(tmp_path, counted
     file = StateFile(tmp_path / "a_file" / "heaved", Learned)
     memory = Memory(file, lambda: LEARNED, count_save=counted.append, count_load=counted.append)
     with capture_logs() as logs:
-        await memory.restore(lambda state, age_s: None)
+        await memory.restore(lambda _state, _age_s: None)
         await memory.save()
         await memory.save()
     memory.close()
@@ -326,7 +326,7 @@ async def test_a_directory_that_cannot_be_is_said_at_the_start(tmp_path, counted
 
 async def test_a_slow_disk_does_not_hold_the_loop(memory, monkeypatch):
     disk = threading.Event()
-    monkeypatch.setattr(memory.file, "write", lambda content: disk.wait())
+    monkeypatch.setattr(memory.file, "write", lambda _content: disk.wait())
     saving = asyncio.create_task(memory.save())
     for _ in range(10):
         await asyncio.sleep(0)  # The loop turns while the disk does not.

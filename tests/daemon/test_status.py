@@ -32,9 +32,9 @@ def acquisition():
     acquisition = Acquisition(
         make_pipeline(CONFIG),
         metrics=Metrics("test"),
-        publish=lambda frame: None,
-        train=lambda window: None,
-        fit=lambda past: None,
+        publish=lambda _frame: None,
+        train=lambda _window: None,
+        fit=lambda _past: None,
         clock=lambda: 110.0,
     )
     acquisition.set_devices(CONFIG.device)

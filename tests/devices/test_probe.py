@@ -68,7 +68,7 @@ async def served(profile: Profile, role: str, device_id: int) -> AsyncIterator[s
 
 async def report(line: AbstractAsyncContextManager[str], profiles: tuple[Profile, ...], ids: str = "1-8") -> list[str]:
     async with line as link:
-        found = await probe(parse_link(link), parse_ids(ids), profiles, 0.5, lambda device_id: None)
+        found = await probe(parse_link(link), parse_ids(ids), profiles, 0.5, lambda _device_id: None)
     assert found.hints == []
     return found.lines
 
@@ -81,7 +81,7 @@ async def reported(slave: TcpSlave | RtuSlave, ids: str, timeout_s: float = 0.5)
     else:
         link = f"rtu://{slave.path}?baudrate=115200"
     try:
-        return await probe(parse_link(link), parse_ids(ids), packaged_profiles(), timeout_s, lambda device_id: None)
+        return await probe(parse_link(link), parse_ids(ids), packaged_profiles(), timeout_s, lambda _device_id: None)
     finally:
         if isinstance(slave, TcpSlave):
             await slave.stop()
@@ -151,9 +151,9 @@ async def test_the_bandwidth_of_a_sensor_is_read_and_held_against_its_line(name:
 
 
 REGISTERS_OF_ANYTHING = {
-    "random, the same for ever": lambda chance, memory: memory,
+    "random, the same for ever": lambda _chance, memory: memory,
     "random, each time anew": lambda chance, memory: [chance.randrange(65536) for _ in memory],
-    "a counter": lambda chance, memory: [memory[0], *memory[:-1]] if memory.insert(0, memory[0] + 1) is None else [],
+    "a counter": lambda _chance, memory: [memory[0], *memory[:-1]] if memory.insert(0, memory[0] + 1) is None else [],
 }
 
 
@@ -274,7 +274,7 @@ async def test_a_device_that_nobody_knows_is_named_all_the_same() -> None:
 
 async def test_a_line_that_cannot_be_opened(tmp_path: Path) -> None:
     with pytest.raises(ConnectionError, match="is not there: plug the adapter in"):
-        await probe(parse_link(f"rtu://{tmp_path}/none"), (1,), (IMU,), 0.05, lambda device_id: None)
+        await probe(parse_link(f"rtu://{tmp_path}/none"), (1,), (IMU,), 0.05, lambda _device_id: None)
 
 
 REGISTERS = [1, 2, 3]
