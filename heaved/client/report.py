@@ -219,8 +219,9 @@ def _correction_rows(status: StatusRecord) -> Iterator[str]:
     if correction is None:
         return
     last = "" if correction.last_result is None else f", the last {correction.last_result}"
+    spared = f", {correction.nothing_to_learn} times nothing to learn" if correction.nothing_to_learn else ""
     age = "" if correction.age_s is None else f", network in use since {duration(correction.age_s)}"
-    yield _row("correction", f"{correction.state.value}, {correction.runs} trainings{last}{age}")
+    yield _row("correction", f"{correction.state.value}, {correction.runs} trainings{last}{spared}{age}")
 
 
 def _stage_rows(status: StatusRecord) -> Iterator[str]:

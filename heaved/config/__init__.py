@@ -13,9 +13,9 @@ import msgspec
 from heaved.devices.profile import DeviceSpec
 from heaved.estimation import quiescence
 from heaved.estimation.craft import fusion
-from heaved.estimation.heave.harmonic import observer as heave
+from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
-from heaved.estimation.hull import stage as hull
+from heaved.estimation.hull import estimate as hull
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.rock import maximum_likelihood as rock
 

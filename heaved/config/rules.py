@@ -17,9 +17,10 @@ from heaved.devices.bandwidth import bandwidth_hz, folding, remedy
 from heaved.devices.link import RtuLink, bus_load_faults, buses, line_faults, most_rate_hz, parse_link
 from heaved.devices.profile import DeviceSpec, Role, profile_faults, role_needs, role_quantities
 from heaved.estimation.craft import fusion
-from heaved.estimation.heave.sea.whittle_fit import BAND_HZ
+from heaved.estimation.heave.sea.whittle_fit import TUNING as FIT
+from heaved.estimation.hull import estimate as hull
 
-LEAST_IMU_RATE_HZ: Final = 2.0 * BAND_HZ[1]
+LEAST_IMU_RATE_HZ: Final = 2.0 * FIT.band_hz[1]
 """Nyquist: of the highest frequency at which the sea is fitted."""
 GOOD_IMU_RATE_HZ: Final = 4.0
 """Two and a half times that: a whole octave above the waves, in which noise and vibration are seen for what they are,
@@ -104,8 +105,9 @@ def run_faults(file: Written) -> list[str]:
         else:
             is_complete = False  # It may be the one that is looked for.
     slow = [
-        f"device[{i}].rate_hz: {device.rate_hz:g} is too slow for waves: the sea is fitted up to {BAND_HZ[1]:g} Hz, "
-        f"which takes {LEAST_IMU_RATE_HZ:g} Hz at least; 10 or more is good, 100 for a compensator"
+        f"device[{i}].rate_hz: {device.rate_hz:g} is too slow for waves: the sea is fitted up to "
+        f"{FIT.band_hz[1]:g} Hz, which takes {LEAST_IMU_RATE_HZ:g} Hz at least; "
+        "10 or more is good, 100 for a compensator"
         for i, device in file.devices.items()
         if device.role == "imu" and device.rate_hz < LEAST_IMU_RATE_HZ
     ]
@@ -175,14 +177,14 @@ def _stage_faults(config: Config, carried: Mapping[str, Collection[str]], *, is_
             faults.append('hull.enabled: needs the body rates of a device of role "imu"')
         elif lacking := rates.difference(carried.get("imu", rates)):
             faults.append(f'hull.enabled: the profile of the device of role "imu" has no {", ".join(sorted(lacking))}')
-    if config.attitude.enabled and config.attitude.source == "sensors" and is_complete:
+    if config.attitude.enabled and config.attitude.source is fusion.Source.SENSORS and is_complete:
         sensors: set[str] = set().union(*(carried.get(role, ()) for role in ("craft", "heave_sensor", "pitch_sensor")))
         if sensors.isdisjoint(("heave_m", "pitch_rad")):
             faults.append(
                 'attitude.source: "sensors" needs heave_m or pitch_rad from a device of role "craft", "heave_sensor" '
                 'or "pitch_sensor"; "own" takes the heave and pitch of heaved itself'
             )
-    if config.attitude.enabled and config.attitude.source == "own" and "imu" not in carried and is_complete:
+    if config.attitude.enabled and config.attitude.source is fusion.Source.OWN and "imu" not in carried and is_complete:
         faults.append('attitude.source: "own" needs a device of role "imu"')
     return faults
 
@@ -240,7 +242,7 @@ def _heave_faults(config: Config) -> list[str]:
 def _stage_params_faults(config: Config) -> list[str]:
     """Parameters of the stages that do not go together."""
     faults = []
-    if config.hull.start == "zero" and config.hull.method == "so3":
+    if config.hull.start is hull.Start.ZERO and config.hull.method is hull.Method.SO3:
         faults.append('hull.start: "zero" is for the methods ckf and ukf; so3 needs an alignment')
     if config.attitude.enabled:
         try:

@@ -7,6 +7,7 @@ still be checked.
 from __future__ import annotations
 
 import types
+from enum import StrEnum
 from math import isfinite
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -75,11 +76,15 @@ def _element_of(kind: Any) -> Any:
 
 
 def _choices_of(kind: Any) -> str:
-    """``'a', 'b' or 'c'`` for a Literal; empty for any other type."""
+    """``'a', 'b' or 'c'`` for a Literal or an enum of strings; empty for any other type."""
     kind = _strip(kind)
-    if get_origin(kind) is not Literal:
+    if isinstance(kind, type) and issubclass(kind, StrEnum):
+        names = [member.value for member in kind]
+    elif get_origin(kind) is Literal:
+        names = list(get_args(kind))
+    else:
         return ""
-    *others, last = map(repr, get_args(kind))
+    *others, last = map(repr, names)
     return f"{', '.join(others)} or {last}" if others else last
 
 

@@ -12,8 +12,9 @@ from heaved.daemon.device_health import DeviceHealth, RateMeter
 from heaved.daemon.metrics import DeviceMetrics, Metrics
 from heaved.devices.bus import PollResult
 from heaved.devices.profile import DeviceSpec
+from heaved.estimation.heave.observer import Verdict
 from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
-from heaved.estimation.hull.stage import RefitJob, RefitResult
+from heaved.estimation.hull.refit import RefitJob, RefitResult
 from heaved.pipeline import Pipeline
 from heaved.samples import Fault, ImuSample, MotionFrame, RockScore, Sample, TrainedNetwork, TrainingWindow
 
@@ -160,12 +161,12 @@ class Acquisition:
         """Hand a training's result to the pipeline, which decides whether it is used."""
         try:
             result = self.pipeline.accept(network)
-        except Exception as error:  # noqa: BLE001  # A bug in an estimator must not take the stream down.
+        except Exception as error:  # A bug in an estimator must not take the stream down.
             self._bug("accept", error)
-            result = "failed"
+            result = Verdict.FAILED
         self.trainings += 1
         self._metrics.training_runs.labels(result).inc()
-        if result == "accepted":
+        if result == Verdict.ACCEPTED:
             self.accepted_s = self._clock()
         if result != self.last_training:
             self.last_training = result
@@ -176,11 +177,11 @@ class Acquisition:
         """Hand a fit of the sea to the pipeline."""
         try:
             result = self.pipeline.accept_fit(fit)
-        except Exception as error:  # noqa: BLE001  # Likewise.
+        except Exception as error:  # Likewise.
             self._bug("accept_fit", error)
-            result = "failed"
+            result = Verdict.FAILED
         self._metrics.sea_fits.labels(result).inc()
-        if result == "accepted":
+        if result == Verdict.ACCEPTED:
             self.fitted_s = self._clock()
         if result != self.last_fit:
             self.last_fit = result
@@ -212,14 +213,14 @@ class Acquisition:
     def _step(self, sample: Sample) -> MotionFrame | None:
         try:
             return self.pipeline.step(sample)
-        except Exception as error:  # noqa: BLE001  # Likewise.
+        except Exception as error:  # Likewise.
             self._bug("step", error)
         return self._coast(sample.t_s) if isinstance(sample, ImuSample) else None
 
     def _coast(self, t_s: float) -> MotionFrame | None:
         try:
             return self.pipeline.coast(t_s)
-        except Exception as error:  # noqa: BLE001  # Likewise.
+        except Exception as error:  # Likewise.
             self._bug("coast", error)
             return None
 
@@ -245,7 +246,7 @@ class Acquisition:
             if job is not None and job is not self._refit_job:
                 self._refit_job = job
                 self._refit(job)
-        except Exception as error:  # noqa: BLE001  # Likewise.
+        except Exception as error:  # Likewise.
             self._bug("work", error)
         if (failure := self.pipeline.stages.failure) is not None:
             self.pipeline.stages.failure = None

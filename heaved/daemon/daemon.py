@@ -47,7 +47,7 @@ from heaved.outputs.http import HttpServer, liveness, readiness
 from heaved.outputs.listen import ListenError
 from heaved.outputs.records import StatusRecord
 from heaved.outputs.stream import Publisher
-from heaved.pipeline import Pipeline, PipelineState, check_state
+from heaved.pipeline import Pipeline, PipelineState, assemble, check_state
 from heaved.samples import MotionFrame
 
 __all__ = ["Daemon", "configure_logging", "run"]
@@ -370,7 +370,7 @@ class Daemon:
 
 def make_pipeline(config: Config, stages: Stages | None = None) -> Pipeline:
     """``stages``: to be gone on with; new ones by default."""
-    return Pipeline(
+    return assemble(
         heave=config.heave,
         laser=config.laser,
         correction=config.correction,

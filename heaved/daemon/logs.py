@@ -214,7 +214,7 @@ class LineHandler(logging.Handler):
                 self._say(self.format(counted))
             if self._repeats.admits(record, now_s):
                 self._say(self.format(record))
-        except Exception as error:  # noqa: BLE001  # What cannot be formatted must not stop who said it.
+        except Exception as error:  # What cannot be formatted must not stop who said it.
             self._say(f"an event that cannot be printed: {printable(repr(error))}")
 
     def flush(self) -> None:

@@ -163,4 +163,5 @@ def _correction(acquisition: Acquisition, frame: MotionFrame | None, now_s: floa
         runs=acquisition.trainings,
         last_result=acquisition.last_training or None,
         age_s=round(age_s, 3) if isfinite(age_s) else None,
+        nothing_to_learn=acquisition.pipeline.summary().windows_with_nothing_to_learn,
     )

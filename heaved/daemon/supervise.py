@@ -25,7 +25,7 @@ async def supervise(name: str, run: Callable[[], Awaitable[None]]) -> None:
         try:
             await run()
             _log.error("task ended: starting it again", task=name, pause_s=pause_s)
-        except Exception as error:  # noqa: BLE001  # Whatever it was, the rest of the daemon goes on.
+        except Exception as error:  # Whatever it was, the rest of the daemon goes on.
             _log.error("task failed: starting it again", task=name, pause_s=pause_s, exc_info=error)
         if time.monotonic() - started_s > LONG_LIFE_S:
             pause_s = FIRST_PAUSE_S
@@ -49,7 +49,7 @@ async def in_time(name: str, part: Awaitable[object], timeout_s: float) -> bool:
         await asyncio.wait_for(part, timeout_s)
     except TimeoutError:
         _log.warning("does not stop in time: left behind", part=name)
-    except Exception as error:  # noqa: BLE001  # The other parts must stop all the same.
+    except Exception as error:  # The other parts must stop all the same.
         _log.error("error while stopping", part=name, exc_info=error)
     else:
         return True

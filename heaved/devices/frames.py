@@ -98,7 +98,7 @@ def find_rtu_answer(heard: bytes, request: Request) -> bytes:
     return b""
 
 
-def explain_rtu_silence(  # noqa: PLR0911  # Each cause has its own words.
+def explain_rtu_silence(  # Each cause has its own words.
     heard: bytes, request: Request, *, sent: bytes = b"", late_s: float = 0.0
 ) -> Explanation:
     """What the bytes say that came instead of an answer.
@@ -216,7 +216,7 @@ def _tcp_reply(heard: bytes, transaction: int, request: Request) -> bytes:
     return b""
 
 
-def explain_tcp_silence(  # noqa: PLR0911  # Each cause has its own words.
+def explain_tcp_silence(  # Each cause has its own words.
     heard: bytes, transaction: int, request: Request, *, late_s: float = 0.0
 ) -> Explanation:
     """What the bytes say that came instead of an answer. ``late_s``: as for :func:`explain_rtu_silence`."""

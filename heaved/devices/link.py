@@ -139,7 +139,7 @@ def buses(devices: Sequence[DeviceSpec]) -> dict[str, tuple[DeviceSpec, ...]]:
     return found
 
 
-def explain_open_failure(link: Link, error: BaseException) -> str:  # noqa: PLR0911  # Each cause has its own words.
+def explain_open_failure(link: Link, error: BaseException) -> str:  # Each cause has its own words.
     """Why a line could not be opened, and what to do about it."""
     number = error.errno if isinstance(error, OSError) else None
     if number in (errno.EMFILE, errno.ENFILE) and not isinstance(error, socket.gaierror):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from enum import Enum
 from math import inf
 from typing import Final
 
 from heaved.devices.profile import MAX_REGISTERS, DeviceSpec, Quantity, role_quantities, si_step
 from heaved.samples import Fault
+from heaved.unchanged import Unchanged
 
 STALE_AFTER_S = 0.5
 """A device clock that stands for longer than this is a fault, unless its resolution or the poll rate is coarser."""
@@ -24,24 +25,7 @@ MOST_LONGER = 8
 """Registers more than wanted that a read asks for at most, so that its answer has a length of its own."""
 
 
-class Unchanged:
-    """For how long something has been the same."""
-
-    def __init__(self, limit_s: float) -> None:
-        self.limit_s = limit_s
-        self._content: Hashable = None
-        self._since_s = inf
-
-    def too_long(self, content: Hashable, t_s: float) -> float:
-        """Seconds without a change once they exceed the limit, else 0."""
-        if content != self._content:
-            self._content = content
-            self._since_s = t_s
-        stood_s = t_s - self._since_s
-        return stood_s if stood_s > self.limit_s else 0.0
-
-
-class DeviceWatch:
+class LivenessCheck:
     """Whether what a device says is alive.
 
     Measurements that stay identical to the last bit for longer than ``stuck_after_s`` are stuck (0: never judged): a
@@ -51,23 +35,22 @@ class DeviceWatch:
 
     def __init__(self, device: DeviceSpec) -> None:
         wanted = role_quantities(device.role)
-        fields = [field for block in device.profile.blocks for field in block.fields]
-        self._blocks = [
-            tuple(field.quantity for field in block.fields if field.quantity in wanted)
-            for block in device.profile.blocks
-        ]
-        self._values = [Unchanged(device.stuck_after_s or inf) for _ in self._blocks]
-        step_s = max((si_step(field) for field in fields if field.quantity == "device_time_s"), default=0.0)
+        blocks = device.profile.blocks
+        measured = [tuple(field.quantity for field in block.fields if field.quantity in wanted) for block in blocks]
+        self._blocks = [(names, Unchanged()) for names in measured if names]
+        self._stuck_after_s = device.stuck_after_s or inf
+        steps_s = [si_step(field) for block in blocks for field in block.fields if field.quantity == "device_time_s"]
+        self._clock = Unchanged()
         # Two steps and a half: a clock that ticks as coarsely as it is read may show the same time twice.
-        self._clock = Unchanged(max(STALE_AFTER_S, 2.5 / device.rate_hz, 2.5 * step_s))
+        self._stale_after_s = max(STALE_AFTER_S, 2.5 / device.rate_hz, 2.5 * max(steps_s, default=0.0))
 
     def judge(self, values: Mapping[Quantity, float], t_s: float) -> tuple[Fault, str]:
         """``values``: of all blocks of one poll, SI units. Returns the fault and what to say about it."""
-        device_time_s = values.get("device_time_s")
-        if device_time_s is not None and (stood_s := self._clock.too_long(device_time_s, t_s)):
-            return Fault.STALE, f"the device's clock has stood at {device_time_s:.6g} s for {stood_s:.1f} s: restart it"
-        for names, unchanged in zip(self._blocks, self._values, strict=True):
-            if names and (stood_s := unchanged.too_long(tuple(values[name] for name in names), t_s)):
+        time_s = values.get("device_time_s")
+        if time_s is not None and (stood_s := self._clock.push(t_s, time_s)) > self._stale_after_s:
+            return Fault.STALE, f"the device's clock has stood at {time_s:.6g} s for {stood_s:.1f} s: restart it"
+        for names, content in self._blocks:
+            if (stood_s := content.push(t_s, tuple(values[name] for name in names))) > self._stuck_after_s:
                 hint = "restart the sensor, or raise stuck_after_s if it may stand still"
                 return Fault.STUCK, f"{', '.join(names)} have not changed for {stood_s:.1f} s: {hint}"
         return Fault.NONE, ""
@@ -89,7 +72,8 @@ class _Way(Enum):
 
 def _divided(count: int, cuts: Sequence[int], taken: Collection[int]) -> tuple[int, ...]:
     """Lengths of the parts of a block, none of them taken, as long as they can be from the start on: what belongs
-    together is then mostly read at one moment. Empty: there are none."""
+    together is then mostly read at one moment. Empty: there are none.
+    """
     rest: dict[int, tuple[int, ...]] = {count: ()}
     for start in (*reversed(cuts), 0):
         for end in sorted(rest, reverse=True):
@@ -178,6 +162,7 @@ class Contact:
         }
 
     def silent(self, now_s: float) -> bool:
+        """Whether it has missed enough requests, for long enough."""
         return self._misses >= SILENT_AFTER_POLLS and now_s - self._answered_s >= SILENT_AFTER_S
 
     def answered(self, now_s: float) -> None:
@@ -204,7 +189,8 @@ class Contact:
 
     def heard(self, now_s: float, count: int) -> None:
         """It sent ``count`` registers that nobody waited for: what was under way, or something that it sends unasked,
-        and then may send again."""
+        and then may send again.
+        """
         if self._pending.pop(count, None) is None:
             self._expect(now_s, count)
 
@@ -215,7 +201,8 @@ class Contact:
 
     def reopened(self, now_s: float) -> None:
         """The line is new, and has been silent for ``quiet_s``: only what is held back till the next request may come,
-        and comes before its answer."""
+        and comes before its answer.
+        """
         self._misses = 0
         self._refused.clear()
         self._pending.clear()

@@ -9,7 +9,7 @@ from typing import Any, Final
 import msgspec
 
 from heaved.devices.link import Link, request_wire_s
-from heaved.devices.liveness import Contact, DeviceWatch
+from heaved.devices.liveness import Contact, LivenessCheck
 from heaved.devices.profile import (
     Block,
     BlockCodec,
@@ -83,7 +83,7 @@ class Station:
         self.codecs = [BlockCodec(block) for block in spec.profile.blocks]
         self.pace = Pace(1.0 / spec.rate_hz, start_s)
         self.contact = contact
-        self._watch = DeviceWatch(spec)
+        self._liveness = LivenessCheck(spec)
         self._wanted = frozenset(role_quantities(spec.role))
         self.cuts = [cuts(block) for block in spec.profile.blocks]
         self.main, self.dating = _dated_by(spec)
@@ -122,7 +122,7 @@ class Station:
         t_s = heard_s + self._latency_s
         fault, detail = reading.fault, reading.detail
         if fault is Fault.NONE:
-            fault, detail = self._watch.judge(reading.values, t_s)
+            fault, detail = self._liveness.judge(reading.values, t_s)
         reconnected = False
         if fault is Fault.NONE:
             reconnected = 0 < self._connection_number < connection_number

@@ -36,7 +36,7 @@ class Crane(msgspec.Struct, frozen=True, eq=False, gc=False):
     """(3, 3) without the flexure."""
 
 
-class Attitude(msgspec.Struct, frozen=True, gc=False):
+class AttitudeMotion(msgspec.Struct, frozen=True, gc=False):
     """Roll (port side up), pitch (bow up) and their rates, rad and rad/s."""
 
     roll_rad: float
@@ -48,7 +48,7 @@ class Attitude(msgspec.Struct, frozen=True, gc=False):
 
 
 def motion(
-    point: Point, heave_m: float, velocity_mps: float, attitude: Attitude, heave_std_m: float = nan
+    point: Point, heave_m: float, velocity_mps: float, attitude: AttitudeMotion, heave_std_m: float = nan
 ) -> PointMotion:
     """Heave, its standard deviation and its velocity at ``point`` from those of the IMU; nan where one of them is.
 
@@ -77,7 +77,7 @@ def crane_motion(
     point: Point,
     heave_m: float,
     velocity_mps: float,
-    attitude: Attitude,
+    attitude: AttitudeMotion,
     crane: Crane | None,
     heave_std_m: float = nan,
 ) -> PointMotion:

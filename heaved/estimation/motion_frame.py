@@ -1,4 +1,4 @@
-"""The frame of a moment: what the chain, the rock predictions and the stages know then, put into one record.
+"""The frame of a moment: what the estimators know then, put into one record.
 
 Nothing is advanced here: a moment without a sample is framed like any other, from the same state moved further on.
 """
@@ -14,15 +14,14 @@ import msgspec
 
 from heaved.estimation import lever_arm as points
 from heaved.estimation.common.bounds import HEAVE_ACCELERATION_MPS2, HEAVE_M, HEAVE_VELOCITY_MPS, POINT_HEAVE_M
-from heaved.estimation.heave.estimator import Heave, HeaveChain
-from heaved.estimation.heave.quality import COAST_S, Facts, judge
-from heaved.estimation.imu.attitude import UNKNOWN, predicted
-from heaved.estimation.imu.attitude import Attitude as Measured
-from heaved.estimation.imu.vertical import Intake
-from heaved.estimation.lever_arm import Attitude, Point
+from heaved.estimation.heave.estimator import Heave, HeaveEstimator
+from heaved.estimation.heave.quality import TUNING as QUALITY
+from heaved.estimation.heave.quality import Facts, judge
+from heaved.estimation.imu.attitude import UNKNOWN, Attitude, predicted
+from heaved.estimation.imu.vertical import Vertical
+from heaved.estimation.lever_arm import AttitudeMotion, Point
 from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S
 from heaved.estimation.stages import Stages
-from heaved.predictions import PlainForecasts
 from heaved.samples import (
     CorrectionState,
     DelayedHeave,
@@ -43,20 +42,28 @@ NOTHING: Final = Heave(
     observer_m=nan,
     correction_m=nan,
     lead_s=nan,
-    forecast=PlainForecasts((), (), ()),
+    forecast=(),
 )
 """While nothing is known of the heave."""
-CARRIED: Final = 1.5
-"""Where readings are missing there was mostly something wrong with the last ones too: so much less is known at once."""
-LINE_PER_S: Final = 4.0
-"""A straight line of a rolling vessel's angles is worse than a prediction by so much of it for each second: half of the
-angle's acceleration times the square of half a second is some three times what predictions are off by then."""
-LONGEST_STEP_S: Final = 0.5
-"""Delayed heaves further apart show no velocity."""
-BEYOND_PHYSICS: Final = "estimate beyond what a vessel does: withheld"
 
 
-class Framer:
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """What is set by us, not by the user."""
+
+    carried: float = 1.5
+    """Where readings are missing there was mostly something wrong with the last ones too: so much less is known at
+    once."""
+    line_per_s: float = 4.0
+    """A straight line of a rolling vessel's angles is worse than a prediction by so much of it for each second: half of
+    the angle's acceleration times the square of half a second is some three times what predictions are off by then."""
+    longest_step_s: float = 0.5
+    """Delayed heaves further apart show no velocity."""
+
+
+TUNING: Final = Tuning()
+
+
+class MotionFrames:
     """Makes the frames of one pipeline; the last gate that a value passes.
 
     Attributes:
@@ -65,26 +72,24 @@ class Framer:
 
     def __init__(
         self,
-        intake: Intake,
-        chain: HeaveChain,
+        vertical: Vertical,
+        heave: HeaveEstimator,
         stages: Stages,
         *,
-        has_laser: bool,
         point: tuple[Point, ...],
-        lead_s: float,
         rock_horizons_s: tuple[float, ...],
     ) -> None:
-        """``lead_s``: the heave is for this long after each moment. ``rock_horizons_s``: of the predictions."""
-        self._intake, self._chain, self._stages = intake, chain, stages
-        self._has_laser, self._points, self._lead_s = has_laser, point, lead_s
+        """``rock_horizons_s``: of the predictions."""
+        self._vertical, self._heave, self._stages = vertical, heave, stages
+        self._points = point
         self.resets: Counter[tuple[str, str]] = Counter()
         self._is_beyond = False
         self._delayed: tuple[DelayedHeave, DelayedHeave | None] | None = None
-        """The newest of the chain, and what is published of it."""
+        """The newest of the estimator, and what is published of it."""
         # Between two predictions: the noise of the measured attitude, over 50 ms, would be most of the rate.
         self._rate_between = tuple(rock_horizons_s.index(h) for h in STANDARD_HORIZONS_S[:2])
 
-    def frame(
+    def at(
         self,
         t_s: float,
         rock: Sequence[RockPrediction],
@@ -92,15 +97,15 @@ class Framer:
         doubts: tuple[str, ...],
     ) -> MotionFrame:
         """All that is known at ``t_s``; ``doubts``: what others than the observer hold against the heave."""
-        chain, stages = self._chain, self._stages
-        reference = chain.laser.reference
-        shift_s = t_s - chain.observer.t_s
-        heave = chain.at(shift_s) if shift_s <= COAST_S else None
+        estimator, stages = self._heave, self._stages
+        observer, laser = estimator.observer, estimator.laser
+        shift_s = t_s - observer.t_s
+        heave = estimator.at(shift_s) if shift_s <= QUALITY.coast_s else None
         if heave is not None:
             heave = self._possible(heave)
         attitude = self._serving(t_s, rock)
         roll, pitch, yaw = attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad
-        fresh = self._has_laser and chain.laser.is_fresh(t_s)
+        fresh = estimator.has_laser and laser.is_fresh(t_s)
         quality = self._quality(t_s, heave, fresh, doubts)
         crane_roll, crane_pitch, crane_yaw = stages.crane_attitude(roll, pitch, yaw)
         if heave is None or quality.heave is HeaveState.INVALID:
@@ -116,7 +121,7 @@ class Framer:
             observer_m=heave.observer_m,
             correction_m=heave.correction_m,
             lead_s=heave.lead_s,
-            reference_m=reference.value_m if fresh else nan,
+            reference_m=laser.reference.value_m if fresh else nan,
             roll_rad=roll,
             pitch_rad=pitch,
             yaw_rad=yaw,
@@ -124,9 +129,9 @@ class Framer:
             rock=rock,
             quiet=quiet,
             forecast=heave.forecast,
-            compensation_lead_s=self._lead_s,
+            compensation_lead_s=estimator.lead_s,
             delayed=self._possible_delayed(),
-            sea=chain.observer.sea,
+            sea=observer.sea,
             crane_roll_rad=crane_roll,
             crane_pitch_rad=crane_pitch,
             crane_yaw_rad=crane_yaw,
@@ -143,50 +148,48 @@ class Framer:
         self._is_beyond = is_beyond
         if is_beyond:
             return None
-        if not self._intake.force_std_s > 0.0:
+        if not self._vertical.force_std_s > 0.0:
             return heave
-        late_s, forecast = self._intake.force_std_s, heave.forecast
+        late_s, forecast = self._vertical.force_std_s, heave.forecast
         # Of later moments: as fast as the wave is now at its fastest.
-        fastest_mps = hypot(heave.velocity_mps, self._chain.observer.omega_radps * heave.observer_m)
+        fastest_mps = hypot(heave.velocity_mps, self._heave.observer.omega_radps * heave.observer_m)
         return msgspec.structs.replace(
             heave,
             std_m=hypot(heave.std_m, late_s * heave.velocity_mps),
-            forecast=PlainForecasts(
-                forecast.horizons_s,
-                [one.heave_m for one in forecast],
-                [hypot(one.std_m, late_s * fastest_mps) for one in forecast],
+            forecast=tuple(
+                [msgspec.structs.replace(one, std_m=hypot(one.std_m, late_s * fastest_mps)) for one in forecast]
             ),
         )
 
     def _possible_delayed(self) -> DelayedHeave | None:
         """The delayed heave likewise, its velocity that since the one before."""
-        found, before = self._chain.delayed(), self._delayed
+        found, before = self._heave.delayed(), self._delayed
         if found is None or abs(found.heave_m) > HEAVE_M:
             return None
-        if not self._intake.force_std_s > 0.0:
+        if not self._vertical.force_std_s > 0.0:
             self._delayed = found, found
         elif before is None or found is not before[0]:
             elapsed_s = found.t_s - before[0].t_s if before is not None else nan
             # Of the first one, and of one after a pause, it is not known.
-            is_next = before is not None and 0.0 < elapsed_s <= LONGEST_STEP_S
+            is_next = before is not None and 0.0 < elapsed_s <= TUNING.longest_step_s
             velocity_mps = (found.heave_m - before[0].heave_m) / elapsed_s if before is not None and is_next else nan
-            std_m = hypot(found.std_m, self._intake.force_std_s * velocity_mps)
+            std_m = hypot(found.std_m, self._vertical.force_std_s * velocity_mps)
             self._delayed = found, msgspec.structs.replace(found, std_m=std_m) if isfinite(std_m) else None
         return self._delayed[1] if self._delayed is not None else None
 
-    def _serving(self, t_s: float, rock: Sequence[RockPrediction]) -> Measured:
+    def _serving(self, t_s: float, rock: Sequence[RockPrediction]) -> Attitude:
         """Roll and pitch of a moment: as of the last sample, or moved on as predicted or for an instant in line."""
-        last = self._intake.attitude
+        last = self._vertical.attitude
         if last.t_s == t_s:
             return last
         if (now := predicted(t_s, last, rock)) is not None:
             return now
-        if not last.serves(t_s):
+        if not self._vertical.serves(t_s):
             return UNKNOWN
         roll, pitch = last.at(t_s)
         return msgspec.structs.replace(last, roll_rad=roll, pitch_rad=pitch)
 
-    def _moving(self, serving: Measured, t_s: float, predictions: tuple[RockPrediction, ...]) -> Attitude:
+    def _moving(self, serving: Attitude, t_s: float, predictions: tuple[RockPrediction, ...]) -> AttitudeMotion:
         """The same for the moment that the heave of ``t_s`` is for, with rates and standard deviations.
 
         How well an angle is known is what the predictions for as long ahead are worth: too much for a measured one,
@@ -197,13 +200,13 @@ class Framer:
         apart_s = later.horizon_s - soon.horizon_s
         roll_rate = (later.roll_rad - soon.roll_rad) / apart_s
         pitch_rate = (later.pitch_rad - soon.pitch_rad) / apart_s
-        roll_std, pitch_std = _stds(predictions, self._lead_s + t_s - serving.measured_s)
+        roll_std, pitch_std = _stds(predictions, self._heave.lead_s + t_s - serving.measured_s)
         if (line_s := t_s - serving.t_s) > 0.0:
-            factor = CARRIED * (1.0 + LINE_PER_S * line_s)
+            factor = TUNING.carried * (1.0 + TUNING.line_per_s * line_s)
             roll_std, pitch_std = factor * roll_std, factor * pitch_std
-        if self._lead_s > 0.0:
-            roll, pitch = roll + self._lead_s * roll_rate, pitch + self._lead_s * pitch_rate
-        return Attitude(
+        if (lead_s := self._heave.lead_s) > 0.0:
+            roll, pitch = roll + lead_s * roll_rate, pitch + lead_s * pitch_rate
+        return AttitudeMotion(
             roll,
             pitch,
             roll_rate,
@@ -212,7 +215,7 @@ class Framer:
             pitch_std if isfinite(pitch_std) else serving.pitch_std_rad,
         )
 
-    def _point_motions(self, heave: Heave, attitude: Attitude) -> tuple[PointMotion, ...]:
+    def _point_motions(self, heave: Heave, attitude: AttitudeMotion) -> tuple[PointMotion, ...]:
         """Each point, for the moment that the heave is for."""
         h, v, std_m, crane = heave.heave_m, heave.velocity_mps, heave.std_m, self._stages.crane
         return tuple([
@@ -225,48 +228,38 @@ class Framer:
         ])  # fmt: skip
 
     def _quality(self, t_s: float, heave: Heave | None, fresh: bool, doubts: tuple[str, ...]) -> Quality:
-        intake, chain, observer = self._intake, self._chain, self._chain.observer
+        vertical, estimator = self._vertical, self._heave
+        observer, laser, has_laser = estimator.observer, estimator.laser, estimator.has_laser
         state, reasons = judge(
             Facts(
-                imu_fault=intake.fault,
-                since_sample_s=t_s - chain.good_t_s,
-                period_s=intake.arrivals.period_s,
+                imu_fault=vertical.fault,
+                since_sample_s=t_s - estimator.t_s,
+                period_s=vertical.arrivals.period_s,
                 settled_s=observer.settled_s,
                 needed_s=observer.needed_s,
                 error_std_m=nan if heave is None else heave.std_m,
                 heave_std_m=observer.heave_std_m(),
-                missing=intake.arrivals.missing,
+                missing=vertical.arrivals.missing,
                 doubts=observer.doubts + doubts,
                 notes=observer.notes,
                 is_still=observer.sea is not None and observer.sea.is_still,
-                remarks=chain.laser.remarks() if self._has_laser else (),
-                tilt_removed=intake.is_tilt_removed(t_s),
-                std_scale=chain.laser.std_scale(t_s),
-                laser_fault=chain.laser.fault,
-                laser_configured=self._has_laser,
+                remarks=laser.remarks() if has_laser else (),
+                tilt_removed=vertical.is_tilt_removed(t_s),
+                std_scale=laser.std_scale(t_s),
+                laser_fault=laser.fault,
+                laser_configured=has_laser,
                 laser_fresh=fresh,
+                imu=vertical.notes,
+                withheld=vertical.withheld,
+                is_beyond_physics=self._is_beyond,
+                is_recovering=vertical.is_recovering(t_s),
             )
         )
-        notes = intake.notes
-        if intake.withheld:
-            reasons = (intake.withheld, *reasons)
-        if notes.unusable or self._is_beyond:
-            state = HeaveState.INVALID
-            reasons = (notes.unusable or BEYOND_PHYSICS, *reasons)
-        elif notes.signs:
-            # Waves can do that to a vessel that leans less than they do. But if the heave is in doubt besides, it is
-            # that: gravity is not taken out, but put in twice. And so it is until it has been found out.
-            is_usable = state is HeaveState.VALID and not notes.are_signs_open
-            state = HeaveState.DEGRADED if is_usable else HeaveState.INVALID
-            reasons = (notes.signs, *reasons)
-        if intake.is_recovering(t_s):
-            state = HeaveState.DEGRADED if state is HeaveState.VALID else state
-            reasons = (*reasons, "recovering: the tilt was not removed")
         return Quality(
             heave=state,
-            laser=LaserState.OFF if not self._has_laser else LaserState.VALID if fresh else LaserState.STALE,
-            correction=chain.correction.state(fresh) if self._has_laser else CorrectionState.OFF,
-            reasons=(*reasons, *notes.remarks) if notes.remarks else reasons,
+            laser=LaserState.OFF if not has_laser else LaserState.VALID if fresh else LaserState.STALE,
+            correction=estimator.correction.state(laser_is_fresh=fresh) if has_laser else CorrectionState.OFF,
+            reasons=reasons,
         )
 
 

@@ -11,35 +11,21 @@ whatever the distribution, and falls back to how often the sea is quiet at all w
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
-from math import exp, inf, isfinite, log, radians
-from typing import Annotated, Final
+from math import exp, hypot, inf, isfinite, log, nan, radians
+from typing import Annotated, Final, Self
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.samples import QuietWindow
+from heaved.estimation import lever_arm
+from heaved.estimation.lever_arm import AttitudeMotion, Point
+from heaved.samples import HeaveForecast, ImuSample, MotionFrame, QuietForecast, QuietWindow, RockPrediction
 
 Array = NDArray[np.float64]
 
-BLOCK_S: Final = 1.0
-"""Largest excursions are taken, and windows begin, in steps of this."""
-PAST_EDGES: Final = (0, 1, 2, 4, 8, 16, 32, 64)
-"""Past windows, in blocks."""
-MEMORY_S: Final = 1800.0
-"""Of the regressions, and of the residuals."""
-RIDGE: Final = 0.01
-"""Per equation, against features of about unit variance."""
-LEARNED_S: Final = 180.0
-"""Windows that have come true before anything is said."""
-SOLVE_EVERY: Final = 5
-ALIKE: Final = 0.1
-"""Forecasts are alike within about this (in the logarithm: 10 % of the excursion)."""
-PRIOR: Final = 10.0
-"""Forecasts alike that weigh as much as the residuals; seconds that follow each other are hardly different ones."""
-LEAST: Final = 1e-3
-"""Excursions below this share of the limit are all alike."""
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1000.0)]
 
@@ -60,6 +46,34 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     min_confidence: Annotated[float, msgspec.Meta(ge=0.5, lt=1.0)] = 0.8
 
 
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """Chosen on simulated seas."""
+
+    block_s: float = 1.0
+    """Largest excursions are taken, and windows begin, in steps of this."""
+    past_edges: tuple[int, ...] = (0, 1, 2, 4, 8, 16, 32, 64)
+    """Past windows, in blocks."""
+    memory_s: float = 1800.0
+    """Of the regressions, and of the residuals."""
+    ridge: float = 0.01
+    """Per equation, against features of about unit variance."""
+    learned_s: float = 180.0
+    """Windows that have come true before anything is said."""
+    solve_every: int = 5
+    """Blocks."""
+    alike: float = 0.1
+    """Forecasts are alike within about this (in the logarithm: 10 % of the excursion)."""
+    prior: float = 10.0
+    """Forecasts alike that weigh as much as the residuals; seconds that follow each other are hardly different ones."""
+    least: float = 1e-3
+    """Excursions below this share of the limit are all alike."""
+    old_s: float = 3.0
+    """Without samples for this long nothing is foreseen any more."""
+
+
+TUNING: Final = Tuning()
+
+
 class MotionForecast(msgspec.Struct, frozen=True):
     """What is foreseen of the motion: horizons (H,) in s; roll, pitch (rad), heave (m) and deviations, (H, 3) each."""
 
@@ -69,14 +83,14 @@ class MotionForecast(msgspec.Struct, frozen=True):
 
 
 class Quiescence:
-    """Learns from what passes; feed it every sample."""
+    """Learns from what passes; takes every sample of the motion at the point."""
 
     def __init__(self, params: Params | None = None) -> None:
         self._params = p = params if params is not None else Params()
         self._limits = np.array([radians(p.roll_limit_deg), radians(p.pitch_limit_deg), p.heave_limit_m])
-        self._duration = max(round(p.duration_s / BLOCK_S), 1)
-        self._starts = np.arange(round(p.look_ahead_s / BLOCK_S) + 1)
-        self._width = len(PAST_EDGES) + 1
+        self._duration = max(round(p.duration_s / TUNING.block_s), 1)
+        self._starts = np.arange(round(p.look_ahead_s / TUNING.block_s) + 1)
+        self._width = len(TUNING.past_edges) + 1
         self.reset()
 
     def reset(self) -> None:
@@ -90,8 +104,8 @@ class Quiescence:
         self._gram = np.zeros((starts, width, width))
         self._right = np.zeros((starts, width))
         self._coefficients = np.zeros((starts, width))
-        self._said = np.full((round(MEMORY_S / BLOCK_S), starts), np.nan)
-        self._came = np.full((round(MEMORY_S / BLOCK_S), starts), np.nan)
+        self._said = np.full((round(TUNING.memory_s / TUNING.block_s), starts), np.nan)
+        self._came = np.full((round(TUNING.memory_s / TUNING.block_s), starts), np.nan)
         self._learned = np.zeros(starts, dtype=np.intp)
         self._since_solved = 0
         self.probabilities: Array = np.full(starts, np.nan)
@@ -101,7 +115,7 @@ class Quiescence:
     @property
     def starts_s(self) -> Array:
         """When the windows of :attr:`probabilities` begin, from the last full second on."""
-        return np.asarray(BLOCK_S * self._starts, dtype=np.float64)
+        return np.asarray(TUNING.block_s * self._starts, dtype=np.float64)
 
     def is_due(self, t_s: float) -> bool:
         """Whether a sample of this time ends a second, so that the forecast is looked at."""
@@ -116,10 +130,10 @@ class Quiescence:
         """
         if not isfinite(t_s):
             return self._window
-        if not self._block_end_s - 2 * BLOCK_S <= t_s < self._block_end_s + 64 * BLOCK_S:
+        if not self._block_end_s - 2 * TUNING.block_s <= t_s < self._block_end_s + 64 * TUNING.block_s:
             self._begin(t_s)
         while t_s >= self._block_end_s:
-            self._close(forecast)
+            self._end_block(forecast)
             self._window = self._announce(t_s)
         values = (abs(roll_rad), abs(pitch_rad), abs(heave_m))
         for value, limit in zip(values, self._limits.tolist(), strict=True):
@@ -131,25 +145,25 @@ class Quiescence:
 
     def _begin(self, t_s: float) -> None:
         """After a gap, or a step of the clock: the past is gone, what was learned from it stays."""
-        self._block_end_s = t_s + BLOCK_S
+        self._block_end_s = t_s + TUNING.block_s
         self._excursion, self._whole = 0.0, True
         self._blocks.clear()
         self._features.clear()
         self._window = None
 
-    def _close(self, forecast: MotionForecast | None) -> None:
+    def _end_block(self, forecast: MotionForecast | None) -> None:
         """A second is over: learn from the windows that end with it, then look ahead."""
         seen = self._whole and self._excursion > 0.0
-        self._blocks.append(log(max(self._excursion, LEAST)) if seen else np.nan)
-        self._block_end_s += BLOCK_S
+        self._blocks.append(log(max(self._excursion, TUNING.least)) if seen else np.nan)
+        self._block_end_s += TUNING.block_s
         self._excursion, self._whole = 0.0, True
         self._learn()
-        keep = max(PAST_EDGES[-1], len(self._starts) + self._duration) + 1
+        keep = max(TUNING.past_edges[-1], len(self._starts) + self._duration) + 1
         del self._blocks[:-keep]
         self._features.append(self._look(forecast))
         del self._features[:-keep]
         expected = np.einsum("sp,sp->s", self._features[-1], self._coefficients)
-        enough = (self._learned * BLOCK_S >= LEARNED_S) & np.isfinite(expected)
+        enough = (self._learned * TUNING.block_s >= TUNING.learned_s) & np.isfinite(expected)
         self.probabilities = np.where(enough, self._probability(expected), np.nan)
 
     def _probability(self, expected: Array) -> Array:
@@ -157,8 +171,10 @@ class Quiescence:
         quiet = self._came < 0.0
         known = np.count_nonzero(np.isfinite(self._came), axis=0)
         residual = (np.count_nonzero(self._came - self._said + expected < 0.0, axis=0) + 0.5) / (known + 1.0)
-        alike = np.nan_to_num(np.exp(-0.5 * ((self._said - expected) / ALIKE) ** 2))
-        chance: Array = (np.sum(alike * quiet, axis=0) + PRIOR * residual) / (np.sum(alike, axis=0) + PRIOR)
+        alike = np.nan_to_num(np.exp(-0.5 * ((self._said - expected) / TUNING.alike) ** 2))
+        chance: Array = (np.sum(alike * quiet, axis=0) + TUNING.prior * residual) / (
+            np.sum(alike, axis=0) + TUNING.prior
+        )
         return chance
 
     def _look(self, forecast: MotionForecast | None) -> Array:
@@ -166,17 +182,17 @@ class Quiescence:
         past = np.array(self._blocks[::-1])
         features = np.zeros((len(self._starts), self._width))
         features[:, 0] = 1.0
-        if len(past) < PAST_EDGES[-1]:
+        if len(past) < TUNING.past_edges[-1]:
             features[:] = np.nan
             return features
-        features[:, 1:-1] = [past[a:b].max() for a, b in pairwise(PAST_EDGES)]
+        features[:, 1:-1] = [past[a:b].max() for a, b in pairwise(TUNING.past_edges)]
         if forecast is not None and len(forecast.horizons_s):
             size = np.max(np.sqrt(forecast.mean**2 + forecast.std**2) / self._limits, axis=1)
-            at = forecast.horizons_s / BLOCK_S
+            at = forecast.horizons_s / TUNING.block_s
             within = (at >= self._starts[:, None]) & (at <= self._starts[:, None] + self._duration)
             largest = np.max(np.where(within & np.isfinite(size), size, 0.0), axis=1)
             told = largest > 0.0
-            features[told, -1] = np.log(np.maximum(largest[told], LEAST))
+            features[told, -1] = np.log(np.maximum(largest[told], TUNING.least))
         return features
 
     def _learn(self) -> None:
@@ -191,7 +207,7 @@ class Quiescence:
         which, rows = self._starts[usable][known], rows[known]
         if not len(which):
             return
-        keep = exp(-BLOCK_S / MEMORY_S)
+        keep = exp(-TUNING.block_s / TUNING.memory_s)
         solved = self._learned[which] > self._width * 2
         for ring in (self._said, self._came):
             ring[:-1] = ring[1:]
@@ -203,9 +219,9 @@ class Quiescence:
         self._right[which] = keep * self._right[which] + target * rows
         self._learned[which] += 1
         self._since_solved += 1
-        if self._since_solved >= SOLVE_EVERY:
+        if self._since_solved >= TUNING.solve_every:
             self._since_solved = 0
-            ridge = RIDGE * np.maximum(self._gram[:, 0, 0], 1.0)[:, None, None] * np.eye(self._width)
+            ridge = TUNING.ridge * np.maximum(self._gram[:, 0, 0], 1.0)[:, None, None] * np.eye(self._width)
             ridge[:, 0, 0] *= 1e-6
             self._coefficients[:] = np.linalg.solve(self._gram + ridge, self._right[:, :, None])[:, :, 0]
 
@@ -217,7 +233,63 @@ class Quiescence:
         run = int(np.argmin(np.append(sure[first:], False)))
         return QuietWindow(
             t_s=t_s,
-            start_s=float(first * BLOCK_S),
-            length_s=self._duration * BLOCK_S + (run - 1) * BLOCK_S,
+            start_s=float(first * TUNING.block_s),
+            length_s=self._duration * TUNING.block_s + (run - 1) * TUNING.block_s,
             confidence=float(self.probabilities[first]),
         )
+
+
+class PointQuiescence:
+    """Quiescence at a monitoring point, from the motion of the IMU, the rock predictions and the heave forecasts.
+
+    Takes every sample's motion; what is foreseen is renewed once a second.
+    """
+
+    def __init__(self, params: Params, point: Point | None) -> None:
+        """``point``: where; None: at the IMU."""
+        self._quiescence = Quiescence(params)
+        self._point = point
+        self._latest = QuietForecast(t_s=nan)
+
+    @classmethod
+    def of(cls, params: Params | None, points: Sequence[Point]) -> Self | None:
+        """At the point that is named, or at the IMU; None: nobody asks for it."""
+        if params is None or not params.enabled:
+            return None
+        return cls(params, next((point for point in points if point.name == params.point), None))
+
+    def step(self, sample: ImuSample, frame: MotionFrame) -> None:
+        """Take the motion of the IMU as it was measured, and the frame of that moment with what is predicted."""
+        t_s, roll_rad, pitch_rad = sample.t_s, sample.roll_rad, sample.pitch_rad
+        heave_m, rock, forecast = frame.heave_m, frame.rock, frame.forecast
+        quiescence = self._quiescence
+        is_due = quiescence.is_due(t_s)
+        ahead = self._ahead(rock, forecast) if is_due else None
+        window = quiescence.step(t_s, roll_rad, pitch_rad, self._heave(heave_m, roll_rad, pitch_rad), ahead)
+        if is_due:
+            known = quiescence.probabilities[np.isfinite(quiescence.probabilities)]
+            self._latest = QuietForecast(t_s=t_s, window=window, best=float(known.max()) if len(known) else nan)
+
+    def at(self, t_s: float) -> QuietForecast:
+        """The newest forecast, while it is not too old."""
+        return self._latest if t_s - self._latest.t_s <= TUNING.old_s else QuietForecast(t_s=t_s)
+
+    def _heave(self, heave_m: float, roll_rad: float, pitch_rad: float) -> float:
+        if self._point is None:
+            return heave_m
+        return lever_arm.motion(self._point, heave_m, 0.0, AttitudeMotion(roll_rad, pitch_rad, 0.0, 0.0)).heave_m
+
+    def _ahead(self, rock: Sequence[RockPrediction], forecast: Sequence[HeaveForecast]) -> MotionForecast:
+        """For the horizons of both; heave at the point, errors of heave and attitude taken as independent."""
+        heaves = {f"{f.horizon_s:g}": f for f in forecast}
+        x, y = (self._point.forward_m, self._point.port_m) if self._point is not None else (0.0, 0.0)
+        horizons, mean, std = [], [], []
+        for r in rock:
+            f = heaves.get(f"{r.horizon_s:g}")
+            if f is None or not isfinite(r.roll_std_rad + r.pitch_std_rad):
+                continue
+            horizons.append(r.horizon_s)
+            mean.append((r.roll_rad, r.pitch_rad, self._heave(f.heave_m, r.roll_rad, r.pitch_rad)))
+            by_lever_m = hypot(y * r.roll_std_rad, x * r.pitch_std_rad)
+            std.append((r.roll_std_rad, r.pitch_std_rad, hypot(f.std_m, by_lever_m)))
+        return MotionForecast(np.array(horizons), np.array(mean).reshape(-1, 3), np.array(std).reshape(-1, 3))

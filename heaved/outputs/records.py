@@ -294,6 +294,8 @@ class CorrectionStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=
     last_result: str | None = None
     age_s: float | None = None
     """Since the network in use was accepted."""
+    nothing_to_learn: int = 0
+    """Times that no training was worth its while: a regression has shown that no network would be accepted."""
 
 
 class HullStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

@@ -137,7 +137,7 @@ def test_nothing_of_the_stream_commands_the_terminal() -> None:
     assert all(line.isprintable() for line in drawn(view, 0.0, 400).split("\n"))
 
 
-class EnoughSeen(Exception):
+class EnoughSeen(Exception):  # noqa: N818  # no error
     """Ends the live view, as the user would."""
 
 

@@ -21,8 +21,8 @@ from heaved.devices.frames import (
     tcp_stream_is_whole,
 )
 from heaved.devices.link import RtuLink
-from heaved.devices.liveness import Contact, DeviceWatch
-from heaved.devices.profile import Block, Field, Profile
+from heaved.devices.liveness import Contact, LivenessCheck
+from heaved.devices.profile import Block, Field, Profile, Quantity
 from heaved.devices.station import Reading, Station, cuts
 from heaved.samples import Fault
 
@@ -161,30 +161,30 @@ def test_exceptions_have_names() -> None:
 
 
 def test_stuck_only_after_its_time_and_gone_with_the_first_change() -> None:
-    watch = DeviceWatch(device("tcp://h:1", stuck_after_s=2.0))
-    values = {"az_mps2": 9.8, "ax_mps2": 0.1, "ay_mps2": 0.2}
-    faults = [watch.judge(values, 100.0 + 0.5 * number)[0] for number in range(7)]
+    check = LivenessCheck(device("tcp://h:1", stuck_after_s=2.0))
+    values: dict[Quantity, float] = {"az_mps2": 9.8, "ax_mps2": 0.1, "ay_mps2": 0.2}
+    faults = [check.judge(values, 100.0 + 0.5 * number)[0] for number in range(7)]
     # 0, 0.5, 1, 1.5, 2.0 s: not longer than two seconds yet.
     assert faults == [Fault.NONE] * 5 + [Fault.STUCK] * 2
-    assert watch.judge({**values, "ay_mps2": 0.20001}, 104.0)[0] is Fault.NONE
-    assert watch.judge(values, 104.5)[0] is Fault.NONE
+    assert check.judge({**values, "ay_mps2": 0.20001}, 104.0)[0] is Fault.NONE
+    assert check.judge(values, 104.5)[0] is Fault.NONE
 
 
 def test_stuck_outlives_a_gap_in_the_answers() -> None:
     """A gateway that serves its memory after the sensor was unplugged."""
-    watch = DeviceWatch(device("tcp://h:1", stuck_after_s=2.0))
-    values = {"az_mps2": 9.8, "ax_mps2": 0.1, "ay_mps2": 0.2}
-    assert watch.judge(values, 0.0)[0] is Fault.NONE
-    fault, detail = watch.judge(values, 60.0)
+    check = LivenessCheck(device("tcp://h:1", stuck_after_s=2.0))
+    values: dict[Quantity, float] = {"az_mps2": 9.8, "ax_mps2": 0.1, "ay_mps2": 0.2}
+    assert check.judge(values, 0.0)[0] is Fault.NONE
+    fault, detail = check.judge(values, 60.0)
     assert fault is Fault.STUCK
     assert "az_mps2" in detail
     assert "60.0 s" in detail
 
 
 def test_stuck_is_never_judged_if_so_configured() -> None:
-    watch = DeviceWatch(device("tcp://h:1", stuck_after_s=0.0))
-    values = {"az_mps2": 9.8, "ax_mps2": 0.1, "ay_mps2": 0.2}
-    assert {watch.judge(values, float(t_s))[0] for t_s in range(0, 10_000, 100)} == {Fault.NONE}
+    check = LivenessCheck(device("tcp://h:1", stuck_after_s=0.0))
+    values: dict[Quantity, float] = {"az_mps2": 9.8, "ax_mps2": 0.1, "ay_mps2": 0.2}
+    assert {check.judge(values, float(t_s))[0] for t_s in range(0, 10_000, 100)} == {Fault.NONE}
 
 
 def test_one_frozen_block_is_found_though_the_other_lives() -> None:
@@ -193,9 +193,9 @@ def test_one_frozen_block_is_found_though_the_other_lives() -> None:
         Block(start=9, fields=(Field(quantity="roll_rad", offset=0, unit="deg"),
                                Field(quantity="temperature_c", offset=1, unit="degC"))),
     )  # fmt: skip
-    watch = DeviceWatch(device("tcp://h:1", profile=Profile(name="two", blocks=blocks), stuck_after_s=1.0))
+    check = LivenessCheck(device("tcp://h:1", profile=Profile(name="two", blocks=blocks), stuck_after_s=1.0))
     faults = [
-        watch.judge({"az_mps2": t_s, "roll_rad": 0.5, "temperature_c": t_s}, t_s) for t_s in (0.0, 0.6, 1.2)
+        check.judge({"az_mps2": t_s, "roll_rad": 0.5, "temperature_c": t_s}, t_s) for t_s in (0.0, 0.6, 1.2)
     ]  # the temperature is no measurement
     assert [fault for fault, _ in faults] == [Fault.NONE, Fault.NONE, Fault.STUCK]
     assert "roll_rad" in faults[2][1]
@@ -209,16 +209,16 @@ def gauge(type_: str = "uint32", unit: str = "ms") -> Profile:
 
 
 def test_stale_when_the_device_clock_stands() -> None:
-    watch = DeviceWatch(device("tcp://h:1", role="laser", profile=gauge(), rate_hz=100.0, stuck_after_s=0.0))
+    check = LivenessCheck(device("tcp://h:1", role="laser", profile=gauge(), rate_hz=100.0, stuck_after_s=0.0))
     for number in range(100):  # polled twice as often as it measures: every time is seen twice
-        fault, _ = watch.judge({"laser_m": 1.0, "device_time_s": number // 2 * 0.02}, number * 0.01)
+        fault, _ = check.judge({"laser_m": 1.0, "device_time_s": number // 2 * 0.02}, number * 0.01)
         assert fault is Fault.NONE
-    assert watch.judge({"laser_m": 2.0, "device_time_s": 0.98}, 1.4)[0] is Fault.NONE
-    fault, detail = watch.judge({"laser_m": 3.0, "device_time_s": 0.98}, 1.6)
+    assert check.judge({"laser_m": 2.0, "device_time_s": 0.98}, 1.4)[0] is Fault.NONE
+    fault, detail = check.judge({"laser_m": 3.0, "device_time_s": 0.98}, 1.6)
     assert fault is Fault.STALE
     assert "0.98" in detail
     # A clock that begins anew runs, too.
-    assert watch.judge({"laser_m": 3.0, "device_time_s": 0.0}, 1.7)[0] is Fault.NONE
+    assert check.judge({"laser_m": 3.0, "device_time_s": 0.0}, 1.7)[0] is Fault.NONE
 
 
 @pytest.mark.parametrize(
@@ -229,9 +229,9 @@ def test_stale_when_the_device_clock_stands() -> None:
 def test_stale_allows_for_coarse_clocks_and_slow_polls(rate_hz: float, unit: str, limit_s: float) -> None:
     spec = device("tcp://h:1", role="laser", profile=gauge(unit=unit), rate_hz=rate_hz, stuck_after_s=0.0)
     for after_s, fault in ((0.99 * limit_s, Fault.NONE), (1.01 * limit_s, Fault.STALE)):
-        watch = DeviceWatch(spec)
-        watch.judge({"laser_m": 1.0, "device_time_s": 5.0}, 0.0)
-        assert watch.judge({"laser_m": 1.1, "device_time_s": 5.0}, after_s)[0] is fault
+        check = LivenessCheck(spec)
+        check.judge({"laser_m": 1.0, "device_time_s": 5.0}, 0.0)
+        assert check.judge({"laser_m": 1.1, "device_time_s": 5.0}, after_s)[0] is fault
 
 
 # ---- when a slave may be asked ---------------------------------------------------------------------------------------

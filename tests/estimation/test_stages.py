@@ -8,30 +8,28 @@ from collections.abc import Iterator
 import msgspec
 import numpy as np
 import pytest
-from evidence.attitude import hull as craft_hull
 from pipelines import NO_FORECASTS, imu_only, numbers, run, sea
 
 from heaved.estimation.common.rotations import ARCSEC
 from heaved.estimation.craft import fusion
-from heaved.estimation.craft.dynamics import Craft
-from heaved.estimation.craft.fusion import AttitudeFusion
 from heaved.estimation.heave.laser import correction, reference
-from heaved.estimation.hull import stage as hull
+from heaved.estimation.hull import estimate as hull
+from heaved.estimation.hull.refit import refit
+from heaved.estimation.hull.stage import HullStage
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.rock import maximum_likelihood as rock
-from heaved.estimation.stages import AttitudeStage, HullStage, Stages
-from heaved.pipeline import Pipeline
+from heaved.estimation.stages import Stages
+from heaved.pipeline import Pipeline, assemble
 from heaved.samples import CraftSample, Fault, ImuSample, MotionFrame, RatesSample, Sample
 from heaved.simulate.flexure import SCENES, Record, Scene, simulate
-from heaved.simulate.hydrofoil import Passage, sail
 
 HULL = hull.Params(enabled=True)
 ATTITUDE = fusion.Params(enabled=True)
-OWN = fusion.Params(enabled=True, source="own")
+OWN = fusion.Params(enabled=True, source=fusion.Source.OWN)
 
 
 def pipeline(stages: Stages | None = None, *, point: tuple[Point, ...] = ()) -> Pipeline:
-    return Pipeline(
+    return assemble(
         heave=NO_FORECASTS,
         laser=reference.Params(),
         correction=correction.Params(),
@@ -42,18 +40,18 @@ def pipeline(stages: Stages | None = None, *, point: tuple[Point, ...] = ()) -> 
     )
 
 
-def bent(record: Record) -> Iterator[Sample]:
+def bent(record: Record) -> Iterator[ImuSample | RatesSample]:
     """The readings of a record by time, the second IMU's before the first's, gravity on the latter."""
-    imus = [
+    samples: list[ImuSample | RatesSample] = [
+        RatesSample(t_s=t, gx_radps=x, gy_radps=y, gz_radps=z)
+        for t, (x, y, z) in zip(record.local_t_s.tolist(), record.local_radps.tolist(), strict=True)
+    ]
+    samples += [
         ImuSample(t_s=t, az_mps2=9.8 + 0.3 * math.sin(0.7 * t), roll_rad=0.02, pitch_rad=0.01, yaw_rad=1.0,
                   gx_radps=x, gy_radps=y, gz_radps=z)
         for t, (x, y, z) in zip(record.midships_t_s.tolist(), record.midships_radps.tolist(), strict=True)
     ]  # fmt: skip
-    rates = [
-        RatesSample(t_s=t, gx_radps=x, gy_radps=y, gz_radps=z)
-        for t, (x, y, z) in zip(record.local_t_s.tolist(), record.local_radps.tolist(), strict=True)
-    ]
-    yield from sorted([*rates, *imus], key=lambda sample: sample.t_s)
+    yield from sorted(samples, key=lambda sample: sample.t_s)
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +95,7 @@ def rotation(axis: int, angle: float) -> np.ndarray:
 
 def level_from_body(roll: float, pitch: float, yaw: float) -> np.ndarray:
     """Pitch is bow up and yaw clockwise, both against the right hand."""
-    return rotation(2, -yaw) @ rotation(1, -pitch) @ rotation(0, roll)
+    return np.asarray(rotation(2, -yaw) @ rotation(1, -pitch) @ rotation(0, roll))
 
 
 def test_the_attitude_of_the_crane_base_is_that_of_its_axes(frames: list[MotionFrame]) -> None:
@@ -151,10 +149,10 @@ class Breaks:
     def __init__(self, *_: object) -> None:
         self.resets = {"covariance": 1}
 
-    def take(self, sample: object) -> None:
+    def push(self, _: object) -> None:
         raise ZeroDivisionError
 
-    take_own = take
+    push_frame = push
     due_refit = angles = motion = crane = None
 
 
@@ -194,7 +192,8 @@ def spoiled(record: Record, how: str) -> list[Sample]:
             ]
         case _:
             raise AssertionError(how)
-    return [*sorted([*rates, *others], key=lambda sample: imu_time(sample, how))]
+    together: list[Sample] = [*rates, *others]
+    return sorted(together, key=lambda sample: imu_time(sample, how))
 
 
 def imu_time(sample: Sample, how: str) -> float:
@@ -285,11 +284,11 @@ def test_a_refit_elsewhere_is_the_refit_inline() -> None:
     inline, elsewhere = Stages(params), Stages(params, refit_inline=False)
     jobs = 0
     for sample in bent(record):
-        inline.take(sample)
-        elsewhere.take(sample)
+        inline.push(sample)
+        elsewhere.push(sample)
         if (job := elsewhere.due_refit) is not None:
             jobs += 1
-            assert elsewhere.accept(hull.refit(job))
+            assert elsewhere.accept(refit(job))
     assert jobs == 1
     assert inline.angles is not None
     assert inline.angles.refits == 1
@@ -303,85 +302,6 @@ def numbers_of(record: object) -> Iterator[float]:
 # ---- attitude --------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def voyage():
-    """Heave from the trim."""
-    craft = Craft(ATTITUDE.vessel)
-    passage = Passage(stages=((0.0, 1.0),), duration_s=30.0)
-    trim = craft.trim(passage.speed_mps)
-    made = sail(craft.accelerations, trim, [4], passage, craft_hull(ATTITUDE.vessel))[0]
-    return msgspec.structs.replace(
-        made, heave_m=made.heave_m - trim[0], measured_heave_m=made.measured_heave_m - trim[0]
-    )
-
-
-def craft_samples(voyage, fields: tuple[str, ...], delay_s: float = 0.0) -> list[CraftSample]:
-    columns = {
-        "heave_m": voyage.measured_heave_m,
-        "pitch_rad": voyage.measured_pitch_rad,
-        "speed_mps": voyage.speed_mps,
-        "flap_fore_rad": voyage.flap_fore_rad,
-        "flap_aft_rad": voyage.flap_aft_rad,
-    }
-    return [
-        CraftSample(t_s=t + delay_s, **{name: float(columns[name][i]) for name in fields})
-        for i, t in enumerate(voyage.t_s.tolist())
-    ]
-
-
-ALL = ("heave_m", "pitch_rad", "speed_mps", "flap_fore_rad", "flap_aft_rad")
-
-
-def test_one_device_of_all_is_the_estimator_itself(voyage) -> None:
-    stage, plain = AttitudeStage(ATTITUDE), AttitudeFusion(ATTITUDE)
-    for sample in craft_samples(voyage, ALL):
-        stage.take(sample)
-        estimate = plain.step(
-            sample.t_s, sample.heave_m, sample.pitch_rad, sample.speed_mps, sample.flap_fore_rad, sample.flap_aft_rad
-        )
-        assert stage.motion is not None
-        assert estimate is not None
-        assert stage.motion.heave_m == estimate.heave_m
-        assert stage.motion.pitch_rate_std_radps == estimate.pitch_rate_std_radps
-        assert stage.motion.probabilities == estimate.probabilities
-
-
-def test_three_devices_that_take_turns_are_nearly_as_good_as_one(voyage) -> None:
-    """Pitch comes 10 ms before heave and half as often; speed and flaps between them."""
-    parts = [
-        *craft_samples(voyage, ("heave_m",)),
-        *craft_samples(voyage, ("pitch_rad",), -0.01)[::2],
-        *craft_samples(voyage, ("speed_mps", "flap_fore_rad", "flap_aft_rad"), -0.02),
-    ]
-    errors: dict[str, list[tuple[float, float]]] = {"one": [], "three": []}
-    for name, samples in (("one", craft_samples(voyage, ALL)), ("three", sorted(parts, key=lambda s: s.t_s))):
-        stage = AttitudeStage(ATTITUDE)
-        for sample in samples:
-            stage.take(sample)
-            if math.isfinite(sample.heave_m) and sample.t_s > 5.0:
-                i = round(sample.t_s * 20.0)
-                assert stage.motion is not None
-                assert not {"heave_missing", "pitch_missing", "flap_assumed"} & set(stage.motion.cautions)
-                off = (stage.motion.heave_m - voyage.heave_m[i], stage.motion.pitch_rad - voyage.pitch_rad[i])
-                errors[name].append(off)
-    one, three = (np.sqrt(np.mean(np.square(errors[name]), axis=0)) for name in ("one", "three"))
-    assert np.all(one < (0.05, 0.005))  # Better than the sensors.
-    # Half of the pitch readings, each 10 ms old: root two, and 0.1 rad/s times 10 ms.
-    assert three[0] < 1.2 * one[0] + 0.005
-    assert three[1] < 1.5 * one[1] + 0.001
-
-
-def test_pitch_alone_goes_on_when_heave_is_gone(voyage) -> None:
-    stage = AttitudeStage(ATTITUDE)
-    for sample in craft_samples(voyage, ALL):
-        gone = sample.t_s > 15.0
-        stage.take(msgspec.structs.replace(sample, heave_m=math.nan) if gone else sample)
-    assert stage.motion is not None
-    assert stage.motion.t_s == pytest.approx(voyage.t_s[-1])
-    assert "heave_missing" in stage.motion.cautions
-    assert abs(stage.motion.pitch_rad - voyage.pitch_rad[-1]) < 5.0 * stage.motion.pitch_std_rad
-
-
 def test_our_own_heave_and_pitch_drive_it_at_20_hz() -> None:
     stages = Stages(None, OWN)
     frames = run(pipeline(stages), sea("S4", 40.0, rate_hz=100.0).samples())
@@ -393,16 +313,16 @@ def test_our_own_heave_and_pitch_drive_it_at_20_hz() -> None:
     assert abs(last.attitude.pitch_rad - last.pitch_rad) < math.radians(0.5)
     # Sensors of a craft are not listened to but for speed and flaps.
     before = stages.motion
-    stages.take(CraftSample(t_s=last.t_s + 1.0, heave_m=9.0, pitch_rad=0.3))
+    stages.push(CraftSample(t_s=last.t_s + 1.0, heave_m=9.0, pitch_rad=0.3))
     assert stages.motion is before
 
 
 def test_a_craft_of_nothing_but_faults_says_nothing() -> None:
     stages = Stages(None, ATTITUDE)
     for i in range(100):
-        stages.take(CraftSample(t_s=0.05 * i, fault=Fault.TIMEOUT))
-        stages.take(CraftSample(t_s=0.05 * i))
-        stages.take(CraftSample(t_s=math.nan, heave_m=1.0, pitch_rad=math.inf))
+        stages.push(CraftSample(t_s=0.05 * i, fault=Fault.TIMEOUT))
+        stages.push(CraftSample(t_s=0.05 * i))
+        stages.push(CraftSample(t_s=math.nan, heave_m=1.0, pitch_rad=math.inf))
     assert stages.motion is None
     assert stages.failure is None
 

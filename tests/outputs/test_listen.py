@@ -75,6 +75,8 @@ async def test_what_cannot_be_accepted_waits(monkeypatch: pytest.MonkeyPatch, nu
     """One line for each attempt, not one for each that waits, and nobody is lost."""
     faults = [OSError(number, os.strerror(number))] * 2
 
+    ordinary = socket.socket
+
     class Exhausted(socket.socket):
         def accept(self) -> tuple[socket.socket, object]:
             if faults:
@@ -82,10 +84,10 @@ async def test_what_cannot_be_accepted_waits(monkeypatch: pytest.MonkeyPatch, nu
             return super().accept()
 
     monkeypatch.setattr(listen_module, "_PAUSE_S", 0.0)
-    monkeypatch.setattr(listen_module.socket, "socket", Exhausted)
+    monkeypatch.setattr(socket, "socket", Exhausted)
     listener = Listener("http", "127.0.0.1", 0, Greeter)
     address = await listener.start()
-    monkeypatch.setattr(listen_module.socket, "socket", socket.socket)
+    monkeypatch.setattr(socket, "socket", ordinary)
     with capture_logs() as logs:
         assert await asyncio.gather(*(said(address) for _ in range(20))) == [b"127.0.0.1"] * 20
     listener.close()

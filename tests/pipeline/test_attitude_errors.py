@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pipelines import pipeline, run
 
-from heaved.estimation.heave.harmonic import observer as heave
+from heaved.estimation.heave import params as heave
 from heaved.samples import HeaveState
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import SENSORS, measure

@@ -13,14 +13,14 @@ from pipelines import run
 from heaved.client import report
 from heaved.config.read import ConfigError, parse
 from heaved.estimation import quiescence
+from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.forecast_check import DOUBT, ForecastCheck
-from heaved.estimation.heave.harmonic import observer as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.outputs import wire
 from heaved.outputs.requests import Subscription, parse_request
-from heaved.pipeline import Pipeline
+from heaved.pipeline import Pipeline, assemble
 from heaved.replay.table import Table
 from heaved.samples import (
     GRAVITY_MPS2,
@@ -37,7 +37,7 @@ AMPLITUDE_M, PERIOD_S = 0.3, 8.0
 
 
 def build(*, rock_params: rock.Params | None = None, quiet: quiescence.Params | None = None) -> Pipeline:
-    return Pipeline(
+    return assemble(
         heave=heave.Params(observer="harmonic"),
         laser=reference.Params(),
         correction=correction.Params(),
@@ -96,6 +96,7 @@ def test_quiet_windows(limit_m: float, is_quiet: bool) -> None:
     assert last is not None
     assert (last.window is not None) is is_quiet
     assert (last.best > 0.8) is is_quiet
+    assert frames[100].quiet is not None
     assert not isfinite(frames[100].quiet.best)  # nothing has been learned
     assert build().coast(0.0).quiet is None
 

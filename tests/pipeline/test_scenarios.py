@@ -51,7 +51,7 @@ def result(name: str, run: str) -> Result:
             pipe.accept(fit(window))
         if frame is not None:
             frames.append(frame)
-            one_step.append(pipe._chain.observer.unshifted().heave_m)
+            one_step.append(pipe.heave.observer.unshifted().heave_m)
     scored = recording.t_s > SCORED_FROM_S
     truth = recording.truth.heave_m
     return Result(

@@ -17,11 +17,10 @@ import numpy as np
 import pytest
 from pipelines import NoRock, numbers
 
-from heaved.estimation.heave.harmonic import observer as heave
+from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.heave.sea.refit import look
-from heaved.estimation.rock import maximum_likelihood as rock
-from heaved.pipeline import Pipeline, PipelineState
+from heaved.pipeline import Pipeline, PipelineState, assemble
 from heaved.samples import GRAVITY_MPS2, HeaveState, ImuSample, LaserSample, MotionFrame, Sample
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import record
@@ -36,15 +35,13 @@ G = GRAVITY_MPS2
 
 def built(*, has_laser: bool) -> Pipeline:
     """The default pipeline, but for the rock predictor and the training of a network."""
-    pipe = Pipeline(
+    return assemble(
         heave=heave.Params(forecast_horizons_s=(1.0,)),
         laser=reference.Params(),
         correction=correction.Params(),
-        rock=rock.Params(),
+        rock=NoRock(),
         has_laser=has_laser,
     )
-    pipe._rock = NoRock()  # type: ignore[assignment]
-    return pipe
 
 
 class Sea(NamedTuple):
@@ -380,7 +377,8 @@ def test_every_state_and_every_reason_has_its_scenario() -> None:
 
 def test_the_attitude_is_taken_from_when_the_accelerometers_measured() -> None:
     """Accelerometers that are 0.2 s late, as the laser has shown: a lag of the heave, but none between force and
-    attitude. With the attitude of now, gravity is removed for another moment."""
+    attitude. With the attitude of now, gravity is removed for another moment.
+    """
     late_s = 0.2
     shift = round(late_s * RATE_HZ)
     imu = [s for s in sea().samples if isinstance(s, ImuSample) and s.t_s < 300.0]

@@ -9,6 +9,7 @@ import re
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -23,12 +24,13 @@ from heaved.config.rules import rate_faults, stage_faults
 from heaved.daemon.metrics import Metrics
 from heaved.devices.link import TcpLink
 from heaved.devices.liveness import Contact
-from heaved.devices.profile import encode, profile_faults
+from heaved.devices.profile import Quantity, encode, profile_faults
 from heaved.devices.recording import STAGE_COLUMNS, Recording, RecordingError
 from heaved.devices.station import Reading, Station
 from heaved.estimation.craft import fusion
-from heaved.estimation.hull import stage as hull
-from heaved.estimation.hull.stage import HullDeformation, refit
+from heaved.estimation.hull import estimate as hull
+from heaved.estimation.hull.estimator import HullDeformation
+from heaved.estimation.hull.refit import refit
 from heaved.outputs import wire
 from heaved.outputs.records import AttitudeStatus, HeaveStatus, HullStatus, StatusRecord
 from heaved.replay.replay import replay
@@ -253,7 +255,9 @@ def test_packaged_files_are_sound(name: str, roles: list[str]) -> None:
         (device("pitch_sensor", one("pitch_rad", "deg")), {"pitch_rad": -0.1}, {"pitch_rad": -0.1}),
     ],
 )
-def test_a_role_makes_samples_of_its_own_kind(text: str, values: dict, expected: dict) -> None:
+def test_a_role_makes_samples_of_its_own_kind(
+    text: str, values: dict[Quantity, float], expected: dict[str, float]
+) -> None:
     (spec,) = read(text).device
     contact = Contact(numbered=True, lengths=(), alone=True, timeout_s=0.05, opened_s=0.0)
     station = Station(spec, TcpLink("h", 1), contact, 0.0)
@@ -274,7 +278,7 @@ def test_a_role_makes_samples_of_its_own_kind(text: str, values: dict, expected:
 # ---- recordings ------------------------------------------------------------------------------------------------------
 
 
-def instants(tmp_path: Path, text: str) -> list:
+def instants(tmp_path: Path, text: str) -> list[Any]:
     path = tmp_path / "x.csv"
     path.write_text(text)
     with Recording(path) as recording:
@@ -288,10 +292,8 @@ def test_the_columns_of_the_stages_become_their_samples(tmp_path: Path) -> None:
     assert (imu.gx_radps, imu.gy_radps, imu.gz_radps) == (1.0, 2.0, 3.0)
     assert laser is None
     assert rates == RatesSample(t_s=1.0, gx_radps=4.0, gy_radps=5.0, gz_radps=6.0)
-    assert craft == CraftSample(
-        t_s=1.0, heave_m=0.5, pitch_rad=math.pi / 2, speed_mps=18.0,
-        flap_fore_rad=pytest.approx(-math.pi / 4), flap_aft_rad=pytest.approx(math.pi / 6),
-    )  # fmt: skip
+    assert (craft.t_s, craft.heave_m, craft.pitch_rad, craft.speed_mps) == (1.0, 0.5, math.pi / 2, 18.0)
+    assert (craft.flap_fore_rad, craft.flap_aft_rad) == pytest.approx((-math.pi / 4, math.pi / 6))
     assert bare[1:] == (None, None, None)
     assert math.isnan(bare[0].gx_radps)
 
@@ -409,7 +411,7 @@ ANGLES = HullAngles(
     total_rad=(math.radians(0.5), math.radians(-0.8), math.radians(30.0)),
     static_rad=(math.radians(0.4), math.radians(-0.7), math.radians(29.0)),
     dynamic_rad=(math.radians(1.0 / 3600.0), 0.0, math.nan),
-    std_rad=tuple(math.radians(n / 3600.0) for n in (10.0, 20.0, 30.0)),
+    std_rad=(math.radians(10.0 / 3600.0), math.radians(20.0 / 3600.0), math.radians(30.0 / 3600.0)),
     reachable_std_rad=(math.radians(5.0 / 3600.0), math.inf, math.nan),
     delay_s=0.004,
     delay_std_s=0.0005,

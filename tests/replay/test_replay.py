@@ -6,6 +6,7 @@ import contextlib
 import csv
 import math
 import stat
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,8 @@ from hypothesis import strategies as st
 
 from heaved.config import Config
 from heaved.devices.recording import COLUMNS, RecordingError
-from heaved.estimation.heave.harmonic import observer as heave
+from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, lead
-from heaved.estimation.heave.sea import observer as sea_observer
 from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.replay.replay import OutputError, Summary, Tally, replay
 from heaved.replay.table import MAX_STEP_S, Table
@@ -169,7 +169,7 @@ def delayed(t_s: float, heave_m: float) -> DelayedHeave:
     return DelayedHeave(t_s=t_s, heave_m=heave_m, std_m=0.01)
 
 
-def merged(arrivals: list[tuple[float, DelayedHeave | None]]) -> tuple[list[str], list[int]]:
+def merged(arrivals: Sequence[tuple[float, DelayedHeave | None]]) -> tuple[list[str], list[int]]:
     """Cells in the order of writing, and how many rows were out after each frame."""
     written: list[str] = []
     table = Table(Config(), written.append)
@@ -190,7 +190,7 @@ def merged(arrivals: list[tuple[float, DelayedHeave | None]]) -> tuple[list[str]
 def test_a_delayed_heave_goes_into_the_row_of_its_own_time() -> None:
     """Rows every 0.1 s, delayed heaves 0.3 s old from 0.5 s on: at the very times, so as they are."""
     values = {0.2: 1.0, 0.3: -2.0, 0.4: 3.5}
-    arrivals = [(round(0.1 * k, 1), None) for k in range(5)]
+    arrivals: list[tuple[float, DelayedHeave | None]] = [(round(0.1 * k, 1), None) for k in range(5)]
     arrivals += [(0.5, delayed(0.2, 1.0)), (0.6, delayed(0.3, -2.0)), (0.7, delayed(0.4, 3.5))]
     cells, out = merged(arrivals)
     assert cells == [f"{values[t_s]:.6f}" if t_s in values else "" for t_s, _ in arrivals]
@@ -226,7 +226,8 @@ def test_without_any_delayed_heave_all_rows_come_out_with_a_blank() -> None:
 
 def test_the_column_is_the_delayed_heave(tmp_path: Path) -> None:
     """Of a whole replay: known from the end of the first minute, over which the filter starts, up to the smoother's lag
-    before the end, near the truth there; blank elsewhere."""
+    before the end, near the truth there; blank elsewhere.
+    """
     sea = record(seaway("T3", seed=3), 150.0, imu_rate_hz=20.0, laser="off", seed=3)
     path, out = tmp_path / "in.csv", tmp_path / "out.csv"
     write_recording(path, sea)
@@ -246,7 +247,7 @@ def test_the_column_is_the_delayed_heave(tmp_path: Path) -> None:
 def test_rows_that_wait_for_a_delayed_heave_are_not_kept_for_ever(times: str) -> None:
     """Whatever their times, a bounded number: twice what the longest wait at the highest rate has."""
     written: list[str] = []
-    table = Table(Config(heave=heave.Params(sea=sea_observer.Params(delay_s=10.0))), written.append)
+    table = Table(Config(heave=heave.Params(sea=heave.SeaParams(delay_s=10.0))), written.append)
     quality = Quality(heave=HeaveState.SETTLING, laser=LaserState.OFF, correction=CorrectionState.OFF)
     step_s = 1e-7 if times == "at one moment" else 86400.0
     most = 2 * 10 * 250

@@ -91,4 +91,6 @@ def test_devices_of_the_stages_are_read_by_their_roles() -> None:
     instruments = Instruments(seaway("S5", 1), seed=1)
     first = instruments.read(crane, 1.0)
     assert first == Instruments(seaway("S5", 1), seed=1).read(crane, 1.0)
-    assert math.isnan(instruments.read(craft, 1.0).heave_m)  # No voyage: the device refuses.
+    refused = instruments.read(craft, 1.0)
+    assert isinstance(refused, CraftSample)
+    assert math.isnan(refused.heave_m)  # No voyage: the device refuses.

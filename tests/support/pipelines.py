@@ -1,19 +1,19 @@
 """Pipelines and recordings for the tests of the whole estimator."""
 
-from collections import Counter
-from collections.abc import Iterable, Iterator
-from typing import ClassVar
+from collections.abc import Iterable, Iterator, Sequence
 
 import msgspec
 import numpy as np
 
-from heaved.estimation.heave.harmonic import observer as heave
+from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.heave.sea.refit import look
+from heaved.estimation.imu.conditioning import Conditioned
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.rock import maximum_likelihood as rock
-from heaved.pipeline import Pipeline
-from heaved.samples import ImuSample, LaserSample, MotionFrame, RockPrediction, RockScore, Sample
+from heaved.estimation.rock.estimator import RockEstimator
+from heaved.pipeline import Pipeline, assemble
+from heaved.samples import ImuSample, LaserSample, MotionFrame, RockPrediction, Sample
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import Recording, record
 from heaved.workers.train_correction import fit
@@ -21,21 +21,14 @@ from heaved.workers.train_correction import fit
 NO_FORECASTS = heave.Params(observer="harmonic", forecast_horizons_s=())
 
 
-class NoRock:
+class NoRock(RockEstimator):
     """Stands in for the rock predictor, which shares nothing with the heave and costs more than it."""
 
-    horizons_s = (0.05, 0.10, 0.15)
+    def __init__(self) -> None:
+        super().__init__(rock.Params())
 
-    resets: ClassVar[Counter[tuple[str, str]]] = Counter()
-
-    def step(self, sample: ImuSample, *, good: bool) -> tuple[RockPrediction, ...]:
-        return self.at(sample.t_s)
-
-    def at(self, t_s: float) -> tuple[RockPrediction, ...]:
-        return tuple(RockPrediction(horizon_s=h) for h in self.horizons_s)
-
-    def scores(self) -> tuple[RockScore, ...]:
-        return ()
+    def step(self, readings: Conditioned) -> Sequence[RockPrediction]:
+        return self.at(readings.sample.t_s)
 
 
 def pipeline(
@@ -48,18 +41,15 @@ def pipeline(
     point: tuple[Point, ...] = (),
     lead_s: float = 0.0,
 ) -> Pipeline:
-    built = Pipeline(
+    return assemble(
         heave=heave_params,
         laser=laser_params or reference.Params(),
         correction=correction_params or correction.Params(),
-        rock=rock.Params(),
+        rock=rock.Params() if with_rock else NoRock(),
         has_laser=has_laser,
         point=point,
         lead_s=lead_s,
     )
-    if not with_rock:
-        built._rock = NoRock()  # type: ignore[assignment]
-    return built
 
 
 def sea(name: str, duration_s: float, *, seed: int = 1, rate_hz: float = 20.0, laser: str = "on") -> Recording:

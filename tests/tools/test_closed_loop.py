@@ -10,10 +10,11 @@ import accuracy
 import msgspec
 import numpy as np
 import pytest
-from evidence import asked, closed_loop
-from evidence.closed_loop_figure import hook_motion
+from evidence.closed_loop import loop as closed_loop
+from evidence.closed_loop.figure import hook_motion
+from evidence.heave import asked
 
-from heaved.estimation.heave.harmonic.observer import Params
+from heaved.estimation.heave.params import Params
 
 OBSERVER = Params().observer
 SETTINGS = {

@@ -24,7 +24,7 @@ GIMBAL_COS: Final = 1e-6
 """Below this cosine of y the angles x and z turn about the same axis: x is taken as zero, z gets both."""
 
 
-class Attitude(msgspec.Struct, frozen=True, gc=False):
+class AttitudeAngles(msgspec.Struct, frozen=True, gc=False):
     """Signs of ``heaved.samples``: roll port up, pitch bow up, yaw clockwise in [0, 2 pi)."""
 
     roll_rad: float
@@ -84,23 +84,23 @@ def to_euler(C: Array) -> tuple[float, float, float]:
     return atan2(-float(C[2, 1]), float(C[2, 2])), y, atan2(-float(C[1, 0]), float(C[0, 0]))
 
 
-def level_from_body(attitude: Attitude) -> Array:
+def level_from_body(attitude: AttitudeAngles) -> Array:
     """Components along (north, west, up) from those along (forward, port, up).
 
     Rz(-yaw) Ry(-pitch) Rx(roll) of active right-handed rotations; an active one is the passive one of minus the angle.
-    Its third row is the vertical of ``frames.up_acceleration``.
+    Its third row is the vertical of ``imu.levelling.up_acceleration``.
     """
     return from_euler(-attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad)
 
 
-def attitude_of(level_from_frame: Array) -> Attitude:
+def attitude_of(level_from_frame: Array) -> AttitudeAngles:
     """The attitude whose ``level_from_body`` is the given matrix (3, 3); pitch in [-pi/2, pi/2]."""
     x, y, z = to_euler(level_from_frame)
-    return Attitude(-x, y, z % (2.0 * pi))
+    return AttitudeAngles(-x, y, z % (2.0 * pi))
 
 
-def crane_base_attitude(midships: Attitude, local_from_midships: Array) -> Attitude:
-    """Attitude of the crane base: midships attitude composed with the deformation C (3, 3).
+def crane_base_attitude(midships: AttitudeAngles, local_from_midships: Array) -> AttitudeAngles:
+    """AttitudeAngles of the crane base: midships attitude composed with the deformation C (3, 3).
 
     level_from_local = level_from_midships C'.
     """

@@ -26,19 +26,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.estimation.craft.tuning import TUNING
+
 Array = NDArray[np.float64]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
-
-FLAP_EFFECT: Final = 0.5
-"""Incidence per flap angle: a flap of about a fifth of the chord (thin-aerofoil theory gives 0.55)."""
-SLOWEST_MPS: Final = 0.5
-"""Angles of attack are worked out at no less: below, the dynamic pressure is next to nothing anyway."""
-MOST_STIFFENING: Final = 3.0
-"""c z^2 (2.2 m) and c' theta^2 grow no further: a hull leaves the water, or is under it."""
-FASTEST: Final = np.array([[10.0], [2.0]])
-"""Quadratic damping grows on linearly from 10 m/s and 2 rad/s. No craft gets there, but the points of a filter that is
-lost do, and neither term may then outrun the step of integration."""
 
 
 class Foil(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -127,6 +119,7 @@ class Craft:
         self._damping = np.array([[vessel.heave_damping_nspm], [vessel.pitch_damping_nmsprad]]) / inertia
         quadratic = (vessel.heave_quadratic_damping_ns2pm2, vessel.pitch_quadratic_damping_nms2prad2)
         self._quadratic = np.array([[quadratic[0]], [quadratic[1]]]) / inertia
+        self._fastest = np.array(TUNING.fastest)[:, None]
 
     def accelerations(
         self,
@@ -142,17 +135,17 @@ class Craft:
         water at either foil, up.
         """
         position, velocity = state[0::2], state[1::2]
-        speed = np.maximum(speed_mps, SLOWEST_MPS)
-        alpha = self._incidence + FLAP_EFFECT * flaps_rad + position[1]
+        speed = np.maximum(speed_mps, TUNING.slowest_mps)
+        alpha = self._incidence + TUNING.flap_effect * flaps_rad + position[1]
         alpha -= (self._at_foils.dot(velocity) - water_mps) / speed
         depth = self._depth + elevation_m - self._at_foils.dot(position)
         share = 1.0 - self._loss * np.exp(-np.maximum(depth, 0.0) / self._length)
         share *= 1.0 + np.tanh((depth - self._ventilation) / self._width)
         share *= np.tanh(alpha / self._stall)
         result: Array = self._lift.dot(share * np.maximum(speed_mps, 0.0) ** 2) + self._constant
-        stiffening = np.minimum(self._stiffening * position * position, MOST_STIFFENING)
+        stiffening = np.minimum(self._stiffening * position * position, TUNING.most_stiffening)
         result -= self._stiffness * position * (1.0 + stiffening)
-        result -= velocity * (self._damping + self._quadratic * np.minimum(np.abs(velocity), FASTEST))
+        result -= velocity * (self._damping + self._quadratic * np.minimum(np.abs(velocity), self._fastest))
         return result
 
     def advance(self, state: Array, dt_s: float, speed_mps: float | Array, flaps_rad: Array, forces: Array) -> Array:

@@ -24,46 +24,78 @@ a reading says nothing about which filter is right.
 from __future__ import annotations
 
 from collections import Counter
+from enum import StrEnum
 from math import isfinite, nan, sqrt
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.common import sigma
-from heaved.estimation.common.best_of import Choice
+from heaved.estimation.common.best_of import BestOf
 from heaved.estimation.craft import filter_bank as bank
 from heaved.estimation.craft.dynamics import Vessel
 from heaved.estimation.craft.filter_bank import Bank
 from heaved.estimation.craft.inputs import REJECTED, Caution, Channel, CraftInputs
 from heaved.estimation.craft.model import CraftModel, State
 from heaved.estimation.craft.sensor_noise import CraftNoise
+from heaved.estimation.craft.tuning import TUNING
 from heaved.estimation.craft.wave_force import Sea, WaveShape
+from heaved.samples import CraftMotion
 
 Array = NDArray[np.float64]
-Positive = Annotated[float, msgspec.Meta(gt=0)]
-
-LEAST_PROBABILITY: Final = 1e-4
-"""Of a sea: a fifth of what flows back to it in one sample at 100 Hz with a mean stay of 10 s."""
-SETTLED_S: Final = 5.0
-"""After a start the wave accelerations are not known for about two of their periods."""
-LOST_TIMES: Final = 50
-"""So many samples in a row that are older than the last one: time itself has been set back, so start again."""
-
 
 CHANNELS: Final = ((Channel.HEAVE, State.Z), (Channel.PITCH, State.THETA))
 PITCH_STATES: Final = np.array([State.THETA, State.THETA_RATE, State.PITCH_WAVE, State.PITCH_WAVE_RATE])
+
+
+class Source(StrEnum):
+    """Where heave and pitch come from."""
+
+    SENSORS = "sensors"
+    """The craft's own sensors."""
+    OWN = "own"
+    """This program."""
+
+
+class Mode(StrEnum):
+    """How the filters are fused."""
+
+    INSTANT = "instant"
+    EWMA = "ewma"
+    IMM = "imm"
+
+
+class Differ(StrEnum):
+    """What the filters differ by."""
+
+    POINT_SETS = "point_sets"
+    SEAS = "seas"
+
+
+class ResetReason(StrEnum):
+    """Why filters, or a channel of them, started again."""
+
+    GAP = "gap"
+    """A longer interval than the model bridges."""
+    COVARIANCE = "covariance"
+    """A covariance was none any more."""
+    TIME = "time"
+    """Time had been set back."""
+    HEAVE = "heave"
+    """Heave beyond the gate for so long that it was right after all ..."""
+    PITCH = "pitch"
+    """... and pitch."""
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[attitude]``: heave and pitch of the craft."""
 
     enabled: bool = False
-    source: Literal["sensors", "own"] = "sensors"
-    """sensors: heave and pitch are those of the craft's own sensors; own: of this program."""
-    mode: Literal["instant", "ewma", "imm"] = "imm"
-    bank: Literal["point_sets", "seas"] | None = None
+    source: Source = Source.SENSORS
+    mode: Mode = Mode.IMM
+    bank: Differ | None = None
     """What the filters differ by; unset: "point_sets" for "instant", else "seas"."""
     seas: Annotated[tuple[Sea, ...], msgspec.Meta(min_length=1, max_length=5)] = (
         Sea(heave_rms_mps2=0.3, pitch_rms_radps2=0.03),
@@ -97,43 +129,11 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     vessel: Vessel = Vessel()
 
 
-class AttitudeEstimate(msgspec.Struct, frozen=True, gc=False, kw_only=True):
-    """Heave and pitch at ``t_s``, with standard deviations."""
-
-    t_s: float
-    heave_m: float
-    """About the trim at the speed at hand, up."""
-    heave_velocity_mps: float
-    pitch_rad: float
-    """Bow up."""
-    pitch_rate_radps: float
-    heave_std_m: float
-    heave_velocity_std_mps: float
-    pitch_std_rad: float
-    pitch_rate_std_radps: float
-    probabilities: tuple[float, ...]
-    """Of the seas (imm); otherwise the share of the channels, 0, 0.5 or 1, that a filter serves."""
-    heave_filter: int
-    """Which filter serves heave: the chosen one, or the most probable."""
-    pitch_filter: int
-    switches: int
-    """Changes of either so far."""
-    heave_gated: int
-    """Readings beyond the gate so far."""
-    pitch_gated: int
-    resets: int
-    """Starts again so far, for whatever reason."""
-    rejected_times: int
-    """Samples so far that were not later than the one before."""
-    cautions: tuple[Caution, ...] = ()
-
-
 class AttitudeFusion:
-    """Feed it heave, pitch, speed and flaps in order of time; nan is what is not known.
+    """Takes heave, pitch, speed and flaps in order of time; nan is what is not known.
 
     Attributes:
-        resets: starts again, by reason: "gap", "covariance", "time", and "heave", "pitch" for a channel that was
-            believed after all.
+        resets: starts again, by reason.
         rejected_times: samples that were not later than the one before.
     """
 
@@ -144,7 +144,7 @@ class AttitudeFusion:
         """
         self._params = p = params if params is not None else Params()
         size = len(State)
-        if (p.bank or ("point_sets" if p.mode == "instant" else "seas")) == "seas":
+        if (p.bank or (Differ.POINT_SETS if p.mode is Mode.INSTANT else Differ.SEAS)) is Differ.SEAS:
             seas, sets = p.seas, [sigma.cubature(size)] * len(p.seas)
         else:
             seas, sets = (p.seas[-1],) * 2, [sigma.cubature(size), sigma.spherical_simplex(size)]
@@ -154,12 +154,13 @@ class AttitudeFusion:
         self._model = CraftModel(p.vessel, p.wave, seas, white)
         self._R = (p.heave_noise_m**2, p.pitch_noise_rad**2)
         self._noise = CraftNoise(self._R)
-        averaged = p.mode == "ewma"
-        self._choice = Choice(self._count, p.average_s if averaged else 0.0, p.margin if averaged else 0.0)
+        averaged = p.mode is Mode.EWMA
+        memory_s, margin = (p.average_s, p.margin) if averaged else (0.0, 0.0)
+        self._best = BestOf(self._count, len(Channel), memory_s, margin)
         self._inputs = CraftInputs(p.vessel, p.stuck_after_s)
         self._t_s = nan
         self._late = 0
-        self.resets: Counter[str] = Counter()
+        self.resets: Counter[ResetReason] = Counter()
         self.rejected_times = 0
         self._gated = [0, 0]
         self._forget()
@@ -169,7 +170,7 @@ class AttitudeFusion:
         self._started_t_s = nan
         self._bank: Bank | None = None
         self._probabilities = np.full(self._count, 1.0 / self._count)
-        self._choice.forget()
+        self._best.reset()
         self._outside_t_s = [nan, nan]
 
     # --- one sample --------------------------------------------------------------------------------------------------
@@ -182,7 +183,7 @@ class AttitudeFusion:
         speed_mps: float = nan,
         flap_fore_rad: float = nan,
         flap_aft_rad: float = nan,
-    ) -> AttitudeEstimate | None:
+    ) -> CraftMotion | None:
         """The estimate at ``t_s``. None: not later than the last sample, or nothing measured yet.
 
         Heave about the trim, up; pitch bow up; flaps trailing edge down.
@@ -191,13 +192,13 @@ class AttitudeFusion:
             return None
         cautions: list[Caution] = []
         readings = self._inputs.readings(t_s, heave_m, pitch_rad, cautions)
-        readings, self._R = self._noise.take(t_s, readings)
+        readings, self._R = self._noise.step(t_s, readings)
         self._inputs.drive(speed_mps, flap_fore_rad, flap_aft_rad, cautions)
         dt_s, self._t_s = t_s - self._t_s, t_s
         if self._bank is not None and dt_s > self._params.max_gap_s:
-            self._restart("gap", cautions)
+            self._restart(ResetReason.GAP, cautions)
         if self._bank is not None and not self._predict(dt_s):
-            self._restart("covariance", cautions)
+            self._restart(ResetReason.COVARIANCE, cautions)
         if self._bank is not None:
             self._update(dt_s, readings, cautions)
         elif any(isfinite(reading) for reading in readings):
@@ -205,7 +206,7 @@ class AttitudeFusion:
             self._bank = self._model.start(readings, self._R, self._inputs.speed_mps)
         else:
             return None
-        if t_s - self._started_t_s < SETTLED_S:
+        if t_s - self._started_t_s < TUNING.settled_s:
             cautions.append(Caution.SETTLING)
         return self._estimate(cautions)
 
@@ -215,14 +216,14 @@ class AttitudeFusion:
             return True
         self.rejected_times += 1
         self._late += isfinite(t_s)
-        if self._late >= LOST_TIMES:
-            self.resets["time"] += 1
+        if self._late >= TUNING.lost_times:
+            self.resets[ResetReason.TIME] += 1
             self._late, self._t_s = 0, nan
             self._inputs.forget_times()
             self._forget()
         return False
 
-    def _restart(self, reason: str, cautions: list[Caution]) -> None:
+    def _restart(self, reason: ResetReason, cautions: list[Caution]) -> None:
         self.resets[reason] += 1
         cautions.append(Caution.RESET)
         self._forget()
@@ -231,7 +232,7 @@ class AttitudeFusion:
         """False: a covariance is none any more."""
         assert self._bank is not None
         filters = self._bank
-        if self._params.mode == "imm":
+        if self._params.mode is Mode.IMM:
             keep, move = bank.stay(self._count, dt_s, self._params.mean_stay_s)
             filters, self._probabilities = bank.mix(filters, self._probabilities, keep, move)
         inputs = self._inputs
@@ -263,13 +264,13 @@ class AttitudeFusion:
             else:
                 self._outside_t_s[channel] = nan
                 log_likelihood -= 0.5 * (innovation**2 / variance + np.log(variance))
-                if p.mode != "imm":
-                    self._choice.evaluate(channel, dt_s, before)
+                if p.mode is not Mode.IMM:
+                    self._best.step(channel, dt_s, before)
             filters = bank.update(filters, state, innovation, variance)
         self._bank = filters
-        if p.mode == "imm":
-            self._probabilities = bank.reweigh(self._probabilities, log_likelihood, LEAST_PROBABILITY)
-            self._choice.serve_all(int(self._probabilities.argmax()))
+        if p.mode is Mode.IMM:
+            self._probabilities = bank.reweigh(self._probabilities, log_likelihood, TUNING.least_probability)
+            self._best.serve_all(int(self._probabilities.argmax()))
 
     def _believed(self, channel: Channel, cautions: list[Caution]) -> bool:
         """Count a reading beyond the gate; whether it has been there for so long that it must be right."""
@@ -280,16 +281,22 @@ class AttitudeFusion:
         if self._t_s - self._outside_t_s[channel] < self._params.believe_after_s:
             return False
         self._outside_t_s[channel] = nan
-        self.resets[channel.name.lower()] += 1
+        self.resets[ResetReason[channel.name]] += 1
         cautions.append(Caution.RESET)
         return True
 
     # --- output ------------------------------------------------------------------------------------------------------
 
     @property
+    def serving(self) -> tuple[int, int]:
+        """Which filter serves heave, and which pitch: the chosen one, or the most probable."""
+        heave, pitch = self._best.serving
+        return heave, pitch
+
+    @property
     def switches(self) -> int:
         """Changes of the serving filter, both channels together."""
-        return self._choice.switches
+        return self._best.switches
 
     @property
     def gated(self) -> tuple[int, int]:
@@ -312,9 +319,9 @@ class AttitudeFusion:
         """
         if self._bank is None:
             raise ValueError("no estimate yet: nothing has been measured")
-        if self._params.mode == "imm":
+        if self._params.mode is Mode.IMM:
             return bank.combine(self._bank, self._probabilities)
-        heave, pitch = self._choice.serving
+        heave, pitch = self.serving
         x, P = self._bank.x[heave], self._bank.P[heave]
         if heave != pitch:
             x, P, own = x.copy(), P.copy(), PITCH_STATES
@@ -323,17 +330,15 @@ class AttitudeFusion:
             P[np.ix_(own, own)] = self._bank.P[pitch][np.ix_(own, own)]
         return x, P
 
-    def _estimate(self, cautions: list[Caution]) -> AttitudeEstimate:
+    def _estimate(self, cautions: list[Caution]) -> CraftMotion:
         x, P = self.moments()
         z, z_rate, theta, theta_rate = x[:4].tolist()
         std = [sqrt(max(variance, 0.0)) for variance in P.diagonal()[:4].tolist()]
-        serving = self._choice.serving
-        if self._params.mode == "imm":
+        if self._params.mode is Mode.IMM:
             probabilities = tuple(self._probabilities.tolist())
         else:
-            probabilities = tuple(0.5 * serving.count(i) for i in range(self._count))
-        heave_gated, pitch_gated = self.gated
-        return AttitudeEstimate(
+            probabilities = tuple(0.5 * self.serving.count(i) for i in range(self._count))
+        return CraftMotion(
             t_s=self._t_s,
             heave_m=z,
             heave_velocity_mps=z_rate,
@@ -344,12 +349,7 @@ class AttitudeFusion:
             pitch_std_rad=std[2],
             pitch_rate_std_radps=std[3],
             probabilities=probabilities,
-            heave_filter=serving[Channel.HEAVE],
-            pitch_filter=serving[Channel.PITCH],
             switches=self.switches,
-            heave_gated=heave_gated,
-            pitch_gated=pitch_gated,
             resets=self.resets.total(),
-            rejected_times=self.rejected_times,
             cautions=tuple(cautions),
         )

@@ -1,21 +1,19 @@
-"""What of the craft's sensors can be believed: heave, pitch, speed and flaps, each with what is wrong with it. Pure."""
+"""What of the craft's sensors can be believed: heave, pitch, speed and flaps, each with what is wrong with it."""
 
 from __future__ import annotations
 
-from enum import Enum, IntEnum
-from math import inf, isfinite, nan
+from enum import IntEnum, StrEnum
+from math import isfinite, nan
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.craft.dynamics import Vessel
+from heaved.estimation.craft.tuning import TUNING
+from heaved.unchanged import Unchanged
 
 Array = NDArray[np.float64]
-
-MOST_HEAVE_M: Final = 20.0
-MOST_PITCH_RAD: Final = 0.8
-"""Readings beyond are not of a craft that floats."""
 
 
 class Channel(IntEnum):
@@ -25,7 +23,7 @@ class Channel(IntEnum):
     PITCH = 1
 
 
-class Caution(Enum):
+class Caution(StrEnum):
     """What was wrong with the input, or why the estimate is worth less than usual."""
 
     SETTLING = "settling"
@@ -58,26 +56,24 @@ class CraftInputs:
         self._vessel = vessel
         self._stuck_after_s = stuck_after_s
         self._foils = tuple(foil.area_m2 > 0.0 for foil in (vessel.fore_foil, vessel.aft_foil))
-        self._last = [nan, nan]
-        self._changed_t_s = [-inf, -inf]
+        self._unchanged = (Unchanged(), Unchanged())
         self.impossible = [0, 0]
         self.speed_mps = vessel.service_speed_mps
         self.flaps_rad = np.zeros((2, 1))
 
     def readings(self, t_s: float, heave_m: float, pitch_rad: float, cautions: list[Caution]) -> tuple[float, float]:
         """Heave and pitch, nan where there is none that can be one; what is wrong is added to the cautions."""
-        heave = self._reading(Channel.HEAVE, t_s, heave_m, MOST_HEAVE_M, cautions)
-        return heave, self._reading(Channel.PITCH, t_s, pitch_rad, MOST_PITCH_RAD, cautions)
+        heave = self._reading(Channel.HEAVE, t_s, heave_m, TUNING.most_heave_m, cautions)
+        return heave, self._reading(Channel.PITCH, t_s, pitch_rad, TUNING.most_pitch_rad, cautions)
 
     def _reading(self, channel: Channel, t_s: float, value: float, most: float, cautions: list[Caution]) -> float:
-        if value != self._last[channel]:
-            self._last[channel], self._changed_t_s[channel] = value, t_s
+        same_s = self._unchanged[channel].push(t_s, value)
         if not isfinite(value):
             cautions.append(MISSING[channel])
         elif abs(value) > most:
             cautions.append(REJECTED[channel])
             self.impossible[channel] += 1
-        elif 0.0 < self._stuck_after_s <= t_s - self._changed_t_s[channel]:
+        elif 0.0 < self._stuck_after_s <= same_s:
             cautions.append(STUCK[channel])
         else:
             return value
@@ -100,4 +96,5 @@ class CraftInputs:
 
     def forget_times(self) -> None:
         """Time has been set: since when a reading has not changed is not known."""
-        self._last = [nan, nan]
+        for unchanged in self._unchanged:
+            unchanged.clear()

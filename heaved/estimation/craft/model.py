@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import IntEnum
 from math import isfinite
-from typing import Final
 
 import msgspec
 import numpy as np
@@ -14,16 +13,10 @@ from numpy.typing import NDArray
 from heaved.estimation.craft import filter_bank as bank
 from heaved.estimation.craft.dynamics import Craft, Vessel
 from heaved.estimation.craft.filter_bank import Bank, Points
+from heaved.estimation.craft.tuning import TUNING
 from heaved.estimation.craft.wave_force import Sea, WaveShape, propagation, white_acceleration
 
 Array = NDArray[np.float64]
-
-LONGEST_STEP_S: Final = 0.1
-"""A longer interval is gone through in steps: half of what the integration of the craft allows."""
-SAME_STEP_S: Final = 1e-5
-"""Intervals this close share one transition: its noise is off by 0.3 % at most at 100 Hz."""
-START_STD: Final = (1.0, 0.1)
-"""Heave (m, and m/s) and pitch (rad, and rad/s) at the start, where not measured."""
 
 
 class State(IntEnum):
@@ -76,8 +69,8 @@ class CraftModel:
         for axis, state in enumerate((State.Z, State.THETA)):
             known = isfinite(readings[axis])
             x[:, state] = readings[axis] if known else at_rest[axis]
-            P[:, state, state] = variances[axis] if known else START_STD[axis] ** 2
-            P[:, state + 1, state + 1] = START_STD[axis] ** 2
+            P[:, state, state] = variances[axis] if known else TUNING.start_std[axis] ** 2
+            P[:, state + 1, state + 1] = TUNING.start_std[axis] ** 2
         waves = np.array([State.HEAVE_WAVE, State.PITCH_WAVE])
         P[:, waves, waves] = self._wave_variance
         peaks = np.array([self._shape.heave_peak_radps, self._shape.pitch_peak_radps])
@@ -86,7 +79,7 @@ class CraftModel:
 
     def predict(self, points: Points, filters: Bank, dt_s: float, speed_mps: float, flaps_rad: Array) -> Bank | None:
         """Time update of all filters. None: a covariance is none any more."""
-        steps = max(1, -int(-dt_s // LONGEST_STEP_S))
+        steps = max(1, -int(-dt_s // TUNING.longest_step_s))
         step = self._step(dt_s / steps)
         trim_m = self.trim(speed_mps)[0]
 
@@ -107,12 +100,12 @@ class CraftModel:
         return moved
 
     def _step(self, dt_s: float) -> _Step:
-        key = max(1, round(dt_s / SAME_STEP_S))
+        key = max(1, round(dt_s / TUNING.same_step_s))
         found = self._steps.get(key)
         if found is None:
             if len(self._steps) >= 1000:
                 self._steps.clear()
-            found = self._steps[key] = self._new_step(key * SAME_STEP_S)
+            found = self._steps[key] = self._new_step(key * TUNING.same_step_s)
         return found
 
     def _new_step(self, dt_s: float) -> _Step:

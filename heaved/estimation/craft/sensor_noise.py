@@ -19,61 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotrs
 
-from heaved.estimation.common.ring import Ring
+from heaved.estimation.common.ring import RingBuffer
+from heaved.estimation.craft.tuning import TUNING
 
 Array = NDArray[np.float64]
 
-WINDOW_S: Final = 2.0
-"""Readings that one is split with ..."""
-WINDOW: Final = (12, 200)
-"""... but no fewer and no more than these."""
-RECORD_S: Final = 26.0
-"""Record that is learned from ..."""
-LEARN_EVERY_S: Final = 5.0
-"""... again and again."""
-FIRST_S: Final = 9.0
-"""Record from which on there is something to learn."""
-SEGMENT_S: Final = 8.0
-"""Of one periodogram; they overlap by half."""
-WAVES_END_HZ: Final = 2.0
-"""A craft does not follow waves above: at 18 m/s they are met at this frequency when they are 12 m long."""
-MOTION_HZ: Final = 0.5
-"""The slow motion's spectrum falls as a Gaussian of this width: by 35 dB at 2 Hz, by 78 dB at 3 Hz."""
-MOTION_STD: Final = (2.0, 0.2)
-"""Of heave (m) and pitch (rad), above any craft's."""
-STANDS_OUT: Final = 5.0
-"""Spectrum over its median above the waves from which on it is vibration: the mean of five overlapping periodograms is
-that by chance once in some ten thousand lines."""
-LEAST_POWER: Final = 0.1
-"""Variance of what vibrates over that of the white noise below which it is not worth a word."""
-NOISIER: Final = 1.5
-"""Variance over the configured one from which on the learned one is used."""
-COHERENT_S: Final = 2.0
-"""Standard deviation of the time over which a line keeps its phase."""
-GATE_STD: Final = 6.0
-"""A reading further than this from what those before it expect is not learned from."""
-LEAST_SHARE: Final = 0.5
-"""Of readings that must be there to learn, and to split one."""
-MOST_COMPLETED: Final = 540
-"""Readings of a record of which the missing ones are put in as what is known expects them: 27 s at 20 Hz. Of more,
-which come faster, straight lines will do."""
-MOST_WITH_HOLES: Final = 80
-"""Readings that one is split with when some of them are missing: each pattern of holes is worked out by itself."""
-FEWEST: Final = 8
-"""Readings that one is split with at the least."""
-LOST_S: Final = 1.0
-"""Without a reading for so long, what vibrates is no longer known."""
-SPIKE_STD: Final = 8.0
-"""A reading further than this from the middle of its neighbours, in the usual distances, is not learned from either."""
 MEDIAN_OF_SQUARE: Final = 0.4549
 """Of a standard normal value."""
-SHORTEST_STEP_S: Final = 0.004
-"""No sensor of a craft is read more often."""
-STEP_MEMORY: Final = 0.02
-"""Weight of an interval in the mean one."""
 
 
-class _Outlook(msgspec.Struct, frozen=True, eq=False, gc=False):
+class _Conditional(msgspec.Struct, frozen=True, eq=False, gc=False):
     """What readings tell about the next one."""
 
     weights: Array
@@ -95,7 +50,7 @@ class _Learned(msgspec.Struct, frozen=True, eq=False, gc=False):
     """Covariance of what vibrates; 0 when nothing does."""
     moves: Array
     """Covariance of the slow motion."""
-    outlook: _Outlook | None
+    conditional: _Conditional | None
     """With no reading missing; None: nothing vibrates."""
 
 
@@ -111,24 +66,24 @@ class CraftNoise:
         """All that was learned, and the record."""
         self._step_s = nan
         self._t_s = self._learned_s = -inf
-        self._ring: Ring | None = None
+        self._ring: RingBuffer | None = None
         self._learned: list[_Learned | None] = [None, None]
 
-    def take(self, t_s: float, readings: tuple[float, float]) -> tuple[tuple[float, float], tuple[float, float]]:
+    def step(self, t_s: float, readings: tuple[float, float]) -> tuple[tuple[float, float], tuple[float, float]]:
         """Readings without what vibrates, and the variances of their noise; nan: missing, stays so."""
         since_s, self._t_s = t_s - self._t_s, t_s
-        if not 0.0 < since_s < LOST_S:
+        if not 0.0 < since_s < TUNING.lost_s:
             self.forget()
             self._t_s = t_s
             return readings, self._configured
         if self._ring is None or not 0.3 < since_s / self._step_s < 50.0:
             # The rate is that of the first interval, and another one when it changes.
-            self._step_s = max(since_s, SHORTEST_STEP_S)
-            self._ring = Ring(int(RECORD_S / self._step_s) + 1, 3)
-            self._learned, self._learned_s = [None, None], t_s - LEARN_EVERY_S + FIRST_S
+            self._step_s = max(since_s, TUNING.shortest_step_s)
+            self._ring = RingBuffer(int(TUNING.record_s / self._step_s) + 1, 3)
+            self._learned, self._learned_s = [None, None], t_s - TUNING.learn_every_s + TUNING.first_s
         steps = max(1, round(since_s / self._step_s))
         if steps == 1:
-            self._step_s += STEP_MEMORY * (since_s - self._step_s)
+            self._step_s += TUNING.step_weight * (since_s - self._step_s)
         before_s = t_s - since_s
         for k in range(1, steps):
             between_s = t_s - since_s * (1.0 - k / steps)
@@ -139,7 +94,7 @@ class CraftNoise:
             self._split(channel, readings[channel]) for channel in (0, 1)
         )
         self._ring.push((t_s, kept, kept_pitch))
-        if t_s - self._learned_s >= LEARN_EVERY_S:
+        if t_s - self._learned_s >= TUNING.learn_every_s:
             self._learned_s = t_s
             self._learn()
         return (heave, pitch), (heave_variance, pitch_variance)
@@ -149,23 +104,23 @@ class CraftNoise:
         learned = self._learned[channel]
         if learned is None:
             return reading, self._configured[channel], reading
-        if learned.outlook is None or not isfinite(reading):
+        if learned.conditional is None or not isfinite(reading):
             return reading, learned.white + float(learned.vibrates[0]), reading
         assert self._ring is not None
-        before, outlook = self._ring.last(learned.outlook.weights.shape[1])[:, 1 + channel], learned.outlook
-        if len(before) < outlook.weights.shape[1] or not isfinite(float(before.sum())):
-            before = before[-MOST_WITH_HOLES:]
+        before, conditional = self._ring.last(learned.conditional.weights.shape[1])[:, 1 + channel], learned.conditional
+        if len(before) < conditional.weights.shape[1] or not isfinite(float(before.sum())):
+            before = before[-TUNING.most_with_holes :]
             there = np.flatnonzero(np.isfinite(before))
-            found = _outlook(learned.white, learned.vibrates, learned.moves, len(before) - there)
+            found = _conditional(learned.white, learned.vibrates, learned.moves, len(before) - there)
             before = before[there]
             if found is None:
                 return reading, learned.white + float(learned.vibrates[0]), reading
-            outlook = found
-        expected, vibrates = outlook.weights.dot(before).tolist()
+            conditional = found
+        expected, vibrates = conditional.weights.dot(before).tolist()
         surprise = reading - expected
-        if surprise * surprise > GATE_STD**2 * outlook.variance:
-            return reading - vibrates, learned.white + outlook.left[0], nan
-        return reading - vibrates - outlook.gain * surprise, learned.white + outlook.left[1], reading
+        if surprise * surprise > TUNING.gate_std**2 * conditional.variance:
+            return reading - vibrates, learned.white + conditional.left[0], nan
+        return reading - vibrates - conditional.gain * surprise, learned.white + conditional.left[1], reading
 
     # --- learning ----------------------------------------------------------------------------------------------------
 
@@ -180,39 +135,39 @@ class CraftNoise:
 
     def _from(self, channel: int, values: Array, share: float) -> _Learned | None:
         rate_hz = 1.0 / self._step_s
-        n = int(SEGMENT_S * rate_hz)
-        if len(values) < n or n < 8 or 0.5 * rate_hz <= 1.5 * WAVES_END_HZ:
+        n = int(TUNING.segment_s * rate_hz)
+        if len(values) < n or n < 8 or 0.5 * rate_hz <= 1.5 * TUNING.waves_end_hz:
             return None
         segments = np.lib.stride_tricks.sliding_window_view(values, n)[:: max(1, n // 2)]
         taper = np.hanning(n)
         centred = segments - segments.mean(axis=1, keepdims=True)
         spectra = np.abs(np.fft.rfft(centred * taper, axis=1)) ** 2 / (rate_hz * float(np.sum(taper**2)))
         power, f = spectra.mean(axis=0), np.fft.rfftfreq(n, self._step_s).astype(np.float64)
-        above = f >= WAVES_END_HZ
+        above = f >= TUNING.waves_end_hz
         floor = float(np.median(power[above]))
-        vibration = np.where(above & (power > STANDS_OUT / share**2 * floor), power - floor, 0.0)
+        vibration = np.where(above & (power > TUNING.stands_out / share**2 * floor), power - floor, 0.0)
         # Readings put in between carry none of it.
         white = floor * rate_hz / share
         configured = self._configured[channel]
-        white = white if white > NOISIER * configured else configured
+        white = white if white > TUNING.noisier * configured else configured
         lines = np.full(len(f), 2.0)
         lines[0] = 1.0
         strength = lines * vibration * (rate_hz / n)
         total = float(strength.sum())
-        count = int(np.clip(WINDOW_S * rate_hz, *WINDOW))
-        if total < LEAST_POWER * white:
+        count = int(np.clip(TUNING.window_s * rate_hz, *TUNING.window))
+        if total < TUNING.least_power * white:
             return _Learned(white, np.zeros(1), np.zeros(1), None)
-        lag_s = np.arange(max(count + 1, MOST_COMPLETED)) * self._step_s
+        lag_s = np.arange(max(count + 1, TUNING.most_completed)) * self._step_s
         vibrates = np.cos(2.0 * pi * np.multiply.outer(lag_s, f)).dot(strength)
-        vibrates *= np.exp(-0.5 * (lag_s / COHERENT_S) ** 2)
-        moves = MOTION_STD[channel] ** 2 * np.exp(-0.5 * (2.0 * pi * MOTION_HZ * lag_s) ** 2)
-        outlook = _outlook(white, vibrates, moves, np.arange(count, 0, -1))
-        return _Learned(white, vibrates, moves, outlook) if outlook is not None else None
+        vibrates *= np.exp(-0.5 * (lag_s / TUNING.coherent_s) ** 2)
+        moves = TUNING.motion_std[channel] ** 2 * np.exp(-0.5 * (2.0 * pi * TUNING.motion_hz * lag_s) ** 2)
+        conditional = _conditional(white, vibrates, moves, np.arange(count, 0, -1))
+        return _Learned(white, vibrates, moves, conditional) if conditional is not None else None
 
 
-def _outlook(white: float, vibrates: Array, moves: Array, ago: NDArray[np.intp]) -> _Outlook | None:
+def _conditional(white: float, vibrates: Array, moves: Array, ago: NDArray[np.intp]) -> _Conditional | None:
     """From readings so many steps ago (n,). None: they are too few."""
-    if len(ago) < FEWEST:
+    if len(ago) < TUNING.fewest:
         return None
     covariance = vibrates + moves
     K = covariance[np.abs(np.subtract.outer(ago, ago))]
@@ -226,13 +181,13 @@ def _outlook(white: float, vibrates: Array, moves: Array, ago: NDArray[np.intp])
     variance = float(covariance[0] + white - known[0, 0])
     left = max(float(vibrates[0] - known[1, 1]), 0.0)
     gain = float(vibrates[0] - known[0, 1]) / variance
-    return _Outlook(np.ascontiguousarray(weights), variance, gain, (left, max(left - gain**2 * variance, 0.0)))
+    return _Conditional(np.ascontiguousarray(weights), variance, gain, (left, max(left - gain**2 * variance, 0.0)))
 
 
 def _filled(values: Array) -> Array | None:
     """Values (n,) with straight lines where they are nan; None: most are."""
     known = np.isfinite(values)
-    if np.count_nonzero(known) < LEAST_SHARE * len(values):
+    if np.count_nonzero(known) < TUNING.least_share * len(values):
         return None
     at = np.arange(len(values), dtype=np.float64)
     return np.asarray(np.interp(at, at[known], values[known]))
@@ -241,7 +196,7 @@ def _filled(values: Array) -> Array | None:
 def _completed(values: Array, learned: _Learned | None) -> Array | None:
     """Values (n,) with what is expected where they are nan, from both sides; None: most are nan."""
     filled = _filled(values)
-    if filled is None or learned is None or learned.outlook is None or len(values) > MOST_COMPLETED:
+    if filled is None or learned is None or learned.conditional is None or len(values) > TUNING.most_completed:
         return filled
     known = np.isfinite(values)
     there, here = np.flatnonzero(known), np.flatnonzero(~known)
@@ -262,6 +217,6 @@ def _without_spikes(values: Array) -> Array:
     usual = square[np.isfinite(square)]
     if not usual.size:
         return values
-    far = square > SPIKE_STD**2 / MEDIAN_OF_SQUARE * float(np.median(usual))
+    far = square > TUNING.spike_std**2 / MEDIAN_OF_SQUARE * float(np.median(usual))
     far[1:-1] &= ~(square[1:-1] < np.fmax(square[:-2], square[2:]))
     return np.where(far, nan, values)

@@ -1,4 +1,4 @@
-"""The heave chain: vertical acceleration in, heave out, with what the laser has taught taken into account.
+"""The heave: vertical acceleration in, heave out, with what the laser has taught taken into account.
 
 acceleration ------------------ observer (F^m) --- gain ---(+)--- heave, velocity, standard deviation
                                     ^      |                ^
@@ -16,15 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.heave.harmonic.observer import HarmonicObserver
-from heaved.estimation.heave.harmonic.observer import Params as HeaveParams
-from heaved.estimation.heave.laser import lead
 from heaved.estimation.heave.laser.correction import Params as CorrectionParams
-from heaved.estimation.heave.laser.correction import ResidualCorrection
-from heaved.estimation.heave.laser.learning import LaserTeacher
+from heaved.estimation.heave.laser.correction import Saved as SavedCorrection
+from heaved.estimation.heave.laser.learning import LaserLearning
 from heaved.estimation.heave.laser.reference import Params as LaserParams
+from heaved.estimation.heave.observer import HeaveObserver, SavedObserver
+from heaved.estimation.heave.params import Params as HeaveParams
 from heaved.estimation.heave.sea.observer import SeaObserver
-from heaved.predictions import HeaveForecasts
-from heaved.samples import DelayedHeave
+from heaved.estimation.imu.vertical import VerticalAcceleration
+from heaved.samples import DelayedHeave, HeaveForecast, TrainingWindow
 
 Array = NDArray[np.float64]
 
@@ -39,10 +39,10 @@ class Heave(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     observer_m: float
     correction_m: float
     lead_s: float
-    forecast: HeaveForecasts
+    forecast: tuple[HeaveForecast, ...]
 
 
-class HeaveChain:
+class HeaveEstimator:
     """Observer, laser and correction of one sensor.
 
     Attributes:
@@ -62,61 +62,38 @@ class HeaveChain:
         max_rate_hz: float,
     ) -> None:
         """``lead_s``: how long after the last sample the published heave is for."""
-        self._params, self._has_laser, self._lead_s = heave, has_laser, lead_s
+        self._params, self.has_laser, self.lead_s = heave, has_laser, lead_s
         self._max_rate_hz = max_rate_hz
-        self.observer: HarmonicObserver | SeaObserver = self._new_observer()
-        self.correction = ResidualCorrection(correction, max_rate_hz)
-        self.laser = LaserTeacher(laser, heave.lead, self.correction, max_rate_hz)
-        self.good_t_s = nan
-        self._resets_seen = 0
+        self.observer: HeaveObserver = self._new_observer()
+        self.laser = LaserLearning(laser, heave.lead, correction, max_rate_hz)
+        self.correction = self.laser.correction
+        self.t_s = nan
 
-    def _new_observer(self) -> HarmonicObserver | SeaObserver:
+    def _new_observer(self) -> HeaveObserver:
         p = self._params
         if p.observer == "harmonic":
             return HarmonicObserver(p, self._max_rate_hz)
-        return SeaObserver(p.sea, p.forecast_horizons_s, self._lead_s)
+        return SeaObserver(p.sea, p.forecast_horizons_s, self.lead_s)
 
-    def observe(self, t_s: float, up_mps2: float) -> None:
-        """Take the vertical acceleration."""
-        self.good_t_s = t_s
-        self.observer.step(t_s, up_mps2)
-        if (resets := self.observer.resets.total()) != self._resets_seen:
-            self._resets_seen = resets
-            self.laser.forget()
-        if self._has_laser:
-            self._note(t_s)
-
-    def interrupt(self) -> None:
-        """The vertical acceleration is made otherwise from now on: with the tilt removed, or without."""
-        if isinstance(self.observer, SeaObserver):
-            self.observer.cut()
-
-    def amend(self, t_s: Array, more_mps2: Array) -> None:
-        """The vertical accelerations of the past at ``t_s`` (n,) were too little by ``more_mps2`` (n,)."""
-        if isinstance(self.observer, SeaObserver):
-            self.observer.amend(t_s, more_mps2)
-
-    def disturb(self, f_hz: Array, psd: Array) -> None:
-        """The vertical acceleration has noise of one-sided density ``psd`` (n,), (m/s2)2/Hz, that it does not show."""
-        if isinstance(self.observer, SeaObserver):
-            self.observer.disturb(f_hz, psd)
-
-    def _note(self, t_s: float) -> None:
-        observer, taught = self.observer, self.laser.lead
-        now, unshifted = observer.at(0.0, taught.learned_s), observer.unshifted()
-        if not isfinite(now.heave_m):
-            return  # There is no model of the sea yet, and nothing to compare.
-        observer_m = taught.gain * now.heave_m
-        corrected_m = observer_m + self.correction.step(t_s, observer_m, observer.omega_radps)
-        self.laser.note(t_s, observer_m, corrected_m, unshifted)
+    def step(self, up: VerticalAcceleration) -> None:
+        """Take the vertical acceleration, and what else has become known of it."""
+        observer, t_s = self.observer, up.t_s
+        self.t_s = t_s
+        if up.is_of_another_kind:
+            observer.cut()
+        observer.step(t_s, up.up_mps2)
+        if up.amendment is not None:
+            observer.amend(up.amendment.t_s, up.amendment.more_mps2)
+        if up.noise is not None:
+            observer.disturb(up.noise.f_hz, up.noise.psd)
 
     def at(self, shift_s: float) -> Heave | None:
         """What is known for ``shift_s`` after the last sample, the configured lead added; None: nothing yet."""
         observer, taught = self.observer, self.laser.lead
-        scale = self.laser.std_scale(self.good_t_s + shift_s)
-        moment_s = shift_s + self._lead_s
+        scale = self.laser.std_scale(self.t_s + shift_s)
+        moment_s = shift_s + self.lead_s
         gain, no_less = taught.gain, scale if scale > 1.0 else 1.0
-        std_m = gain * observer.error_std_m(moment_s, scale if self._lead_s == 0.0 else no_less)
+        std_m = gain * observer.error_std_m(moment_s, scale if self.lead_s == 0.0 else no_less)
         if not isfinite(std_m):
             return None
         motion = observer.at(moment_s, taught.learned_s)
@@ -135,24 +112,33 @@ class HeaveChain:
 
     def delayed(self) -> DelayedHeave | None:
         """The newest delayed heave, with what the laser has taught."""
-        taught = self.laser.lead
-        self.laser.delayed.take(self.observer.delayed, taught)
-        return self.laser.delayed.newest
+        return self.laser.delayed.step(self.observer.delayed, self.laser.lead)
 
-    def start_over(self) -> None:
-        """An observer that knows nothing, after a restoration that failed."""
-        self.observer = self._new_observer()
-        self._resets_seen = 0
+    def training_due(self) -> TrainingWindow | None:
+        """A window for the trainer, when it is time for one; each is given out once."""
+        if not self.has_laser or (self._params.lead.enabled and self.laser.lead.last is None):
+            return None  # The first comparison moves the observer, and with it everything there is to learn.
+        return self.correction.due(self.t_s, self.observer.omega_radps)
+
+    def restore(self, observer: SavedObserver, correction: SavedCorrection | None, age_s: float) -> None:
+        """Start from what an earlier run has learned ``age_s`` ago (nan: not known); call before the first sample.
+
+        Raises:
+            ValueError: it does not fit the configuration; nothing was taken over.
+        """
+        self.observer.restore(observer, age_s)
+        if correction is not None:
+            try:
+                self.correction.restore(correction)
+            except ValueError:
+                self.observer = self._new_observer()
+                raise
 
     @property
     def resets(self) -> Counter[tuple[str, str]]:
         """Of the observer, by (filter, reason), and steps of the level that it has found."""
         observer = self.observer
         found = Counter({("heave", reason): count for reason, count in observer.resets.items()})
-        if isinstance(observer, SeaObserver) and observer.steps:
+        if observer.steps:
             found["heave", "step of the level"] = observer.steps
         return found
-
-    @property
-    def lead(self) -> lead.LeadTracker:
-        return self.laser.lead

@@ -9,19 +9,19 @@ a wave period of 8 s put a twentieth of the motion into the residual.
 from __future__ import annotations
 
 from math import inf, sqrt
-from typing import Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from heaved.estimation.hull.tuning import TUNING
 
-CORRELATED_S: Final = 1.0
-"""Flexure makes successive residuals alike for so long; the standard deviation is taken for that many fewer."""
+Array = NDArray[np.float64]
 
 
 class Alignment(msgspec.Struct, frozen=True, eq=False, kw_only=True):
+    """What two rate streams say of the rotation between them."""
+
     C: Array
     """(3, 3) local from midships."""
     delay_s: float
@@ -53,7 +53,7 @@ def align(motions: Array, local: Array, rate_hz: float, longest_delay_s: float) 
     moment = rates.T @ rates
     information = np.linalg.eigvalsh(np.trace(moment) * np.eye(3) - moment)
     power = float(np.trace(moment))
-    variance = square / (3.0 * len(local)) * max(1.0, CORRELATED_S * rate_hz)
+    variance = square / (3.0 * len(local)) * max(1.0, TUNING.correlated_s * rate_hz)
     bends = np.diff(residual, 2, axis=0)
     return Alignment(
         C=C,

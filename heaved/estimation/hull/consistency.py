@@ -4,42 +4,20 @@ from __future__ import annotations
 
 from collections import deque
 from math import hypot, nan, radians, sqrt
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.common.rotations import ARCSEC, from_euler, rotation_vector
 from heaved.estimation.hull.estimate import HullWarning, Params
-from heaved.estimation.hull.health import Health
 from heaved.estimation.hull.markov import Flexure, information
-from heaved.estimation.hull.so3 import GATE
-from heaved.estimation.hull.streams import TwoStreams
+from heaved.estimation.hull.streams import RateCheck, TwoStreams
+from heaved.estimation.hull.tuning import TUNING
 
 Array = NDArray[np.float64]
 
-FORECAST_EVERY_S: Final = 10.0
-FORECAST_WINDOW_S: Final = 100.0
-ONE_AXIS: Final = 0.02
-"""Least over second least eigenvalue of the information below which the motion is about one axis."""
-WORST_MISFIT: Final = 0.2
-"""Residual over motion above which the streams are not of one rigid hull: delays and flexure stay far below."""
-FEWEST: Final = 15
-"""Readings that a forecast needs."""
-GATED_RESET: Final = 8
-"""Successive readings that no state explains: start over."""
-NIS_MEMORY: Final = 0.04
-WORST_NIS: Final = 4.0
-"""Mean normalised innovation squared per degree of freedom that is still taken for the model's."""
-DRIFT_S: Final = 60.0
-"""Delays are compared over this time."""
-DRIFT_PPM: Final = 5.0
-"""And a difference per time below this is nothing."""
-GIMBAL_COS: Final = 1e-3
-"""Cosine of y below which x and z are no longer told apart: an arcsecond of one is a thousand of them."""
 
-
-class Watch:
+class Consistency:
     """Fed by the estimator with what it sees; asked for the warnings."""
 
     def __init__(self, params: Params) -> None:
@@ -48,13 +26,16 @@ class Watch:
         self.reset()
 
     def reset(self) -> None:
+        """Nothing has been seen."""
         self.reachable_rad: tuple[float, float, float] = (nan, nan, nan)
         """Forecast of the standard deviation about x, y, z, the floor included."""
         self.weak = self.single = False
         self.misfit = 0.0
         """Of the alignment, where the motion would have sufficed for one."""
         self._nis, self._gated = 1.0, 0
-        self._delays: deque[tuple[float, float, float]] = deque(maxlen=int(DRIFT_S / FORECAST_EVERY_S) + 1)
+        self._delays: deque[tuple[float, float, float]] = deque(
+            maxlen=int(TUNING.drift_s / TUNING.forecast_every_s) + 1
+        )
         self._drifting = False
 
     def began(self) -> None:
@@ -63,18 +44,18 @@ class Watch:
 
     def judge(self, nis: float) -> bool:
         """Take a normalised innovation squared; False: nothing has been explained for too long."""
-        self._nis += NIS_MEMORY * (min(nis, GATE) / 3.0 - self._nis)
-        self._gated = self._gated + 1 if nis > GATE else 0
-        return self._gated < GATED_RESET
+        self._nis += TUNING.nis_weight * (min(nis, TUNING.gate_nis) / 3.0 - self._nis)
+        self._gated = self._gated + 1 if nis > TUNING.gate_nis else 0
+        return self._gated < TUNING.unexplained
 
     def forecast(self, rates: Array, rate_hz: float, flexure: Flexure, sample_radps: Array) -> None:
-        """What the motion of late allows (``hull_markov.information``), and whether it is too weak or one-sided.
+        """What the motion of late allows (``markov.information``), and whether it is too weak or one-sided.
 
         rates (n, 3) at ``rate_hz``: the slow ones midships, nan where missing.
         """
         p = self._params
         known: NDArray[np.bool_] = np.asarray(np.isfinite(rates).all(axis=1))
-        if len(rates) < FEWEST or known.mean() < 0.8:
+        if len(rates) < TUNING.forecast_from or known.mean() < 0.8:
             return
         rates = np.where(known[:, None], rates, np.nanmean(rates, axis=0))
         J = information(rates, rate_hz, flexure, sample_radps) * (p.forecast_s * rate_hz / len(rates))
@@ -83,7 +64,7 @@ class Watch:
         x, y, z = np.hypot(np.sqrt((vectors**2 / values).sum(axis=1)), p.coherent_floor_arcsec * ARCSEC).tolist()
         self.reachable_rad = (x, y, z)
         least = 1.0 / (p.weak_arcsec * ARCSEC) ** 2
-        one_sided = float(values[0]) < ONE_AXIS * float(values[1])
+        one_sided = float(values[0]) < TUNING.one_axis_information * float(values[1])
         self.single = one_sided and float(values[1]) >= least
         self.weak = float(values[0]) < least and not self.single
 
@@ -92,36 +73,34 @@ class Watch:
         self._delays.append((t_s, delay_s, std_s))
         then_s, before_s, before_std_s = self._delays[0]
         moved, over = abs(delay_s - before_s), t_s - then_s
-        surely = moved > 6.0 * hypot(before_std_s, std_s) and moved > DRIFT_PPM * 1e-6 * over
-        self._drifting = over >= 0.9 * DRIFT_S and surely
+        surely = moved > 6.0 * hypot(before_std_s, std_s) and moved > TUNING.drift_ppm * 1e-6 * over
+        self._drifting = over >= 0.9 * TUNING.drift_s and surely
         return self._drifting
 
     def warnings(
-        self, C: Array | None, delay_s: float, health: tuple[Health, Health], streams: TwoStreams | None
+        self, C: Array | None, delay_s: float, checks: tuple[RateCheck, RateCheck], streams: TwoStreams
     ) -> tuple[HullWarning, ...]:
         """All that holds now. C (3, 3): the estimate, when there is one."""
-        stuck = [h.stuck for h in health]
-        slow = [h.slow for h in health]
-        if streams is not None:
-            pair = (streams.midships, streams.local)
-            stuck = [s or stream.stuck for s, stream in zip(stuck, pair, strict=True)]
-            slow = [s or stream.period_s > 1.34 / self._params.rate_hz for s, stream in zip(slow, pair, strict=True)]
-        checks = (
+        pair = (streams.midships, streams.local)
+        longest_s = TUNING.slow_period / self._params.rate_hz
+        stuck = [check.stuck or stream.stuck for check, stream in zip(checks, pair, strict=True)]
+        slow = [check.slow or stream.period_s > longest_s for check, stream in zip(checks, pair, strict=True)]
+        found = (
             (HullWarning.WEAK_MOTION, self.weak),
             (HullWarning.SINGLE_AXIS, self.single),
             # Both at once is a ship at rest under coarse registers.
             (HullWarning.STUCK_MIDSHIPS, stuck[0] and not stuck[1]),
             (HullWarning.STUCK_LOCAL, stuck[1] and not stuck[0]),
-            (HullWarning.MISSING_MIDSHIPS, health[0].missing),
-            (HullWarning.MISSING_LOCAL, health[1].missing),
+            (HullWarning.MISSING_MIDSHIPS, checks[0].missing),
+            (HullWarning.MISSING_LOCAL, checks[1].missing),
             (HullWarning.LOW_RATE_MIDSHIPS, slow[0]),
             (HullWarning.LOW_RATE_LOCAL, slow[1]),
             (HullWarning.DELAY, abs(delay_s) > self._params.delay_warning_ms * 1e-3),
             (HullWarning.CLOCK_DRIFT, self._drifting),
-            (HullWarning.INCONSISTENT, self.misfit > WORST_MISFIT or self._nis > WORST_NIS),
-            (HullWarning.GIMBAL, C is not None and hypot(float(C[0, 0]), float(C[1, 0])) < GIMBAL_COS),
+            (HullWarning.INCONSISTENT, self.misfit > TUNING.worst_misfit or self._nis > TUNING.worst_nis),
+            (HullWarning.GIMBAL, C is not None and hypot(float(C[0, 0]), float(C[1, 0])) < TUNING.gimbal_cos),
         )
-        return (*(warning for warning, is_on in checks if is_on), *self._mounting(C))
+        return (*(warning for warning, is_on in found if is_on), *self._mounting(C))
 
     def _mounting(self, C: Array | None) -> tuple[HullWarning, ...]:
         """Is it mounted as expected? The other way round is what a swapped pair looks like."""

@@ -2,26 +2,55 @@
 
 from __future__ import annotations
 
-from enum import Enum
+from enum import StrEnum
 from math import nan
-from typing import Annotated, Literal
+from typing import Annotated
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.samples import HullAngles
+
 Array = NDArray[np.float64]
+
+
+class Method(StrEnum):
+    """The filter: ours, or one of the source's two."""
+
+    SO3 = "so3"
+    CKF = "ckf"
+    UKF = "ukf"
+
+
+class Start(StrEnum):
+    """What the filter starts from."""
+
+    ALIGN = "align"
+    """The alignment of the first seconds."""
+    ZERO = "zero"
+    """All angles zero (the source; ckf and ukf only)."""
+
+
+class ResetReason(StrEnum):
+    """Why the estimator started over."""
+
+    TIME = "time"
+    """The clock stepped back."""
+    COVARIANCE = "covariance"
+    """The covariance was none any more, or something was not finite."""
+    INCONSISTENT = "inconsistent"
+    """Nothing was explained for too long."""
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[hull]``: deformation between the IMU amidships and the one at the crane base."""
 
     enabled: bool = False
-    method: Literal["so3", "ckf", "ukf"] = "so3"
+    method: Method = Method.SO3
     rate_hz: Annotated[float, msgspec.Meta(ge=2, le=50)] = 10.0
     """Common time base of the two IMUs."""
-    start: Literal["align", "zero"] = "align"
-    """zero: no alignment, all angles zero at first (the source; ckf and ukf only)."""
+    start: Start = Start.ALIGN
     start_s: Annotated[float, msgspec.Meta(ge=2, le=60)] = 5.0
     """Record for the alignment, longer while the motion does not suffice."""
     alignment_std_deg: Annotated[float, msgspec.Meta(gt=0, le=90)] = 2.0
@@ -66,7 +95,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """The crane base from the IMU amidships: forward, port, up. Monitoring points of the frame "crane" start there."""
 
 
-class HullState(Enum):
+class HullState(StrEnum):
     """How far the deformation can be trusted."""
 
     STARTING = "starting"
@@ -79,7 +108,9 @@ class HullState(Enum):
     """No pair of readings for two seconds or more: the last static deformation, the flexure forgotten."""
 
 
-class HullWarning(Enum):
+class HullWarning(StrEnum):
+    """What makes the deformation worth less, or is wrong with an IMU."""
+
     WEAK_MOTION = "weak_motion"
     SINGLE_AXIS = "single_axis"
     STUCK_MIDSHIPS = "stuck_midships"
@@ -99,36 +130,17 @@ class HullWarning(Enum):
 
 
 class HullEstimate(msgspec.Struct, frozen=True, eq=False, gc=False, kw_only=True):
-    """The deformation at ``t_s``. nan: not known (yet)."""
+    """The deformation, as it is published and as matrices. nan: not known (yet)."""
 
-    t_s: float
-    """Moment of validity: a good second before the newest pair, for what is slow is known from both sides."""
-    state: HullState
-    warnings: tuple[HullWarning, ...] = ()
+    angles: HullAngles
+    """Valid at a moment a good second before the newest pair, for what is slow is known from both sides."""
     local_from_midships: Array
     """(3, 3) C, total: static, mounting and flexure."""
-    x_rad: float = nan
-    """Total, C = R3(z) R2(y) R1(x)."""
-    y_rad: float = nan
-    z_rad: float = nan
-    static_x_rad: float = nan
-    """Without the flexure."""
-    static_y_rad: float = nan
-    static_z_rad: float = nan
-    dynamic_rad: tuple[float, float, float] = (nan, nan, nan)
-    """Flexure about the hull's x, y, z."""
-    std_rad: tuple[float, float, float] = (nan, nan, nan)
-    """Of the total, about the hull's x, y, z, the floor included."""
+    static: Array
+    """(3, 3) C0, without the flexure."""
     covariance_rad2: Array
     """(3, 3) of the total about the hull's axes, as the filter has it: without the floor."""
-    reachable_std_rad: tuple[float, float, float] = (nan, nan, nan)
-    """Forecast: what ``forecast_s`` of the motion of the last 100 s would give, the floor included; inf: nothing."""
     bias_radps: tuple[float, float, float] = (nan, nan, nan)
     """Gyro bias, local minus midships, local axes."""
-    delay_s: float = nan
-    """By which local stamps are late."""
-    delay_std_s: float = nan
     flexure_std_rad: tuple[float, float, float] = (nan, nan, nan)
     """sigma per axis, assumed or fitted."""
-    refits: int = 0
-    resets: int = 0

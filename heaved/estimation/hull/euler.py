@@ -17,15 +17,17 @@ from __future__ import annotations
 
 from copy import copy
 from math import isfinite, nan
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.common import sigma
 from heaved.estimation.common.rotations import from_euler
+from heaved.estimation.hull.estimate import Method
 from heaved.estimation.hull.markov import Flexure
-from heaved.estimation.hull.so3 import GATE, MOST_STEPS, Noise
+from heaved.estimation.hull.so3 import Noise, transition
+from heaved.estimation.hull.tuning import TUNING
 
 Array = NDArray[np.float64]
 
@@ -36,11 +38,10 @@ PHI, THETA, RATE, BIAS = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 class EulerFilter:
     """State x (12,) = [phi, theta, theta', epsilon], covariance P (12, 12)."""
 
-    def __init__(
-        self, kind: Literal["ckf", "ukf"], angles_rad: tuple[float, float, float], flexure: Flexure, noise: Noise
-    ) -> None:
-        self.kind = kind
-        self._points = sigma.cubature(N) if kind == "ckf" else sigma.symmetric(N, 1.0, 0.0, 3.0 - N)
+    def __init__(self, method: Method, angles_rad: tuple[float, float, float], flexure: Flexure, noise: Noise) -> None:
+        """``method``: ckf or ukf."""
+        self.method = method
+        self._points = sigma.cubature(N) if method is Method.CKF else sigma.symmetric(N, 1.0, 0.0, 3.0 - N)
         self.noise = noise
         self.iterations = 1
         self.x = np.zeros(N)
@@ -48,29 +49,11 @@ class EulerFilter:
         self.P = np.diag(
             np.concatenate([np.full(3, noise.alignment_rad**2), flexure.stationary(), np.full(3, noise.bias_radps**2)])
         )
-        self.set_flexure(flexure)
-
-    def set_flexure(self, flexure: Flexure) -> None:
         self.flexure = flexure
-        self._steps: dict[int, tuple[Array, Array]] = {}
-
-    def set_noise(self, noise: Noise) -> None:
-        self.noise = noise
-        self._steps = {}
-
-    def copy(self) -> EulerFilter:
-        twin = EulerFilter(self.kind, (0.0, 0.0, 0.0), self.flexure, self.noise)
-        twin.x, twin.P = self.x.copy(), self.P.copy()
-        return twin
 
     def predict(self, dt_s: float) -> None:
         """Time update; linear, hence without sigma points, which would give the same."""
-        key = round(dt_s * 1e7)
-        if key not in self._steps:
-            if len(self._steps) >= MOST_STEPS:
-                self._steps.clear()
-            self._steps[key] = self._discretised(dt_s)
-        F, Q = self._steps[key]
+        F, Q = transition(self.flexure, self.noise, N, round(dt_s, 9))
         self.x = F.dot(self.x)
         self.P = F.dot(self.P).dot(F.T) + Q
 
@@ -79,14 +62,6 @@ class EulerFilter:
         twin = copy(self)
         twin.predict(dt_s)
         return twin
-
-    def _discretised(self, dt_s: float) -> tuple[Array, Array]:
-        F, Q = np.eye(N), np.zeros((N, N))
-        F[3:9, 3:9], Q[3:9, 3:9] = self.flexure.transition(dt_s)
-        walk = np.zeros(N)
-        walk[PHI], walk[BIAS] = self.noise.static_walk_rad_rts**2, self.noise.bias_walk_radps_rts**2
-        Q[np.diag_indices(N)] += walk * dt_s
-        return F, Q
 
     def update(self, motion: Array, local_radps: Array, variance: Array) -> float:
         """As ``So3Filter.update``; only the constant term of ``motion`` is used: the model knows no delay.
@@ -99,25 +74,29 @@ class EulerFilter:
         if updated is None or not isfinite(updated.nis):
             return nan
         self.x, self.P = updated.x, updated.P
-        return min(updated.nis, GATE)
+        return min(updated.nis, TUNING.gate_nis)
 
     def fold(self, always: bool = False) -> None:
         """Nothing to fold: the angles are the state."""
 
     @property
     def static(self) -> Array:
+        """C0, as that of ``So3Filter``."""
         return from_euler(*self.x[PHI].tolist())
 
     @property
     def total(self) -> Array:
+        """C, as that of ``So3Filter``."""
         return from_euler(*(self.x[PHI] + self.x[THETA]).tolist())
 
     @property
     def dynamic_rad(self) -> Array:
+        """(3,) flexure about the hull's axes."""
         return np.asarray(self._to_hull().dot(self.x[THETA]))
 
     @property
     def covariance(self) -> Array:
+        """(3, 3) of the total deformation about the hull's axes, rad^2."""
         P = self.P
         angles = P[PHI, PHI] + P[PHI, THETA] + P[THETA, PHI] + P[THETA, THETA]
         G = self._to_hull()
@@ -130,17 +109,21 @@ class EulerFilter:
 
     @property
     def bias_radps(self) -> Array:
+        """(3,) local minus midships, in local axes."""
         return self.x[BIAS]
 
     @property
     def delay_s(self) -> float:
+        """None is known of."""
         return 0.0
 
     @property
     def delay_std_s(self) -> float:
+        """Not known."""
         return nan
 
     def residual(self, motion: Array, local_radps: Array) -> Array:
+        """As ``So3Filter.residual``."""
         x = self.x.copy()
         x[THETA] = x[RATE] = 0.0
         return np.asarray(self.static.T.dot(local_radps - _measured(x[None], motion[0])[0]))

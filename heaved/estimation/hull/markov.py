@@ -21,25 +21,13 @@ from typing import Final
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
+from scipy.optimize import Bounds, minimize
 
-from heaved.estimation.common.rotations import ARCSEC
+from heaved.estimation.hull.tuning import TUNING
 
 Array = NDArray[np.float64]
 
-ALIASES: Final = 1
-"""Images of the spectrum above the sampling rate that are folded back one by one, each side."""
-FINE_HZ: Final = 1.0
-TOGETHER: Final = 12
-"""Lines that are averaged above it."""
-LOWEST_CYCLES: Final = 3
-"""Periodogram lines below this many cycles per record are the bias and its trend, not the flexure."""
-PRIOR_LOG_STD: Final = np.array([1.5, 1.0, 0.7, 3.0])
-"""How broad the prior of the fit is: natural logarithm of sigma, mu, lambda and noise."""
-BOUNDS: Final = np.log([[0.02 * ARCSEC, 600 * ARCSEC], [0.01, 2.0], [0.12, 10.0], [1e-10, 1e-1]])
-"""Of the fit: sigma rad, mu 1/s, lambda rad/s, noise rad/s per sample."""
-
-_LIMITS: Final = [(float(low), float(high)) for low, high in BOUNDS]
+LOG_BOUNDS: Final = np.log(TUNING.fit_bounds)
 
 
 class Flexure(msgspec.Struct, frozen=True, eq=False):
@@ -101,7 +89,7 @@ def rate_spectrum(omega: Array, std: Array | float, mu: Array | float, lam: Arra
 def fit(residual_radps: Array, rate_hz: float, prior: Flexure, noise_radps: float) -> Fit:
     """Whittle's maximum of the likelihood of evenly sampled residual rates (n, 3), axis by axis.
 
-    The record is tapered (Hann) and its mean removed; above ``FINE_HZ``, where the spectrum is smooth, lines are
+    The record is tapered (Hann) and its mean removed; above ``fine_hz``, where the spectrum is smooth, lines are
     averaged. An axis whose search does not end well keeps its prior.
     """
     n = len(residual_radps)
@@ -109,18 +97,18 @@ def fit(residual_radps: Array, rate_hz: float, prior: Flexure, noise_radps: floa
     centred = residual_radps - np.mean(residual_radps, axis=0)
     power = np.abs(np.fft.rfft(centred * taper[:, None], axis=0)) ** 2 / (rate_hz * np.sum(taper**2))
     f = np.fft.rfftfreq(n, 1.0 / rate_hz)
-    used = (f > LOWEST_CYCLES * rate_hz / n) & (f < 0.5 * rate_hz)
+    used = (f > TUNING.lowest_cycles * rate_hz / n) & (f < 0.5 * rate_hz)
     f, power = f[used], power[used]
-    fine = f < FINE_HZ
-    groups = np.concatenate([np.arange(np.sum(fine)), np.sum(fine) + np.arange(np.sum(~fine)) // TOGETHER])
+    fine = f < TUNING.fine_hz
+    groups = np.concatenate([np.arange(np.sum(fine)), np.sum(fine) + np.arange(np.sum(~fine)) // TUNING.averaged_lines])
     count = np.bincount(groups).astype(np.float64)
     f = np.bincount(groups, f) / count
-    omega = 2.0 * np.pi * (f[:, None] + rate_hz * np.arange(-ALIASES, ALIASES + 1))
+    omega = 2.0 * np.pi * (f[:, None] + rate_hz * np.arange(-TUNING.aliases, TUNING.aliases + 1))
     found = np.empty((3, 4))
     for i in range(3):
         start = np.log([prior.std_rad[i], prior.mu_radps[i], prior.lambda_radps[i], max(noise_radps, 1e-10)])
         mean = np.bincount(groups, power[:, i]) / count
-        found[i] = np.exp(_search(omega, mean, count, rate_hz, np.clip(start, BOUNDS[:, 0], BOUNDS[:, 1])))
+        found[i] = np.exp(_search(omega, mean, count, rate_hz, np.clip(start, *LOG_BOUNDS.T)))
     std, mu, lam, noise = found.T
     return Fit(Flexure(std, mu, lam), noise)
 
@@ -131,19 +119,19 @@ def _search(omega: Array, power: Array, count: Array, rate_hz: float, prior: Arr
     omega (n, images): the lines with those that fold onto them.
     """
     # Further images lie on the flank c / omega^2: 2 c / ws^2 times the rest of the sum of 1 / k^2.
-    rest = 2.0 * (pi**2 / 6.0 - sum(1.0 / k**2 for k in range(1, ALIASES + 1))) / (2.0 * pi * rate_hz) ** 2
+    rest = 2.0 * (pi**2 / 6.0 - sum(1.0 / k**2 for k in range(1, TUNING.aliases + 1))) / (2.0 * pi * rate_hz) ** 2
 
     def cost(p: Array) -> float:
         std, mu, lam, noise = np.exp(p).tolist()
         flank = 4.0 * mu * (mu**2 + lam**2) * std**2
         S = rate_spectrum(omega, std, mu, lam).sum(axis=1) + flank * rest + noise**2 / rate_hz
-        away = (p - prior) / PRIOR_LOG_STD
+        away = (p - prior) / TUNING.prior_log_std
         # A Hann taper makes neighbours alike: the lines carry 2/3 of their number of independent values.
         return float(count.dot(np.log(S) + power / S)) * 2.0 / 3.0 + 0.5 * float(away.dot(away))
 
     best, lowest = prior, cost(prior)
-    strongest = abs(float(omega[int(np.argmax(power)), ALIASES]))
-    step = float(omega[1, ALIASES] - omega[0, ALIASES]) / (2.0 * pi)
+    strongest = abs(float(omega[int(np.argmax(power)), TUNING.aliases]))
+    step = float(omega[1, TUNING.aliases] - omega[0, TUNING.aliases]) / (2.0 * pi)
     scale = sqrt(float(power.dot(count)) * 2.0 * step)
     for lam in (exp(prior[2]), strongest):
         start = prior.copy()
@@ -151,7 +139,7 @@ def _search(omega: Array, power: Array, count: Array, rate_hz: float, prior: Arr
         start[0] = log(max(scale, 1e-12) / lam)
         # Half of what is left at the top of the band: from far below, the slope towards more noise is too faint.
         start[3] = 0.5 * log(max(0.5 * rate_hz * float(np.mean(power[-8:])), 1e-20))
-        result = minimize(cost, np.clip(start, BOUNDS[:, 0], BOUNDS[:, 1]), method="L-BFGS-B", bounds=_LIMITS)
+        result = minimize(cost, np.clip(start, *LOG_BOUNDS.T), method="L-BFGS-B", bounds=Bounds(*LOG_BOUNDS.T))
         if np.isfinite(result.fun) and result.fun < lowest:
             best, lowest = np.asarray(result.x), float(result.fun)
     return best

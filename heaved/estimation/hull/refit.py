@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import isnan
-from typing import Final, Literal
 
 import msgspec
 import numpy as np
@@ -15,36 +14,25 @@ from numpy.typing import NDArray
 
 from heaved.estimation.common.rotations import to_euler
 from heaved.estimation.hull.alignment import Alignment, align
-from heaved.estimation.hull.band import ROUNDS, Pair, Reading
+from heaved.estimation.hull.estimate import Method
 from heaved.estimation.hull.euler import EulerFilter
 from heaved.estimation.hull.markov import Flexure, fit
+from heaved.estimation.hull.slow_motion import SlowPair, SlowReading
 from heaved.estimation.hull.so3 import Noise, So3Filter
+from heaved.estimation.hull.tuning import TUNING
 
 Array = NDArray[np.float64]
 Filter = So3Filter | EulerFilter
-Method = Literal["so3", "ckf", "ukf"]
-
-ITERATED_S: Final = 30.0
-"""Each update is iterated twice, and psi folded into C0, for so long."""
-
-FEWEST: Final = 3
-USABLE: Final = 0.3
-"""Slow readings, and share of the record, that an alignment needs."""
-ORDINARY: Final = 3.0
-"""A reading whose known deviation is more than so many times the median one is left out of a fit."""
-LEAST_SHARE: Final = 0.5
-"""Of the record that must be left to it."""
-ONE_AXIS: Final = 0.02
-"""Second over largest eigenvalue of the motion's mean square below which it is about one axis."""
 
 
 def make_filter(method: Method, C0: Array, delay_s: float, flexure: Flexure, noise: Noise) -> Filter:
-    if method == "so3":
+    """The filter of a method, from a static deformation C0 (3, 3)."""
+    if method is Method.SO3:
         return So3Filter(C0, delay_s, flexure, noise)
     return EulerFilter(method, to_euler(C0), flexure, noise)
 
 
-def advance(filter: Filter, dt_s: float, reading: Reading, age_s: float) -> float | None:
+def advance(filter: Filter, dt_s: float, reading: SlowReading, age_s: float) -> float | None:
     """One step: time, then the local reading. Its normalised innovation squared; None: there was no usable reading.
 
     ``age_s``: since the filter began. nan: it has broken down.
@@ -54,14 +42,14 @@ def advance(filter: Filter, dt_s: float, reading: Reading, age_s: float) -> floa
     _, midships, local = reading
     if midships is None or local is None:
         return None
-    filter.iterations = 2 if age_s < ITERATED_S else 1
+    filter.iterations = 2 if age_s < TUNING.iterated_s else 1
     variance = filter.variance(midships.variance, local.variance)
     nis = filter.update(midships.motion, local.motion[0], variance)
-    filter.fold(always=age_s < ITERATED_S)
+    filter.fold(always=age_s < TUNING.iterated_s)
     return nis
 
 
-def run(filter: Filter, record: Sequence[Reading], began_s: float, filtered_s: float) -> bool:
+def run(filter: Filter, record: Sequence[SlowReading], began_s: float, filtered_s: float) -> bool:
     """Take a filter that stands at ``filtered_s`` through the readings after it; False: it has broken down."""
     for reading in record:
         t = reading[0]
@@ -74,13 +62,13 @@ def run(filter: Filter, record: Sequence[Reading], began_s: float, filtered_s: f
     return True
 
 
-def align_record(record: Sequence[Reading], rate_hz: float, longest_delay_s: float) -> Alignment | None:
+def align_record(record: Sequence[SlowReading], rate_hz: float, longest_delay_s: float) -> Alignment | None:
     """Alignment of a record, ``rate_hz`` its own; None: too little of it is usable.
 
     Its noise is what is left beyond holes and vibration.
     """
     usable = [(midships, local) for _, midships, local in record if midships is not None and local is not None]
-    if len(usable) < max(FEWEST, USABLE * len(record)):
+    if len(usable) < max(TUNING.fewest_aligned, TUNING.aligned_share * len(record)):
         return None
     motions = np.array([midships.motion for midships, _ in usable])
     found = align(motions, np.array([local.motion[0] for _, local in usable]), rate_hz, longest_delay_s)
@@ -89,16 +77,16 @@ def align_record(record: Sequence[Reading], rate_hz: float, longest_delay_s: flo
     return msgspec.structs.replace(found, noise_radps=noise)
 
 
-def about_two_axes(record: Sequence[Reading]) -> bool:
+def about_two_axes(record: Sequence[SlowReading]) -> bool:
     """The midships motion of a record alone would do for an alignment."""
     both = [midships for _, midships, local in record if midships is not None and local is not None]
     rates = np.array([midships.motion[0] for midships in both])
     spread = np.linalg.eigvalsh(rates.T @ rates) if len(rates) else np.zeros(3)
-    return bool(spread[1] > ONE_AXIS * spread[2] > 0.0)
+    return bool(spread[1] > TUNING.one_axis_motion * spread[2] > 0.0)
 
 
-def start(
-    method: Method, found: Alignment, record: Sequence[Reading], flexure: Flexure, noise: Noise, passes: int
+def first_filter(
+    method: Method, found: Alignment, record: Sequence[SlowReading], flexure: Flexure, noise: Noise, passes: int
 ) -> Filter | None:
     """A filter that has gone through the record from an alignment, each pass about the last one. None: in vain."""
     C0, delay = found.C, found.delay_s
@@ -115,7 +103,7 @@ class RefitJob(msgspec.Struct, frozen=True, eq=False, kw_only=True):
 
     rows: Array
     """(n, 7): t, midships rates, local rates; nan where missing. Contiguous."""
-    pair: Pair
+    pair: SlowPair
     """As it stands at the last row."""
     method: Method
     filter: Filter
@@ -132,7 +120,7 @@ class RefitResult(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """The flexure, the noise, and the filter that went through the record with them."""
 
     flexure: Flexure
-    pair: Pair
+    pair: SlowPair
     """With what vibrates in the record."""
     noise: Noise
     filter: Filter | None
@@ -149,8 +137,8 @@ def refit(job: RefitJob) -> RefitResult | None:
     are flexure and noise, and the second pass weighs the motion as the flexure at hand allows. None: in vain.
     """
     rows, pair = job.rows.copy(), job.pair.copy()
-    pair.identify(rows, ROUNDS)
-    record = pair.along(rows)
+    pair.identify(rows, TUNING.rounds)
+    record = pair.through(rows)
     rates, known = np.full((len(record), 3), np.nan), np.full((len(record), 3), np.nan)
     for i, (_, midships, local) in enumerate(record):
         if midships is not None and local is not None:
@@ -158,16 +146,20 @@ def refit(job: RefitJob) -> RefitResult | None:
             known[i] = job.filter.variance(midships.variance, local.variance)
     # What is ordinary: a slam is no part of the spectrum, nor is what remains of a reading across holes.
     size = known.sum(axis=1)
-    used = size <= ORDINARY**2 * np.nanmedian(size) if np.isfinite(size).any() else np.zeros(len(record), dtype=bool)
+    used = (
+        size <= TUNING.ordinary_std**2 * np.nanmedian(size)
+        if np.isfinite(size).any()
+        else np.zeros(len(record), dtype=bool)
+    )
     share = float(np.mean(used)) if len(record) else 0.0
-    if share < LEAST_SHARE:
+    if share < TUNING.ordinary_share:
         return None
     t = np.array([reading[0] for reading in record])
     rates = np.array([np.interp(t, t[used], column) for column in (rates[used] - np.mean(rates[used], axis=0)).T]).T
     left_over = np.mean(known[used], axis=0)
     before = job.filter.noise.sample_radps
     found = fit(rates, pair.out_hz, job.prior, float(np.min(before)))
-    if not all(np.isfinite(a).all() for a in (found.noise_radps, *_arrays(found.flexure))):
+    if not all(np.isfinite(a).all() for a in (found.noise_radps, *msgspec.structs.astuple(found.flexure))):
         return None
     # Noise that the flexure does not explain: that of holes and vibration, and what is white beyond it.
     variance = found.noise_radps**2 / share
@@ -176,7 +168,7 @@ def refit(job: RefitJob) -> RefitResult | None:
         job.filter.noise,
         sample_radps=np.sqrt(np.maximum(variance - left_over, job.least_noise_radps**2)),
         left=left,
-        ordinary=ORDINARY**2 * left_over,
+        ordinary=TUNING.ordinary_std**2 * left_over,
     )
     filter = None
     if job.whole:
@@ -191,7 +183,3 @@ def refit(job: RefitJob) -> RefitResult | None:
         filtered_s=record[-1][0],
         generation=job.generation,
     )
-
-
-def _arrays(flexure: Flexure) -> tuple[Array, Array, Array]:
-    return flexure.std_rad, flexure.mu_radps, flexure.lambda_radps

@@ -16,8 +16,8 @@ from __future__ import annotations
 
 from copy import copy
 from enum import IntEnum
+from functools import lru_cache
 from math import isfinite, sqrt
-from typing import Final
 
 import msgspec
 import numpy as np
@@ -27,15 +27,10 @@ from scipy.linalg.lapack import dpotrf
 
 from heaved.estimation.common.rotations import cross_matrix, passive
 from heaved.estimation.hull.markov import Flexure
+from heaved.estimation.hull.tuning import TUNING
 
 Array = NDArray[np.float64]
 
-GATE: Final = 60.0
-"""A normalised innovation squared (3 degrees of freedom) beyond this is no reading of this hull."""
-MOST_STEPS: Final = 50
-"""Steps of time, each of its own length, that are remembered."""
-FOLD_RAD: Final = 1e-4
-"""psi is folded into C0 when it is longer than this: the square of it is what linearising costs."""
 _EYE = np.eye(16)
 _EYE3 = np.eye(3)
 
@@ -75,8 +70,22 @@ class Noise(msgspec.Struct, frozen=True, eq=False, kw_only=True):
         return np.asarray(self.sample_radps**2 + self.left * (variance - beyond) + beyond)
 
 
+@lru_cache(maxsize=50)
+def transition(flexure: Flexure, noise: Noise, size: int, dt_s: float) -> tuple[Array, Array]:
+    """F and Q over ``dt_s``, exact, of a state (size,): psi, theta, theta', epsilon; scales, which stay; delay."""
+    F, Q = np.eye(size), np.zeros((size, size))
+    bends = slice(At.THETA, At.BIAS)
+    F[bends, bends], Q[bends, bends] = flexure.transition(dt_s)
+    walk = np.zeros(size)
+    walk[At.PSI : At.THETA] = noise.static_walk_rad_rts**2
+    walk[At.BIAS : At.SCALE] = noise.bias_walk_radps_rts**2
+    walk[At.DELAY :] = noise.delay_walk_s_rts**2
+    Q[np.diag_indices(size)] += walk * dt_s
+    return F, Q
+
+
 class So3Filter:
-    """State x (16,), covariance P (16, 16), linearised about C0 (3, 3)."""
+    """State x (16,), covariance P (16, 16), linearised about C0 (3, 3): each is replaced, never changed in place."""
 
     def __init__(self, C0: Array, delay_s: float, flexure: Flexure, noise: Noise) -> None:
         self.C0 = C0
@@ -94,31 +103,13 @@ class So3Filter:
             ]
         )
         self.P = np.diag(variances)
-        self.set_flexure(flexure)
-
-    def set_flexure(self, flexure: Flexure) -> None:
         self.flexure = flexure
-        self._steps: dict[int, tuple[Array, Array]] = {}
-
-    def set_noise(self, noise: Noise) -> None:
-        self.noise = noise
-        self._steps = {}
-
-    def copy(self) -> So3Filter:
-        twin = So3Filter(self.C0.copy(), 0.0, self.flexure, self.noise)
-        twin.x, twin.P, twin.iterations = self.x.copy(), self.P.copy(), self.iterations
-        return twin
 
     # --- time ---------------------------------------------------------------------------------------------------------
 
     def predict(self, dt_s: float) -> None:
         """Move on by ``dt_s`` (any positive step: the discretisation is exact)."""
-        key = round(dt_s * 1e7)
-        if key not in self._steps:
-            if len(self._steps) >= MOST_STEPS:
-                self._steps.clear()
-            self._steps[key] = self._discretised(dt_s)
-        F, Q = self._steps[key]
+        F, Q = transition(self.flexure, self.noise, len(self.x), round(dt_s, 9))
         self.x = F.dot(self.x)
         P = F.dot(self.P).dot(F.T)
         P += Q
@@ -130,25 +121,13 @@ class So3Filter:
         twin.predict(dt_s)
         return twin
 
-    def _discretised(self, dt_s: float) -> tuple[Array, Array]:
-        n = self.noise
-        F, Q = np.eye(16), np.zeros((16, 16))
-        flexure = slice(At.THETA, At.BIAS)
-        F[flexure, flexure], Q[flexure, flexure] = self.flexure.transition(dt_s)
-        walk = np.zeros(16)
-        walk[At.PSI : At.THETA] = n.static_walk_rad_rts**2
-        walk[At.BIAS : At.SCALE] = n.bias_walk_radps_rts**2
-        walk[At.DELAY] = n.delay_walk_s_rts**2
-        Q[np.diag_indices(16)] += walk * dt_s
-        return F, Q
-
     # --- measurement --------------------------------------------------------------------------------------------------
 
     def update(self, motion: Array, local_radps: Array, variance: Array) -> float:
         """Take a local reading (3,); ``motion`` (k, 3): midships rates as a polynomial in time about its stamp.
 
         ``variance`` (3,): what holes and vibration leave of both, in hull axes. Returns the normalised innovation
-        squared; beyond ``GATE`` nothing has changed. nan: the covariance is no longer one or something is not finite;
+        squared; beyond the gate nothing has changed. nan: the covariance is no longer one or something is not finite;
         the caller starts over and counts.
         """
         x0, P = self.x, self.P
@@ -156,7 +135,7 @@ class So3Filter:
         R = self.noise.of(variance)
         x, nis = x0, float("nan")
         for iteration in range(self.iterations):
-            expected, H = self._measured(x, motion)
+            expected, H = self.measured(x, motion)
             y = z - expected + H.dot(x - x0)
             HP = H.dot(P)
             S = HP.dot(H.T)
@@ -171,7 +150,7 @@ class So3Filter:
                 nis = float(v.dot(v))
                 if not isfinite(nis):
                     return float("nan")
-                if nis > GATE:
+                if nis > TUNING.gate_nis:
                     return nis
             x = x0 + v.dot(W)
         K = dtrsm(1.0, factor, W, 0, 1, 1).T
@@ -182,7 +161,7 @@ class So3Filter:
             return float("nan")
         return nis
 
-    def _measured(self, x: Array, motion: Array) -> tuple[Array, Array]:
+    def measured(self, x: Array, motion: Array) -> tuple[Array, Array]:
         """Expected rate (3,) in hull axes and its derivative H (3, 16) at the state x."""
         late = -float(x[At.DELAY])
         powers = late ** np.arange(len(motion))
@@ -205,9 +184,9 @@ class So3Filter:
     def fold(self, always: bool = False) -> None:
         """Move psi into C0."""
         psi = self.x[At.PSI : At.THETA]
-        if always or float(psi.dot(psi)) > FOLD_RAD**2:
+        if always or float(psi.dot(psi)) > TUNING.fold_rad**2:
             self.C0 = self.C0.dot(passive(psi))
-            self.x[At.PSI : At.THETA] = 0.0
+            self.x = np.concatenate([np.zeros(3), self.x[At.THETA :]])
 
     # --- what it says -------------------------------------------------------------------------------------------------
 
@@ -240,17 +219,19 @@ class So3Filter:
 
     @property
     def delay_s(self) -> float:
+        """By which local stamps are late."""
         return float(self.x[At.DELAY])
 
     @property
     def delay_std_s(self) -> float:
+        """Its standard deviation."""
         return sqrt(max(float(self.P[At.DELAY, At.DELAY]), 0.0))
 
     def residual(self, motion: Array, local_radps: Array) -> Array:
         """(3,) flexure rate with noise, hull axes: the reading less all that the state explains but theta'."""
         x = self.x.copy()
         x[At.THETA : At.BIAS] = 0.0
-        return np.asarray(self.C0.T.dot(local_radps) - self._measured(x, motion)[0])
+        return np.asarray(self.C0.T.dot(local_radps) - self.measured(x, motion)[0])
 
     def variance(self, midships: Array, local: Array) -> Array:
         """(3,) of the rate difference, hull axes: variances (3,) of both rates, each in its own axes."""

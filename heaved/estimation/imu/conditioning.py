@@ -7,35 +7,42 @@ is refused whole: such bytes are of something else, and the rest of them too. Wh
 
 from __future__ import annotations
 
-from math import inf, isfinite, nan, sin
+from math import inf, isfinite, isnan, nan, sin
 from typing import Final
 
 import msgspec
 
 from heaved.estimation.common.bounds import ANGLE_RATE_RADPS, HEAVE_ACCELERATION_MPS2
-from heaved.estimation.imu.acceleration_gates import SpikeGate, StuckGate
-from heaved.estimation.imu.angle_gate import AngleGate, wrapped
 from heaved.estimation.imu.attitude import Attitude
-from heaved.estimation.imu.measured_rate import MeasuredRate
-from heaved.estimation.imu.mounting import SignWatch, UnitsWatch
+from heaved.estimation.imu.gates import AngleGate, SpikeGate, wrapped
+from heaved.estimation.imu.mounting import SignCheck, UnitsCheck
+from heaved.estimation.imu.sensor_clock import SensorClock
 from heaved.samples import GRAVITY_MPS2, Fault, ImuSample
+from heaved.unchanged import StuckDetector
 
-SIDEWAYS_MPS2: Final = 16.0
-"""Specific force along the deck: that of HEAVE_ACCELERATION_MPS2 and of gravity at a heel of 55 degrees."""
-SWAYS_MPS2: Final = 0.1
-"""RMS of the acceleration along the deck from which the vessel moves, and its angles with it."""
-UNLIKE: Final = 1.4142135623730951
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """What readings of an IMU may be, beside what their gates know."""
+
+    sideways_mps2: float = 16.0
+    """Specific force along the deck: of an acceleration as heave may have and of gravity at a heel of 55 degrees."""
+    sways_mps2: float = 0.1
+    """RMS of the acceleration along the deck from which the vessel moves, and its angles with it."""
+    leans_mps2: float = 2.0
+    """The acceleration along the deck is that near to gravity's part in it, but for the worst of seas."""
+    constant_s: float = 1.0
+    """What has never been another value for so long is no slow sensor: a constant, as on a level bench."""
+    together_s: float = 0.1
+    """Accelerations and angles no further apart are held against each other: a small part of a wave."""
+    notes_every_s: float = 0.2
+    """What there is to say is renewed so often."""
+    hangs_s: float = 5.0
+    """A sensor that has not shown a second reading for so long hangs."""
+
+
+TUNING: Final = Tuning()
+UNLIKE: Final = 2.0**0.5
 """Weight of pitch in a sum that does not stay the same when both angles change by steps of one register."""
-LEANS_MPS2: Final = 2.0
-"""The acceleration along the deck is that near to gravity's part in it, but for the worst of seas."""
-CONSTANT_S: Final = 1.0
-"""What has never been another value for so long is no slow sensor: a constant, as on a level bench."""
-TOGETHER_S: Final = 0.1
-"""Accelerations and angles no further apart are held against each other: a small part of a wave."""
-NOTED_S: Final = 0.2
-"""Reasons are renewed so often."""
-STILL_STUCK_S: Final = 5.0
-"""A sensor that has not shown a second reading for so long hangs."""
 
 
 class Notes(msgspec.Struct, frozen=True, gc=False):
@@ -78,43 +85,56 @@ class _Group:
     """Three channels that are measured together, and which of their readings are new."""
 
     def __init__(self) -> None:
-        self.rate = MeasuredRate()
+        self.clock = SensorClock()
         self._a = self._b = self._c = nan
         self._first_s = self._changed_s = self._polled_s = nan
 
-    def take(self, t_s: float, a: float, b: float, c: float) -> float:
+    def step(self, t_s: float, a: float, b: float, c: float) -> float:
         """When readings that are not all nan were measured; nan where they are those of before."""
-        # nan is unlike itself: a channel that is not there has not changed.
         self._polled_s = t_s
-        is_new = (a != self._a and a == a) or (b != self._b and b == b) or (c != self._c and c == c)
-        is_whole = a != self._a and b != self._b and c != self._c
+        are_other = a != self._a, b != self._b, c != self._c
+        is_whole = all(are_other)
+        # nan is unlike itself: a channel that is not there has not changed.
+        is_new = (are_other[0] and not isnan(a)) or (are_other[1] and not isnan(b)) or (are_other[2] and not isnan(c))
         if is_new:
-            if self._first_s != self._first_s:
+            if isnan(self._first_s):
                 self._first_s = t_s
             self._a, self._b, self._c, self._changed_s = a, b, c, t_s
-        measured_s = self.rate.take(t_s, is_new, is_whole)
-        if measured_s != measured_s and self._changed_s == self._first_s and t_s - self._first_s > CONSTANT_S:
+        measured_s = self.clock.step(t_s, is_new, is_whole)
+        if isnan(measured_s) and self._changed_s == self._first_s and t_s - self._first_s > TUNING.constant_s:
             return t_s
         return measured_s
 
     @property
-    def is_slow(self) -> bool:
-        """Whether they are measured more slowly than they are polled."""
-        return self.rate.period_s == self.rate.period_s
-
-    @property
     def hangs(self) -> bool:
         """Whether a sensor whose repetitions are no readings has shown nothing new for too long."""
-        if self.is_slow:
-            return self.rate.hangs
-        return self._changed_s > self._first_s and self._polled_s - self._changed_s > STILL_STUCK_S
+        if self.clock.is_slow:
+            return self.clock.hangs
+        return self._changed_s > self._first_s and self._polled_s - self._changed_s > TUNING.hangs_s
 
     def remark(self, name: str) -> str:
         """What there is to say of how often it is measured; empty: with every poll."""
-        period_s = self.rate.period_s
-        if period_s != period_s:
+        clock = self.clock
+        if not clock.is_slow:
             return ""
-        return f"{name} measured {1.0 / period_s:.3g} times a second, polled {1.0 / self.rate.poll_s:.3g} times"
+        return f"{name} measured {1.0 / clock.period_s:.3g} times a second, polled {1.0 / clock.poll_s:.3g} times"
+
+
+class _Accelerometer:
+    """One axis: whether its readings repeat, jump, or cannot be."""
+
+    def __init__(self, detector: StuckDetector, most_mps2: float, rest_mps2: float = 0.0) -> None:
+        """``most_mps2``: no reading is further than this from ``rest_mps2``."""
+        self.detector, self.gate = detector, SpikeGate(most_mps2)
+        self._most, self._rest = most_mps2, rest_mps2
+
+    def step(self, t_s: float, value: float) -> Fault:
+        """What is wrong with a reading; nothing with one that is nan."""
+        off = value - self._rest
+        # A reading that repeats is not held against the last one: it is that.
+        if self.detector.step(t_s, value, moves=False):
+            return Fault.OUT_OF_RANGE if abs(off) > self._most else Fault.STUCK
+        return Fault.OUT_OF_RANGE if isnan(self.gate.step(t_s, off)) and not isnan(value) else Fault.NONE
 
 
 class Conditioner:
@@ -122,61 +142,50 @@ class Conditioner:
 
     def __init__(self) -> None:
         self._forces, self._angles, self._rates = _Group(), _Group(), _Group()
-        self._spikes = (
-            SpikeGate(SIDEWAYS_MPS2),
-            SpikeGate(SIDEWAYS_MPS2),
-            SpikeGate(HEAVE_ACCELERATION_MPS2),
-        )
-        self._force_stuck = (
-            # Without one of these the tilt is not removed: what is measured counts as measured otherwise.
-            StuckGate(rests=True, by_chance=True),
-            StuckGate(rests=True, by_chance=True),
-            StuckGate(must_live=True),
-        )
-        self._roll_stuck, self._pitch_stuck = StuckGate(rests=True), StuckGate(rests=True)
-        self._both_stuck = StuckGate(rests=True)
-        self._rate_stuck = StuckGate(rests=True)
+        # Without ax or ay the tilt is not removed: what is measured counts as measured otherwise.
+        self._along = _Accelerometer(StuckDetector(rests=True, by_chance=True), TUNING.sideways_mps2)
+        self._across = _Accelerometer(StuckDetector(rests=True, by_chance=True), TUNING.sideways_mps2)
+        self._mast = _Accelerometer(StuckDetector(must_live=True), HEAVE_ACCELERATION_MPS2, GRAVITY_MPS2)
+        self._roll_stuck, self._pitch_stuck = StuckDetector(rests=True), StuckDetector(rests=True)
+        self._both_stuck = StuckDetector(rests=True)
+        self._rate_stuck = StuckDetector(rests=True)
         self._roll_gate, self._pitch_gate, self._yaw_gate = AngleGate(), AngleGate(), AngleGate(inf)
-        self._units, self._signs = UnitsWatch(), SignWatch()
+        self._units, self._signs = UnitsCheck(), SignCheck()
         self._notes, self._noted_s = NOTHING, -inf
 
     @property
     def spikes(self) -> int:
         """Readings refused because an acceleration jumped, or cannot be."""
-        return sum(gate.rejected for gate in self._spikes)
+        return sum(axis.gate.rejected for axis in (self._along, self._across, self._mast))
 
-    def take(self, sample: ImuSample) -> Conditioned:
+    def step(self, sample: ImuSample) -> Conditioned:
         """Judge one sample, later than the last one."""
         t_s = sample.t_s
         if sample.fault is not Fault.NONE:
             return self._none(t_s, sample.fault, sample.fault)
-        ax, ay, az = sample.ax_mps2, sample.ay_mps2, sample.az_mps2
-        fault, force_t_s = Fault.NONE, nan
-        if isfinite(az):
-            self._units.take(t_s, ax, ay, az)
-        if ax == ax or ay == ay or az == az:
-            force_t_s = self._forces.take(t_s, ax, ay, az)
-        if force_t_s == force_t_s:
-            ax, ay, az, fault = self._judged_forces(force_t_s, ax, ay, az)
-        elif self._forces.hangs:
-            fault = Fault.STUCK
-        if not isfinite(sample.az_mps2):
-            fault = Fault.NOT_FINITE
+        force_t_s, ax, ay, az, fault = self._judge_forces(sample)
         if fault is Fault.OUT_OF_RANGE or self._units.reason:
             return self._none(t_s, Fault.NONE, Fault.OUT_OF_RANGE)
-        if fault is not Fault.NONE or az != az:
-            force_t_s = nan
-        if force_t_s != force_t_s:
-            ax = ay = az = nan
-        roll, pitch, yaw, attitude_t_s = self._judged_angles(t_s, sample)
-        is_level = isfinite(roll + pitch)
-        if is_level and abs(force_t_s - attitude_t_s) < TOGETHER_S and isfinite(ax + ay + az):
-            self._signs.take(force_t_s, ax, ay, az, roll, pitch)
+        attitude_t_s, roll, pitch, yaw = self._judge_angles(sample)
+        if abs(force_t_s - attitude_t_s) < TUNING.together_s and isfinite(roll + pitch + ax + ay + az):
+            self._signs.step(force_t_s, ax, ay, az, roll, pitch)
         if self._signs.certain:
             roll = pitch = nan
-            is_level = False
-        gx, gy, gz = self._judged_rates(t_s, sample)
-        if t_s - self._noted_s >= NOTED_S:
+        gx, gy, gz = self._judge_rates(sample)
+        attitude = None
+        if isfinite(roll + pitch):
+            attitude = Attitude(
+                t_s=attitude_t_s,
+                roll_rad=roll,
+                pitch_rad=pitch,
+                yaw_rad=yaw,
+                roll_rate_radps=self._roll_gate.rate_radps,
+                pitch_rate_radps=self._pitch_gate.rate_radps,
+                roll_std_rad=self._roll_gate.std_rad,
+                pitch_std_rad=self._pitch_gate.std_rad,
+                measured_s=attitude_t_s,
+            )
+        if t_s - self._noted_s >= TUNING.notes_every_s:
             self._note(t_s)
         return Conditioned(
             sample=ImuSample(
@@ -193,90 +202,96 @@ class Conditioner:
             ),
             fault=fault,
             force_t_s=force_t_s,
-            force_std_s=self._forces.rate.uncertainty_s,
-            attitude=Attitude(
-                attitude_t_s,
-                roll,
-                pitch,
-                yaw,
-                self._roll_gate.rate_radps,
-                self._pitch_gate.rate_radps,
-                self._roll_gate.std_rad,
-                self._pitch_gate.std_rad,
-                attitude_t_s,
-            )
-            if is_level
-            else None,
-            attitude_std_s=self._angles.rate.uncertainty_s,
-            attitude_is_slow=self._angles.is_slow,
+            force_std_s=self._forces.clock.uncertainty_s,
+            attitude=attitude,
+            attitude_std_s=self._angles.clock.uncertainty_s,
+            attitude_is_slow=self._angles.clock.is_slow,
             notes=self._notes,
         )
 
     def _none(self, t_s: float, device_fault: Fault, fault: Fault) -> Conditioned:
         """A sample of which nothing is taken."""
-        if t_s - self._noted_s >= NOTED_S:
+        if t_s - self._noted_s >= TUNING.notes_every_s:
             self._note(t_s)
-        nothing, angles = ImuSample(t_s=t_s, fault=device_fault), self._angles
-        return Conditioned(nothing, fault, nan, 0.0, None, angles.rate.uncertainty_s, angles.is_slow, self._notes)
+        nothing, clock = ImuSample(t_s=t_s, fault=device_fault), self._angles.clock
+        return Conditioned(nothing, fault, nan, 0.0, None, clock.uncertainty_s, clock.is_slow, self._notes)
 
-    def _judged_forces(self, t_s: float, ax: float, ay: float, az: float) -> tuple[float, float, float, Fault]:
-        """What may be used of the specific force, and what is wrong with the vertical one. OUT_OF_RANGE: with all."""
-        stuck_x, stuck_y, stuck_z = self._force_stuck
-        gate_x, gate_y, gate_z = self._spikes
-        # A reading that repeats is not held against the last one: it is that.
-        is_stuck = stuck_z(t_s, az)
-        x = nan if stuck_x(t_s, ax, moves=False) else gate_x(t_s, ax)
-        y = nan if stuck_y(t_s, ay, moves=False) else gate_y(t_s, ay)
-        z = nan if is_stuck else gate_z(t_s, az - GRAVITY_MPS2)
-        up = az - GRAVITY_MPS2
-        is_wild = abs(up) > HEAVE_ACCELERATION_MPS2 or abs(ax) > SIDEWAYS_MPS2 or abs(ay) > SIDEWAYS_MPS2
-        if is_wild or _is_refused(x, ax, stuck_x) or _is_refused(y, ay, stuck_y) or _is_refused(z, az, stuck_z):
-            return nan, nan, nan, Fault.OUT_OF_RANGE
-        return x, y, nan if is_stuck else az, Fault.STUCK if is_stuck else Fault.NONE
+    def _judge_forces(self, sample: ImuSample) -> tuple[float, float, float, float, Fault]:
+        """When the specific force was measured (nan: there is none), what of it may be used, and what is wrong with the
+        vertical one. OUT_OF_RANGE: with all of it.
+        """
+        t_s, ax, ay, az = sample.t_s, sample.ax_mps2, sample.ay_mps2, sample.az_mps2
+        if isfinite(az):
+            self._units.step(t_s, ax, ay, az)
+        force_t_s, fault = nan, Fault.NONE
+        if not (isnan(ax) and isnan(ay) and isnan(az)):
+            force_t_s = self._forces.step(t_s, ax, ay, az)
+        if not isnan(force_t_s):
+            x, y, fault = (
+                self._along.step(force_t_s, ax),
+                self._across.step(force_t_s, ay),
+                self._mast.step(force_t_s, az),
+            )
+            if x is Fault.OUT_OF_RANGE or y is Fault.OUT_OF_RANGE:
+                fault = Fault.OUT_OF_RANGE
+            ax, ay = ax if x is Fault.NONE else nan, ay if y is Fault.NONE else nan
+        elif self._forces.hangs:
+            fault = Fault.STUCK
+        if not isfinite(az):
+            fault = Fault.NOT_FINITE
+        if isnan(force_t_s) or fault is not Fault.NONE:
+            return nan, nan, nan, nan, fault
+        return force_t_s, ax, ay, az, fault
 
-    def _judged_angles(self, t_s: float, sample: ImuSample) -> tuple[float, float, float, float]:
-        """Roll, pitch and yaw as far as they may be used, and when they were measured."""
+    def _judge_angles(self, sample: ImuSample) -> tuple[float, float, float, float]:
+        """When roll, pitch and yaw were measured, and as far as they may be used."""
         roll, pitch, yaw = sample.roll_rad, sample.pitch_rad, sample.yaw_rad
-        if roll != roll and pitch != pitch and yaw != yaw:
+        if isnan(roll) and isnan(pitch) and isnan(yaw):
             return nan, nan, nan, nan
-        t_s = self._angles.take(t_s, roll, pitch, yaw)
-        if t_s != t_s:
+        t_s = self._angles.step(sample.t_s, roll, pitch, yaw)
+        if isnan(t_s):
             return nan, nan, nan, nan
         roll, pitch = wrapped(roll), wrapped(pitch)
-        along, across, _ = self._force_stuck
-        moves = along.spread > SWAYS_MPS2 or across.spread > SWAYS_MPS2
+        moves = max(self._along.detector.spread, self._across.detector.spread) > TUNING.sways_mps2
         # Through a coarse register either may rest at a crest for a second; both at once hardly do.
-        is_roll, is_pitch = self._roll_stuck(t_s, roll, moves=moves), self._pitch_stuck(t_s, pitch, moves=moves)
-        both = self._both_stuck(t_s, roll + UNLIKE * pitch, moves=moves)
+        is_roll, is_pitch = (
+            self._roll_stuck.step(t_s, roll, moves=moves),
+            self._pitch_stuck.step(t_s, pitch, moves=moves),
+        )
+        both = self._both_stuck.step(t_s, roll + UNLIKE * pitch, moves=moves)
         roll, pitch = nan if is_roll or both else roll, nan if is_pitch or both else pitch
-        # One solution gives them together: what is wrong with one is not right in the others.
-        leans_x, leans_y = GRAVITY_MPS2 * sin(pitch), GRAVITY_MPS2 * sin(roll)
         # Gravity along the deck confirms a first reading.
-        is_confirmed = abs(sample.ax_mps2 - leans_x) < LEANS_MPS2 and abs(sample.ay_mps2 - leans_y) < LEANS_MPS2
-        trusts_roll = self._roll_gate(t_s, roll, is_confirmed=is_confirmed)
-        trusts_pitch = self._pitch_gate(t_s, pitch, is_confirmed=is_confirmed)
-        if (roll == roll and not trusts_roll) or (pitch == pitch and not trusts_pitch):
-            return nan, nan, nan, t_s
-        if not isfinite(yaw) or not self._yaw_gate(t_s, yaw, is_confirmed=is_confirmed):
+        is_confirmed = (
+            abs(sample.ax_mps2 - GRAVITY_MPS2 * sin(pitch)) < TUNING.leans_mps2
+            and abs(sample.ay_mps2 - GRAVITY_MPS2 * sin(roll)) < TUNING.leans_mps2
+        )
+        trusts_roll = self._roll_gate.step(t_s, roll, is_confirmed=is_confirmed)
+        trusts_pitch = self._pitch_gate.step(t_s, pitch, is_confirmed=is_confirmed)
+        # One solution gives them together: what is wrong with one is not right in the others.
+        if not (trusts_roll or isnan(roll)) or not (trusts_pitch or isnan(pitch)):
+            return t_s, nan, nan, nan
+        if not isfinite(yaw) or not self._yaw_gate.step(t_s, yaw, is_confirmed=is_confirmed):
             yaw = nan
-        return roll, pitch, yaw, t_s
+        return t_s, roll, pitch, yaw
 
-    def _judged_rates(self, t_s: float, sample: ImuSample) -> tuple[float, float, float]:
+    def _judge_rates(self, sample: ImuSample) -> tuple[float, float, float]:
         """The body rates, or nothing."""
         gx, gy, gz = sample.gx_radps, sample.gy_radps, sample.gz_radps
         if not max(abs(gx), abs(gy), abs(gz)) <= ANGLE_RATE_RADPS:
             return nan, nan, nan
-        t_s = self._rates.take(t_s, gx, gy, gz)
-        if t_s != t_s or self._rate_stuck(t_s, gx):
+        t_s = self._rates.step(sample.t_s, gx, gy, gz)
+        if isnan(t_s) or self._rate_stuck.step(t_s, gx):
             return nan, nan, nan
         return gx, gy, gz
 
     def _note(self, t_s: float) -> None:
         """Renew what there is to say; it is the same record while that does not change."""
         self._noted_s = t_s
-        gates = ("roll", self._roll_stuck), ("pitch", self._pitch_stuck)
-        angles = [name for name, gate in gates if gate.is_stuck or self._both_stuck.is_stuck]
-        forces = [axis for axis, gate in zip(("ax", "ay"), self._force_stuck, strict=False) if gate.is_stuck]
+        both = self._both_stuck.is_stuck
+        angles = [
+            name for name, one in (("roll", self._roll_stuck), ("pitch", self._pitch_stuck)) if both or one.is_stuck
+        ]
+        forces = [name for name, axis in (("ax", self._along), ("ay", self._across)) if axis.detector.is_stuck]
         found = [f"imu: {' and '.join(names)} stuck" for names in (angles, forces) if names]
         if not angles and self._angles.hangs:
             found.append("imu: attitude stuck")
@@ -289,8 +304,3 @@ class Conditioner:
         )
         if notes != self._notes:
             self._notes = notes
-
-
-def _is_refused(passed: float, value: float, stuck: StuckGate) -> bool:
-    """Whether a reading was there, was no repetition, and was not passed."""
-    return passed != passed and value == value and not stuck.is_stuck

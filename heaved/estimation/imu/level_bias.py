@@ -20,30 +20,39 @@ It never exceeds 0.03 m/s2, so that, when it is wrong, it costs no more than a c
 
 from __future__ import annotations
 
-from math import cos, exp, inf, sin, sqrt
+from math import exp, inf, sqrt
 from typing import Final
 
+import msgspec
+
+from heaved.estimation.imu.attitude import level_acceleration
 from heaved.samples import GRAVITY_MPS2
 
-BIAS_MPS2: Final = 0.03
-"""Standard deviation of the biases of the accelerometers in question: 3 mg."""
-ALIGNED_RAD: Final = 0.001
-"""The same of the attitude against the accelerometers of one calibrated unit: 0.06 degrees."""
-ASKEW_RAD: Final = 0.0175
-"""The same of units that were mounted by hand: a degree."""
-MEMORY_S: Final = 600.0
-"""Of the mean; until then, all there is."""
-FIRST_S: Final = 30.0
-"""Nothing is said before."""
-EVERY_S: Final = 0.1
-"""Samples closer together than this are left out."""
-LONGEST_S: Final = 1.0
-"""A sample after a gap stands for at most this long."""
-WAVE_S: Final = 3.0
-"""The mean of a wave over T has a standard deviation of this over T times its own: a period over pi."""
 
-PLAUSIBLE_MPS2: Final = 8.0
-"""No vessel is pushed sideways harder: what shows more is a fault, and counts as this."""
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """What is held of such sensors, and how the mean is taken."""
+
+    bias_mps2: float = 0.03
+    """BIAS, standard deviation of the biases of the accelerometers in question: 3 mg."""
+    aligned_rad: float = 0.001
+    """ALIGNED, of the attitude against the accelerometers of one calibrated unit: 0.06 degrees."""
+    askew_rad: float = 0.0175
+    """ASKEW, of units that were mounted by hand: a degree."""
+    memory_s: float = 600.0
+    """Of the mean; until then, all there is."""
+    first_s: float = 30.0
+    """Nothing is said before."""
+    every_s: float = 0.1
+    """Samples closer together than this are left out."""
+    longest_s: float = 1.0
+    """A sample after a gap stands for at most this long."""
+    wave_s: float = 3.0
+    """The mean of a wave over T has a standard deviation of this over T times its own: a period over pi."""
+    plausible_mps2: float = 8.0
+    """No vessel is pushed sideways harder: what shows more is a fault, and counts as this."""
+
+
+TUNING: Final = Tuning()
 
 
 class LevelBias:
@@ -58,16 +67,15 @@ class LevelBias:
         self._x, self._y = _Mean(), _Mean()
         self._t_s = -inf
 
-    def take(self, t_s: float, fx: float, fy: float, fz: float, roll_rad: float, pitch_rad: float) -> None:
+    def step(self, t_s: float, fx: float, fy: float, fz: float, roll_rad: float, pitch_rad: float) -> None:
         """Specific force in m/s2 (body axes, as measured) and attitude at ``t_s``."""
         since_s = t_s - self._t_s
-        if 0.0 <= since_s < EVERY_S:
+        if 0.0 <= since_s < TUNING.every_s:
             return
         self._t_s = t_s
-        sr, cr = sin(roll_rad), cos(roll_rad)
-        along_s = min(since_s, LONGEST_S) if since_s > 0.0 else EVERY_S
-        self.x_mps2 = self._x.take(cos(pitch_rad) * fx - sin(pitch_rad) * (sr * fy + cr * fz), along_s)
-        self.y_mps2 = self._y.take(cr * fy - sr * fz, along_s)
+        along_s = min(since_s, TUNING.longest_s) if since_s > 0.0 else TUNING.every_s
+        x, y, _ = level_acceleration(fx, fy, fz, roll_rad, pitch_rad)
+        self.x_mps2, self.y_mps2 = self._x.step(x, along_s), self._y.step(y, along_s)
 
 
 class _Mean:
@@ -76,20 +84,24 @@ class _Mean:
     def __init__(self) -> None:
         self._seconds = self._mean = self._variance = 0.0
 
-    def take(self, value: float, along_s: float) -> float:
-        self._seconds = min(self._seconds + along_s, MEMORY_S)
-        share, off = along_s / self._seconds, min(max(value, -PLAUSIBLE_MPS2), PLAUSIBLE_MPS2) - self._mean
+    def step(self, value: float, along_s: float) -> float:
+        """Bias after another value, which stands for so long."""
+        self._seconds = min(self._seconds + along_s, TUNING.memory_s)
+        share, off = (
+            along_s / self._seconds,
+            min(max(value, -TUNING.plausible_mps2), TUNING.plausible_mps2) - self._mean,
+        )
         self._mean += share * off
         self._variance += share * (off * off - self._variance)
-        if self._seconds < FIRST_S:
+        if self._seconds < TUNING.first_s:
             return 0.0
-        return bias_of_mean(self._mean, self._variance * (WAVE_S / self._seconds) ** 2)
+        return bias_of_mean(self._mean, self._variance * (TUNING.wave_s / self._seconds) ** 2)
 
 
 def bias_of_mean(mean_mps2: float, variance: float) -> float:
     """Expected bias (m/s2) of an accelerometer in the level plane that shows ``mean_mps2``, known to ``variance``."""
-    bias, square = BIAS_MPS2**2, mean_mps2 * mean_mps2
-    aligned = bias + (GRAVITY_MPS2 * ALIGNED_RAD) ** 2 + variance
-    askew = aligned + (GRAVITY_MPS2 * ASKEW_RAD) ** 2
+    bias, square = TUNING.bias_mps2**2, mean_mps2 * mean_mps2
+    aligned = bias + (GRAVITY_MPS2 * TUNING.aligned_rad) ** 2 + variance
+    askew = aligned + (GRAVITY_MPS2 * TUNING.askew_rad) ** 2
     likelier = sqrt(aligned / askew) * exp(min(0.5 * square * (1.0 / aligned - 1.0 / askew), 700.0))
     return mean_mps2 * bias / aligned / (1.0 + likelier)

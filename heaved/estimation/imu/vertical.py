@@ -1,8 +1,8 @@
-"""IMU samples on their way into the heave chain: bias and tilt come out, and account is kept of the line.
+"""The vertical acceleration: bias, tilt and the attitude's own errors taken out of the specific force.
 
-Between readings of the attitude it is carried on (:mod:`heaved.estimation.imu.attitude`); the accelerometers may
-show another moment than it does. What a frame says of the samples is known here: what was wrong with the last one, how
-often they come, how many are lost.
+Between readings of the attitude it is carried on (:mod:`heaved.estimation.imu.attitude`); the accelerometers may show
+another moment than it does. What a frame says of the samples is known here: what was wrong with the last one, how often
+they come, how many are lost.
 """
 
 from __future__ import annotations
@@ -11,54 +11,75 @@ from collections.abc import Sequence
 from math import cos, inf, isfinite, nan
 from typing import Final
 
-from heaved.estimation.common.history import Trail
+import msgspec
+
+from heaved.estimation.common.ring import History
 from heaved.estimation.common.sample_rate import Arrivals
-from heaved.estimation.heave.estimator import HeaveChain
-from heaved.estimation.imu.attitude import Attitude, CarriedAttitude
-from heaved.estimation.imu.attitude_error import AttitudeError
+from heaved.estimation.imu.attitude import Attitude, AttitudePropagator, level_acceleration
+from heaved.estimation.imu.attitude_error import Amendment, AttitudeError
+from heaved.estimation.imu.attitude_fit import Noise
 from heaved.estimation.imu.conditioning import NOTHING, Conditioned
 from heaved.estimation.imu.level_bias import LevelBias
-from heaved.estimation.imu.levelling import level_acceleration
 from heaved.samples import GRAVITY_MPS2, Fault, RockPrediction
 
-ATTITUDE_HOLD_S: Final = 0.5
-"""What is known of the attitude serves this long on a straight line; then the tilt is unknown."""
-TILT_LASTS_S: Final = 5.0
-"""With the tilt removed for that long, or not removed, the record is of one kind."""
-LAG_S: Final = 0.005
-"""A smaller lag of the accelerometers than this is not worth going back for."""
-TILT_MATTERS_MPS2: Final = 0.01
-"""RMS of what the tilt makes of the vertical acceleration from which there is more of it than of heave at the low end
-of the waves: where the tilt has been removed, the acceleration had better be missing than be taken with the tilt in it,
-for as long as that is remembered."""
-TILT_MEMORY_S: Final = 60.0
 TOO_TILTED: Final = "no attitude or no horizontal acceleration: too much tilt in the acceleration to use it"
-TILT_LINGERS: Final = 3.0
-"""What tilt has done to the heave is gone after so many times as long as it was in the acceleration."""
 
 
-class Intake:
-    """Feeds a heave chain with samples in order of time.
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """What is set by us, not by the user."""
+
+    attitude_hold_s: float = 0.5
+    """What is known of the attitude serves this long on a straight line; then the tilt is unknown."""
+    tilt_lasts_s: float = 5.0
+    """With the tilt removed for that long, or not removed, the record is of one kind."""
+    lag_s: float = 0.005
+    """A smaller lag of the accelerometers than this is not worth going back for."""
+    tilt_matters_mps2: float = 0.01
+    """RMS of what the tilt makes of the vertical acceleration from which there is more of it than of heave at the low
+    end of the waves: where the tilt has been removed, the acceleration had better be missing than be taken with the
+    tilt in it, for as long as that is remembered."""
+    tilt_memory_s: float = 60.0
+    tilt_lingers: float = 3.0
+    """What tilt has done to the heave is gone after so many times as long as it was in the acceleration."""
+
+
+TUNING: Final = Tuning()
+
+
+class VerticalAcceleration(msgspec.Struct, frozen=True, gc=False):
+    """What the accelerometers say of the heave at one moment, and what else has become known of it."""
+
+    t_s: float
+    up_mps2: float
+    """Positive up, at rest zero but for the bias that is left."""
+    is_of_another_kind: bool = False
+    """From here on the tilt is removed and was not before, or the other way round."""
+    amendment: Amendment | None = None
+    """What the past was measured too little by."""
+    noise: Noise | None = None
+    """Noise that the acceleration has and does not show."""
+
+
+class Vertical:
+    """Feed it judged samples in order of time; it gives the vertical acceleration of each that has one.
 
     Attributes:
         fault: of the last sample, or of the accelerations in it.
         arrivals: of good samples: how often they come, and how many are lost.
         notes: what there is to say of the IMU beside that.
-        withheld: why accelerations that are there are not taken; empty: they are.
-        attitude_is_slow: angles come more seldom than samples.
+        withheld: why accelerations that are there are not given; empty: they are.
         force_std_s: how well the time is known at which the accelerations were measured.
     """
 
-    def __init__(self, chain: HeaveChain, max_rate_hz: float) -> None:
-        self._chain = chain
+    def __init__(self, max_rate_hz: float) -> None:
         self.fault = Fault.NONE
         self.arrivals = Arrivals()
         self.notes = NOTHING
         self.withheld = ""
-        self.attitude_is_slow = False
         self.force_std_s = 0.0
-        self._carried = CarriedAttitude()
-        self._attitudes = Trail(int(max_rate_hz))
+        self._propagator = AttitudePropagator()
+        self._attitudes = History(int(max_rate_hz))
+        self._t_s = nan
         self._tilt_removed, self._tilt_since_s = False, nan
         self._tilted_s = nan
         self._lingers_until_s = -inf
@@ -66,64 +87,83 @@ class Intake:
         self._level_bias = LevelBias()
         self._attitude_error = AttitudeError()
 
-    def take(self, conditioned: Conditioned, rock: Sequence[RockPrediction]) -> None:
-        """Take one sample in, as far as there are readings in it; ``rock``: the predictions from it."""
-        self.fault, self.notes, self.force_std_s = conditioned.fault, conditioned.notes, conditioned.force_std_s
-        self.attitude_is_slow = conditioned.attitude_is_slow
-        if (attitude := conditioned.attitude) is not None:
+    def step(
+        self, readings: Conditioned, rock: Sequence[RockPrediction], *, lag_s: float, bias_mps2: float
+    ) -> VerticalAcceleration | None:
+        """Take one sample; None: there is no vertical acceleration in it that can be used.
+
+        ``rock``: the predictions from it. ``lag_s``: of the accelerometers after the attitude, as far as is known.
+        ``bias_mps2``: of the vertical accelerometer, likewise.
+        """
+        self.fault, self.notes, self.force_std_s = readings.fault, readings.notes, readings.force_std_s
+        if (attitude := readings.attitude) is not None:
             self._attitudes.push((attitude.t_s, attitude.roll_rad, attitude.pitch_rad))
-        self._carried.take(conditioned.sample, attitude, rock)
-        t_s = conditioned.force_t_s
+        self._propagator.step(readings.sample, attitude, rock)
+        t_s, sample = readings.force_t_s, readings.sample
         if not isfinite(t_s):
-            return
-        sample = conditioned.sample
+            return None
         ax, ay, az = sample.ax_mps2, sample.ay_mps2, sample.az_mps2
-        up = az - GRAVITY_MPS2
-        has_tilt = t_s - self._carried.latest.t_s <= ATTITUDE_HOLD_S and isfinite(ax + ay)
+        has_tilt = t_s - self._propagator.latest.t_s <= TUNING.attitude_hold_s and isfinite(ax + ay)
+        is_of_another_kind = self._is_of_another_kind(t_s, has_tilt)
+        if self.withheld:
+            return None
+        self.arrivals.step(t_s)
+        if not self._tilt_removed:
+            self._t_s = t_s
+            return VerticalAcceleration(t_s, az - GRAVITY_MPS2, is_of_another_kind)
+        lag_s = lag_s if lag_s >= TUNING.lag_s else 0.0
+        roll, pitch = self._attitude_of_acceleration(t_s - lag_s)
+        level_bias, propagator, error = self._level_bias, self._propagator, self._attitude_error
+        x, y, up = level_acceleration(ax - level_bias.x_mps2, ay - level_bias.y_mps2, az, roll, pitch)
+        # Angles moved back to where the accelerometers are would seem late against the gyroscopes.
+        are_of_gyros = propagator.are_rates_measured and lag_s == 0.0
+        up = error.step(t_s, x, y, up, roll, pitch, *propagator.rates, are_rates_measured=are_of_gyros)
+        # A bias across the deck is not all vertical on a vessel that rolls; what is left of it is the observer's.
+        up += bias_mps2 * (1.0 - cos(roll) * cos(pitch))
+        self._note_tilt(t_s, up - (az - GRAVITY_MPS2))
+        level_bias.step(t_s, ax, ay, az, roll, pitch)
+        amendment, noise = error.amendment, error.noise
+        error.amendment = error.noise = None
+        return VerticalAcceleration(t_s, up, is_of_another_kind, amendment, noise)
+
+    def _is_of_another_kind(self, t_s: float, has_tilt: bool) -> bool:
+        """Whether the tilt is removed from now on and was not, or the other way round; and whether the acceleration had
+        better be withheld."""
         self.withheld = ""
         if has_tilt:
             self._tilted_s = t_s
-        elif t_s - self._tilted_s < TILT_MEMORY_S and self._tilt_square > TILT_MATTERS_MPS2**2:
+        elif t_s - self._tilted_s < TUNING.tilt_memory_s and self._tilt_square > TUNING.tilt_matters_mps2**2:
             self.withheld = TOO_TILTED
-            return
-        self._note_tilt(t_s, has_tilt)
+            return False
+        is_other = has_tilt != self._tilt_removed
+        # One that comes and goes with a slow attitude sensor is one state, not two.
+        has_lasted = is_other and t_s - self._tilt_since_s > TUNING.tilt_lasts_s
+        if is_other:
+            self._tilt_removed, self._tilt_since_s = has_tilt, t_s
         if not has_tilt and isfinite(self._tilted_s):
-            self._lingers_until_s = t_s + TILT_LINGERS * min(t_s - self._tilted_s, TILT_LASTS_S)
-        bias, tilt = self._level_bias, None
-        if self._tilt_removed:
-            tilt = self._attitude_of_acceleration(t_s)
-            x, y, level = level_acceleration(ax - bias.x_mps2, ay - bias.y_mps2, az, *tilt)
-            carried = self._carried
-            # Angles moved back to where the accelerometers are would seem late against the gyroscopes.
-            are_of_gyros = carried.are_rates_measured and self._chain.lead.learned_s > -LAG_S
-            level = self._attitude_error.corrected(
-                t_s, x, y, level, *tilt, *carried.rates, are_rates_measured=are_of_gyros
-            )
-            # A bias across the deck is not all vertical on a vessel that rolls; what is left of it is the observer's.
-            level += self._chain.observer.bias_mps2 * (1.0 - cos(tilt[0]) * cos(tilt[1]))
-            share = min((t_s - self._chain.good_t_s) / TILT_MEMORY_S, 1.0)
-            if share > 0.0:
-                self._tilt_square += share * ((level - up) ** 2 - self._tilt_square)
-            up = level
-        self._chain.observe(t_s, up)
-        if (amendment := self._attitude_error.amendment) is not None:
-            self._attitude_error.amendment = None
-            self._chain.amend(amendment.t_s, amendment.more_mps2)
-        if (noise := self._attitude_error.noise) is not None:
-            self._attitude_error.noise = None
-            self._chain.disturb(noise.f_hz, noise.psd)
-        self.arrivals.take(t_s)
-        if tilt is not None:
-            bias.take(t_s, ax, ay, az, *tilt)
+            lasted_s = min(t_s - self._tilted_s, TUNING.tilt_lasts_s)
+            self._lingers_until_s = t_s + TUNING.tilt_lingers * lasted_s
+        return has_lasted
+
+    def _note_tilt(self, t_s: float, tilt_mps2: float) -> None:
+        """Keep what the tilt makes of the vertical acceleration."""
+        share = min((t_s - self._t_s) / TUNING.tilt_memory_s, 1.0)
+        self._t_s = t_s
+        if share > 0.0:
+            self._tilt_square += share * (tilt_mps2**2 - self._tilt_square)
 
     @property
     def attitude(self) -> Attitude:
         """Roll, pitch and yaw of the last sample, or of when they were last known."""
-        return self._carried.latest
+        return self._propagator.latest
+
+    def serves(self, t_s: float) -> bool:
+        """Whether that attitude may be published for a moment, on a straight line."""
+        return self._propagator.serves(t_s)
 
     def is_tilt_removed(self, t_s: float) -> bool:
         """Whether the vertical acceleration is free of the tilt, and the attitude known at ``t_s``."""
-        return self._tilt_removed and t_s - self.attitude.t_s <= ATTITUDE_HOLD_S
+        return self._tilt_removed and t_s - self.attitude.t_s <= TUNING.attitude_hold_s
 
     def is_recovering(self, t_s: float) -> bool:
         """Whether the heave still suffers from tilt that was not removed a moment ago."""
@@ -132,18 +172,8 @@ class Intake:
     def _attitude_of_acceleration(self, t_s: float) -> tuple[float, float]:
         """Roll and pitch for the moment that the accelerometers show: their own low-pass makes them late, as far as the
         laser has shown, and gravity removed with a later attitude leaves g (rate x lag)^2 / 2, slow and rectified."""
-        lag_s = -self._chain.lead.learned_s
-        if lag_s < LAG_S:
-            lag_s = 0.0
-        if t_s - lag_s < self.attitude.t_s:
-            then = self._attitudes.at(t_s - lag_s)
+        if t_s < self.attitude.t_s:
+            then = self._attitudes.at(t_s)
             if then is not None:
                 return then[1], then[2]
-        return self.attitude.at(t_s - lag_s)
-
-    def _note_tilt(self, t_s: float, is_removed: bool) -> None:
-        """Whether the tilt is removed; one that comes and goes with a slow attitude sensor is one state, not two."""
-        if is_removed != self._tilt_removed:
-            if t_s - self._tilt_since_s > TILT_LASTS_S:
-                self._chain.interrupt()
-            self._tilt_removed, self._tilt_since_s = is_removed, t_s
+        return self.attitude.at(t_s)

@@ -7,7 +7,7 @@ from math import isnan
 import numpy as np
 import pytest
 
-from heaved.estimation.common.sample_rate import FIRST, WINDOW_S, Arrivals, usual_interval
+from heaved.estimation.common.sample_rate import TUNING, Arrivals, Clock, usual_interval
 
 PERIOD_S = 0.01
 
@@ -24,7 +24,7 @@ def fed(*parts: np.ndarray) -> Arrivals:
     arrivals, end_s = Arrivals(), 0.0
     for t in parts:
         for moment in (end_s + t - t[0]).tolist():
-            arrivals.take(moment)
+            arrivals.step(moment)
         end_s += t[-1] - t[0] + PERIOD_S
     return arrivals
 
@@ -80,15 +80,36 @@ def test_a_gap_is_a_loss_that_is_forgotten() -> None:
     arrivals = fed(stamps(60.0), 10.0 + stamps(4.0))
     assert arrivals.missing < 0.01
     for t_s in np.arange(74.0, 78.0, PERIOD_S).tolist():
-        arrivals.take(t_s)
+        arrivals.step(t_s)
     assert arrivals.missing == pytest.approx(10.0 / 60.0, abs=0.03)
     for t_s in np.arange(78.0, 198.0, PERIOD_S).tolist():
-        arrivals.take(t_s)
+        arrivals.step(t_s)
     assert arrivals.missing < 0.03
 
 
 def test_nothing_is_known_at_first() -> None:
-    arrivals = fed(stamps(0.9 * WINDOW_S))
+    arrivals = fed(stamps(0.9 * TUNING.window_s))
     assert isnan(arrivals.period_s)
     assert arrivals.missing == 0.0
-    assert fed(100.0 * stamps(PERIOD_S * FIRST)).period_s == pytest.approx(1.0)
+    assert fed(100.0 * stamps(PERIOD_S * TUNING.first)).period_s == pytest.approx(1.0)
+
+
+def test_a_clock_is_the_least_squares_line_through_its_ticks() -> None:
+    rng = np.random.default_rng(5)
+    clock, seen = Clock(longest=10_000), 3.0 + 0.2 * np.arange(60) + 0.01 * rng.standard_normal(60)
+    clock.set(0.2, seen[0], 1)
+    for t_s in seen[1:].tolist():
+        clock.advance(1)
+        clock.correct(t_s - clock.tick_s)
+    slope, first = np.polyfit(np.arange(60), seen, 1)
+    assert clock.period_s == pytest.approx(slope, abs=1e-12)
+    assert clock.tick_s == pytest.approx(first + 59 * slope, abs=1e-12)
+
+
+def test_a_clock_follows_one_that_drifts() -> None:
+    clock = Clock(longest=60)
+    clock.set(0.1, 0.0, 60)
+    for k in range(1, 2000):
+        clock.advance(1)
+        clock.correct(0.1001 * k - clock.tick_s)
+    assert clock.period_s == pytest.approx(0.1001, rel=1e-6)

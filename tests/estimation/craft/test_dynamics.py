@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import exp, tanh
 
 import msgspec
@@ -13,7 +13,8 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from heaved.estimation.craft.dynamics import FOILLESS, SLOWEST_MPS, Craft, Foil, Vessel
+from heaved.estimation.craft.dynamics import FOILLESS, Craft, Foil, Vessel
+from heaved.estimation.craft.tuning import TUNING
 
 Array = NDArray[np.float64]
 DEFAULT = Vessel()
@@ -29,7 +30,12 @@ NEUTRAL_PAIR = (0.0, 0.0)
 
 
 def written_out(
-    v: Vessel, state, speed, flaps=(0.0, 0.0), water=(0.0, 0.0), elevation=(0.0, 0.0)
+    v: Vessel,
+    state: Sequence[float] | Array,
+    speed: float,
+    flaps: Sequence[float] | Array = (0.0, 0.0),
+    water: Sequence[float] | Array = (0.0, 0.0),
+    elevation: Sequence[float] | Array = (0.0, 0.0),
 ) -> tuple[float, float]:
     """z'' and q' of one state: the equations of the module's head, one by one, in plain Python."""
     z, w, theta, q = state
@@ -39,7 +45,7 @@ def written_out(
     moment = v.pitching_moment_nm - v.pitch_stiffness_nmprad * theta * (1 + stiffening)
     moment -= v.pitch_damping_nmsprad * q + v.pitch_quadratic_damping_nms2prad2 * min(abs(q), 2.0) * q
     for foil, flap, rise, zeta in zip((v.fore_foil, v.aft_foil), flaps, water, elevation, strict=True):
-        alpha = foil.incidence_rad + theta + flap / 2 - (w + foil.arm_m * q - rise) / max(speed, SLOWEST_MPS)
+        alpha = foil.incidence_rad + theta + flap / 2 - (w + foil.arm_m * q - rise) / max(speed, TUNING.slowest_mps)
         h = foil.depth_m + zeta - z - foil.arm_m * theta
         g = 1 - v.surface_loss * exp(-max(h, 0.0) / v.surface_length_m)
         g *= (1 + tanh((h - v.ventilation_depth_m) / v.ventilation_width_m)) / 2
@@ -50,7 +56,7 @@ def written_out(
     return force / v.mass_kg, moment / v.pitch_inertia_kgm2
 
 
-def jacobian(v: Vessel, at: Array, speed: float, flaps=NEUTRAL_PAIR) -> Array:
+def jacobian(v: Vessel, at: Array, speed: float, flaps: tuple[float, float] = NEUTRAL_PAIR) -> Array:
     """(4, 4) of the equations written out, by central differences."""
 
     def rate(state: Array) -> Array:
@@ -86,7 +92,9 @@ def zeros(f: Callable[[float], float], grid: Array) -> list[float]:
     ("speed", "flaps"),
     [(speed, NEUTRAL_PAIR) for speed in (0.0, 6.0, 14.0, 18.0, 30.0)] + [(9.0, (-0.1, 0.15)), (18.0, (0.05, -0.02))],
 )
-def test_the_trim_is_where_a_search_by_bisection_finds_it(vessel: Vessel, speed: float, flaps) -> None:
+def test_the_trim_is_where_a_search_by_bisection_finds_it(
+    vessel: Vessel, speed: float, flaps: tuple[float, float]
+) -> None:
     """For each heave the pitch without moment that is nearest to level, and among those the heave without force.
 
     There may be others (fast and far nose down, the aft foil in the air): the one that is taken must be stable.

@@ -27,7 +27,7 @@ def through(shake: str, rate_hz: float = 20.0, duration_s: float = 60.0, noisier
     clean = motion(t) + noisier * np.array(STD) * rng.standard_normal((len(t), 2))
     read = CraftShaking(shake, 3, STD).readings(t, clean)
     noise = CraftNoise(CONFIGURED)
-    found = [noise.take(stamp, (heave, pitch)) for stamp, (heave, pitch) in zip(t.tolist(), read.tolist(), strict=True)]
+    found = [noise.step(stamp, (heave, pitch)) for stamp, (heave, pitch) in zip(t.tolist(), read.tolist(), strict=True)]
     readings, variances = (np.array([pair[k] for pair in found]) for k in (0, 1))
     return np.stack([readings - motion(t), np.sqrt(variances)], axis=1)
 
@@ -38,12 +38,12 @@ def test_without_vibration_nothing_changes() -> None:
     noise = CraftNoise(CONFIGURED)
     for stamp, row in zip(t.tolist(), motion(t) + np.array(STD) * rng.standard_normal((len(t), 2)), strict=True):
         reading = (float(row[0]), float(row[1]))
-        assert noise.take(stamp, reading) == (reading, CONFIGURED)
+        assert noise.step(stamp, reading) == (reading, CONFIGURED)
 
 
 @pytest.mark.parametrize("rate_hz", [20.0, 100.0])
 @pytest.mark.parametrize("shake", ["line-3.1", "line-3.1-strong", "lines", "line-8.7", "line-3.1, spikes, losses"])
-def test_lines_are_taken_out_and_what_is_left_of_them_is_said(shake, rate_hz) -> None:
+def test_lines_are_taken_out_and_what_is_left_of_them_is_said(shake: str, rate_hz: float) -> None:
     """From 30 s on: an error below 1.35 times the white noise of a reading, where the line has 1.7 to 3."""
     found = through(shake, rate_hz)[round(30.0 * rate_hz) :]
     error, said = found[:, 0], found[:, 1]
@@ -73,8 +73,8 @@ def test_after_a_silence_it_is_learned_anew() -> None:
     t = np.arange(1, 801) / 20.0
     read = CraftShaking(CraftShake(lines=(line,)), 1, STD).readings(t, motion(t))
     for stamp, row in zip(t.tolist(), read.tolist(), strict=True):
-        last = noise.take(stamp, (row[0], row[1]))
+        last = noise.step(stamp, (row[0], row[1]))
     assert last[0] != tuple(read[-1])
-    assert noise.take(t[-1] + 3.0, (0.1, 0.01)) == ((0.1, 0.01), CONFIGURED)
-    reading, _ = noise.take(t[-1] + 3.05, (nan, 0.01))
+    assert noise.step(t[-1] + 3.0, (0.1, 0.01)) == ((0.1, 0.01), CONFIGURED)
+    reading, _ = noise.step(t[-1] + 3.05, (nan, 0.01))
     assert np.isnan(reading[0])

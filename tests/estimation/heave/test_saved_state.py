@@ -16,7 +16,7 @@ from heaved.config import Config
 from heaved.estimation.heave.laser import correction
 from heaved.estimation.heave.laser.correction import Saved
 from heaved.estimation.heave.sea.model import SeaModel
-from heaved.pipeline import Pipeline, PipelineState, check_state
+from heaved.pipeline import Pipeline, PipelineState, assemble, check_state
 
 SEA = SeaModel(
     stages=7, frequency_hz=(0.1, 0.2), damping=(0.3, 0.2), level_m2phz=(4.0, 1.0), noise_psd=4e-6, bias_walk_psd=9e-10
@@ -87,7 +87,7 @@ def test_nonsense_is_named(name: str) -> None:
 
 def pipeline() -> Pipeline:
     c = Config()
-    return Pipeline(
+    return assemble(
         heave=c.heave, laser=c.laser, correction=correction.Params(), rock=c.rock, has_laser=True, quiet=c.quiet
     )
 

@@ -10,9 +10,11 @@ import pytest
 
 from heaved.estimation.common.rotations import ARCSEC, from_euler, passive, rotation_vector
 from heaved.estimation.hull.alignment import align
+from heaved.estimation.hull.estimate import Method
 from heaved.estimation.hull.euler import EulerFilter, euler_rate_matrix
 from heaved.estimation.hull.markov import Flexure
-from heaved.estimation.hull.so3 import GATE, At, Noise, So3Filter
+from heaved.estimation.hull.so3 import At, Noise, So3Filter
+from heaved.estimation.hull.tuning import TUNING
 
 FLEXURE = Flexure(np.full(3, 5 * ARCSEC), np.full(3, 0.1), np.full(3, 2 * pi * 0.16))
 NOISE = Noise(
@@ -38,7 +40,7 @@ def so3_filter() -> So3Filter:
     return So3Filter(MOUNT, 0.004, FLEXURE, NOISE)
 
 
-def expected_rate(filter: So3Filter, x: np.ndarray) -> np.ndarray:
+def expected_rate(x: np.ndarray) -> np.ndarray:
     """The measurement equation as it is written in the module, with the exponential in full."""
     late = -x[At.DELAY]
     rate = sum(MOTION[k] * late**k for k in range(5))
@@ -50,12 +52,12 @@ def test_the_measurement_and_its_derivative() -> None:
     filter = so3_filter()
     x = RNG.normal(0.0, 1e-4, 16)
     x[At.DELAY] = 0.013
-    value, H = filter._measured(x, MOTION)
-    assert value == pytest.approx(expected_rate(filter, x), abs=1e-12)
+    value, H = filter.measured(x, MOTION)
+    assert value == pytest.approx(expected_rate(x), abs=1e-12)
     for i in range(16):
         d = np.zeros(16)
         d[i] = 1e-5
-        slope = (expected_rate(filter, x + d) - expected_rate(filter, x - d)) / 2e-5
+        slope = (expected_rate(x + d) - expected_rate(x - d)) / 2e-5
         assert H[:, i] == pytest.approx(slope, abs=2e-5), i
 
 
@@ -72,8 +74,8 @@ def test_prediction_and_update_are_those_of_a_kalman_filter() -> None:
     for _ in range(20):
         motion = MOTION * RNG.normal(0.0, 1.0, (1, 3))
         z = MOUNT @ (motion[0] + RNG.normal(0.0, 1e-5, 3))
-        _, H = filter._measured(F @ x, motion)
-        y = MOUNT.T @ z - filter._measured(F @ x, motion)[0]
+        _, H = filter.measured(F @ x, motion)
+        y = MOUNT.T @ z - filter.measured(F @ x, motion)[0]
         x, P = F @ x, F @ P @ F.T + Q
         S = H @ P @ H.T + np.diag(NOISE.sample_radps**2)
         K = np.linalg.solve(S, H @ P).T
@@ -101,15 +103,15 @@ def test_folding_changes_the_linearisation_and_not_the_deformation() -> None:
 def test_an_impossible_reading_is_gated_and_a_broken_covariance_is_said() -> None:
     filter = so3_filter()
     x, P = filter.x.copy(), filter.P.copy()
-    assert filter.update(MOTION, np.array([5.0, 5.0, 5.0]), NOTHING) > GATE
+    assert filter.update(MOTION, np.array([5.0, 5.0, 5.0]), NOTHING) > TUNING.gate_nis
     assert np.array_equal(filter.x, x)
     assert np.array_equal(filter.P, P)
     filter.P = -P
     assert np.isnan(filter.update(MOTION, MOUNT @ MOTION[0], NOTHING))
 
 
-@pytest.mark.parametrize("kind", ["ckf", "ukf"])
-def test_the_euler_filter_measures_what_the_kinematics_say(kind) -> None:
+@pytest.mark.parametrize("kind", [Method.CKF, Method.UKF])
+def test_the_euler_filter_measures_what_the_kinematics_say(kind: Method) -> None:
     """C(eta) w1 + the local rate of the frame, the latter by differencing C: [w x] = -dC/dt C'."""
     filter = EulerFilter(kind, (0.3, -0.5, 2.0), FLEXURE, NOISE)
     eta, rate, h = np.array([0.3, -0.5, 2.0]), np.array([0.02, -0.03, 0.05]), 1e-6
@@ -125,8 +127,8 @@ def test_the_euler_filter_measures_what_the_kinematics_say(kind) -> None:
     assert filter.residual(MOTION, z) == pytest.approx(C.T @ turning, abs=1e-9)
 
 
-@pytest.mark.parametrize("kind", ["ckf", "ukf"])
-def test_near_the_truth_the_euler_filter_is_the_default_one(kind) -> None:
+@pytest.mark.parametrize("kind", [Method.CKF, Method.UKF])
+def test_near_the_truth_the_euler_filter_is_the_default_one(kind: Method) -> None:
     """The same linear problem in two coordinates: the deviations about the hull's axes agree."""
     noise = Noise(
         alignment_rad=1e-3, bias_radps=1e-7, scale=1e-9, delay_s=1e-9, static_walk_rad_rts=0.0,
@@ -159,7 +161,7 @@ T = np.arange(50) / 10.0
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.005, -0.05, 0.12])
-def test_alignment_finds_the_rotation_and_the_delay(delay) -> None:
+def test_alignment_finds_the_rotation_and_the_delay(delay: float) -> None:
     known = motions(T, np.ones(3))
     late = motions(T - delay, np.ones(3))[:, 0]
     found = align(known, late @ MOUNT.T, 10.0, 0.15)

@@ -7,8 +7,8 @@ from math import radians
 import numpy as np
 import pytest
 
+from heaved.estimation.imu.attitude import up_acceleration
 from heaved.estimation.imu.level_bias import LevelBias, bias_of_mean
-from heaved.estimation.imu.levelling import up_acceleration
 
 G = 9.80665
 T_S = 0.05 * np.arange(20_000)
@@ -42,7 +42,7 @@ def errors(bias: tuple[float, float], askew_rad: float = 0.0) -> tuple[float, fl
     for t, fx, fy, fz, r, p in zip(T_S, *f, roll, pitch, strict=True):
         plain.append(up_acceleration(fx, fy, fz, r, p))
         mended.append(up_acceleration(fx - found.x_mps2, fy - found.y_mps2, fz, r, p))
-        found.take(t, fx, fy, fz, r, p)
+        found.step(t, fx, fy, fz, r, p)
     half = len(T_S) // 2
     return float(np.std(plain[half:])), float(np.std(mended[half:])), found
 
@@ -85,12 +85,12 @@ def test_it_is_bounded_whatever_it_is_given(mean: float) -> None:
     assert abs(bias_of_mean(mean, 0.0)) < 0.03
     found = LevelBias()
     for i in range(2000):
-        found.take(0.1 * i, mean, -mean, G, 0.0, 0.0)
+        found.step(0.1 * i, mean, -mean, G, 0.0, 0.0)
     assert max(abs(found.x_mps2), abs(found.y_mps2)) < 0.03
 
 
 def test_time_that_goes_back_or_stands_still_does_no_harm() -> None:
     found = LevelBias()
     for t in (0.0, 0.0, 100.0, 50.0, 50.05, 200.0):
-        found.take(t, 0.03, 0.0, G, 0.0, 0.0)
+        found.step(t, 0.03, 0.0, G, 0.0, 0.0)
     assert abs(found.x_mps2) < 0.03

@@ -16,94 +16,65 @@ from __future__ import annotations
 from cmath import phase
 from collections import Counter
 from math import cos, exp, hypot, isfinite, nan, pi, sin, sqrt
-from typing import Annotated, Final, Literal
+from typing import Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.common import sigma
-from heaved.estimation.common.ring import Ring
+from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.common.spectrum import dominant_frequencies, heave_spectrum
 from heaved.estimation.heave.harmonic.inertial_displacement import InertialDisplacement
-from heaved.estimation.heave.laser import lead
-from heaved.estimation.heave.sea import observer as sea
-from heaved.estimation.heave.sea.propagate import Motion
+from heaved.estimation.heave.observer import LaserAided, Motion, SavedObserver, Verdict, foretold
+from heaved.estimation.heave.params import Params
 from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
-from heaved.predictions import HeaveForecasts, PlainForecasts
-from heaved.samples import DelayedHeave, SeaState
+from heaved.samples import DelayedHeave, HeaveForecast, SeaState
 
 Array = NDArray[np.float64]
 
-REFERENCE_STEP_S: Final = 0.05
-"""Sampling interval for which the paper's Q and R stand; other intervals scale them to the same noise densities."""
-FILL_STEP_S: Final = 0.05
-"""Step with which a gap is bridged by the model's own acceleration."""
-BIAS_TIME_S: Final = 60.0
-"""Time constant of the slow mean that is taken out of the published acceleration."""
-LEAD_RANGE: Final = (-0.25, 0.5)
-"""Leads that are considered, in dominant periods: a high-pass of second order leads by 0 to 0.5, the rest is small."""
-MIN_GAIN: Final = 0.4
-"""The high-pass is not undone further than this: below, it would be noise that is amplified."""
-GAP_MEMORY: Final = 0.5
-"""What was wrongly assumed in a gap dies with the high-pass, within this share of its period, observer included."""
-GAP_CONVERGED_S: Final = 3.0
-"""After a gap of more than a second the filter's gain is back where it was by then: no look at it before that."""
-LEAD_SLEW_S: Final = 2.0
-"""Time constant with which a new lead and gain are brought in, so that no refresh shows as a step."""
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """Of the harmonic observer, where the paper leaves it open."""
+
+    reference_step_s: float = 0.05
+    """Sampling interval for which the paper's Q and R stand; other intervals scale them to the same noise densities."""
+    fill_step_s: float = 0.05
+    """Step with which a gap is bridged by the model's own acceleration."""
+    bias_time_s: float = 60.0
+    """Time constant of the slow mean that is taken out of the published acceleration."""
+    lead_range: tuple[float, float] = (-0.25, 0.5)
+    """Leads that are considered, in dominant periods: a high-pass of second order leads by 0 to 0.5, the rest is
+    small."""
+    min_gain: float = 0.4
+    """The high-pass is not undone further than this: below, it would be noise that is amplified."""
+    gap_memory: float = 0.5
+    """What was wrongly assumed in a gap dies with the high-pass, within this share of its period, observer included."""
+    gap_converged_s: float = 3.0
+    """After a gap of more than a second the filter's gain is back where it was by then: no look at it before that."""
+    lead_slew_s: float = 2.0
+    """Time constant with which a new lead and gain are brought in, so that no refresh shows as a step."""
 
 
-class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """``[heave]``: the observer."""
-
-    observer: Literal["harmonic", "sea"] = "sea"
-    """"harmonic": a few sinusoids, as the paper has it; "sea": the spectrum of the sea."""
-    components: Annotated[int, msgspec.Meta(ge=1, le=8)] = 1
-    """Sinusoids in the model (n)."""
-    window_s: Annotated[float, msgspec.Meta(ge=15, le=120)] = 30.0
-    """Record in which their frequencies are looked for (N)."""
-    refresh_s: Annotated[float, msgspec.Meta(ge=1, le=60)] = 10.0
-    """Interval of that search (delta t)."""
-    band_hz: tuple[float, float] = (0.04, 0.6)
-    """Wave band."""
-    initial_period_s: Annotated[float, msgspec.Meta(ge=1, le=30)] = 8.0
-    """Assumed until the first search."""
-    highpass_period_s: Annotated[float, msgspec.Meta(ge=5, le=100)] = 16.0
-    """Corner of the double integration. Shorter: less drift, more lead to undo."""
-    process_noise: Annotated[float, msgspec.Meta(gt=0, le=1)] = 1e-3
-    """Variance per 50 ms of each h (m2) and h' (m2/s2). The paper has 1e-5."""
-    drift_process_noise_m2: Annotated[float, msgspec.Meta(gt=0, le=1)] = 1e-5
-    """Variance per 50 ms of dh."""
-    measurement_variance_m2: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.022
-    """Of the inertial displacement, at 20 Hz (R)."""
-    initial_variance: Annotated[float, msgspec.Meta(gt=0, le=100)] = 0.1
-    """P0 on the diagonal."""
-    max_gap_s: Annotated[float, msgspec.Meta(gt=0, le=30)] = 5.0
-    """Longest gap in the samples that is bridged; a longer one restarts the observer."""
-    forecast_horizons_s: tuple[Annotated[float, msgspec.Meta(gt=0, le=30)], ...] = (0.05, 0.1, 0.15, 0.5, 1.0, 2.0, 5.0)
-    lead: lead.Params = lead.Params()
-    sea: sea.Params = sea.Params()
+TUNING: Final = Tuning()
 
 
 class HarmonicObserver:
-    """Feed it vertical acceleration in order of time; ask it for heave at any moment near the last one."""
+    """A :class:`heaved.estimation.heave.observer.HeaveObserver` of few lines and little else: it knows no sea state, no
+    delayed heave and no bias, doubts nothing and rejects nothing."""
 
-    # What the sea observer has and this one does not.
     sea: SeaState | None = None
     delayed: DelayedHeave | None = None
+    laser_aided: LaserAided | None = None
+    """A laser is no measurement of its inertial displacement: that one is early, and off by the drift."""
     bias_mps2: Final = 0.0
-    """Of the accelerometer: the high-pass of the integrator has no name for it."""
+    """The high-pass of the integrator has no name for it."""
+    has_true_gain: Final = False
+    """The measured one of high-pass and filter is taken out, at the frequencies that were found."""
     doubts: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    rejected = 0
-
-    def due(self) -> SeaWindow | None:
-        """Nothing to fit: the frequencies are looked for here."""
-        return None
-
-    def accept(self, fit: SeaFit) -> str:
-        """Never asked for."""
-        return "rejected"
+    rejected: Final = 0
+    steps: Final = 0
 
     def __init__(self, params: Params, max_rate_hz: float = 250.0) -> None:
         self._params = params
@@ -111,11 +82,11 @@ class HarmonicObserver:
         self._points = sigma.symmetric(2 * n + 1)
         self._H = np.zeros((1, 2 * n + 1))
         self._H[0, 0 : 2 * n : 2] = self._H[0, -1] = 1.0
-        self._noise = np.full(2 * n + 1, params.process_noise / REFERENCE_STEP_S)
-        self._noise[-1] = params.drift_process_noise_m2 / REFERENCE_STEP_S
+        self._noise = np.full(2 * n + 1, params.process_noise / TUNING.reference_step_s)
+        self._noise[-1] = params.drift_process_noise_m2 / TUNING.reference_step_s
         self._inertial = InertialDisplacement(params.highpass_period_s)
         self._history_s = 4.0 * params.window_s
-        self._ring = Ring(int(self._history_s * max_rate_hz), 2)
+        self._ring = RingBuffer(int(self._history_s * max_rate_hz), 2)
         self.resets: Counter[str] = Counter()
         self._start_over(2.0 * pi / params.initial_period_s * (1.0 + 0.25 * np.arange(n, dtype=np.float64)))
 
@@ -134,7 +105,7 @@ class HarmonicObserver:
         self.refreshes = 0
         self._spectrum = (np.empty(0), np.empty(0))
         self._response = np.empty((0, 2 * n + 1))
-        self._dt_s = REFERENCE_STEP_S
+        self._dt_s = TUNING.reference_step_s
         self._target = self._shift_and_gain()
         self.design_lead_s, self._gain = self._target
         self._error_cache: dict[float, float] = {}
@@ -147,19 +118,19 @@ class HarmonicObserver:
             return
         if not isfinite(self.t_s):
             self.t_s = self._refreshed_t_s = self._started_t_s = t_s
-            self._dt_s = REFERENCE_STEP_S
+            self._dt_s = TUNING.reference_step_s
         dt = t_s - self.t_s
         if dt > self._params.max_gap_s:
             self._reset("gap")
             self.step(t_s, a_up_mps2)
             return
         self._dt_s += 0.02 * (min(dt, 2.0 * self._dt_s) - self._dt_s) if dt > 0.0 else 0.0
-        self._gap_error_m *= exp(-dt / (GAP_MEMORY * self._params.highpass_period_s))
-        if dt > max(4.0 * FILL_STEP_S, 3.0 * self._dt_s):
+        self._gap_error_m *= exp(-dt / (TUNING.gap_memory * self._params.highpass_period_s))
+        if dt > max(4.0 * TUNING.fill_step_s, 3.0 * self._dt_s):
             if isfinite(guess := self.error_std_m(dt)):
                 self._gap_error_m = guess
             if dt > 1.0:
-                self._refreshed_t_s = max(self._refreshed_t_s, t_s + GAP_CONVERGED_S - self._params.refresh_s)
+                self._refreshed_t_s = max(self._refreshed_t_s, t_s + TUNING.gap_converged_s - self._params.refresh_s)
             self._bridge(t_s)
             dt = t_s - self.t_s
         self._follow_bias(dt, a_up_mps2)
@@ -169,23 +140,40 @@ class HarmonicObserver:
         if not self._filter(dt, z):
             self._reset("covariance")
             return
-        blend = 1.0 - exp(-dt / LEAD_SLEW_S)
+        blend = 1.0 - exp(-dt / TUNING.lead_slew_s)
         self.design_lead_s += blend * (self._target[0] - self.design_lead_s)
         self._gain += blend * (self._target[1] - self._gain)
         if t_s - self._refreshed_t_s >= self._params.refresh_s and t_s - self._started_t_s >= 15.0:
             self._refresh(t_s)
 
+    def cut(self) -> None:
+        """The high-pass forgets another level by itself."""
+
+    def amend(self, t_s: Array, more_mps2: Array) -> None:
+        """What is integrated stays: by the time that it is amended, the high-pass has forgotten it."""
+
+    def disturb(self, f_hz: Array, psd: Array) -> None:
+        """What is published as not known is made from the measured spectrum, in which noise counts as sea."""
+
+    def due(self) -> SeaWindow | None:
+        """Nothing to fit: the frequencies are looked for with the samples."""
+        return None
+
+    def accept(self, fit: SeaFit) -> Verdict:
+        """It has asked for none."""
+        return Verdict.REJECTED
+
     def _bridge(self, until_s: float) -> None:
         """Go through a gap on the model's own acceleration: the samples that are missing, not a flat line."""
-        while until_s - self.t_s > 1.5 * FILL_STEP_S:
+        while until_s - self.t_s > 1.5 * TUNING.fill_step_s:
             # Of the heave, not of the inertial displacement: that one is early.
-            row = self._output_row(FILL_STEP_S - self.design_lead_s) / self._gain
+            row = self._output_row(TUNING.fill_step_s - self.design_lead_s) / self._gain
             row[:-1] *= np.repeat(self._omega**2, 2)
             a = self._bias - float(row @ self._x)
-            self._inertial.step(FILL_STEP_S, a)
-            self.t_s += FILL_STEP_S
+            self._inertial.step(TUNING.fill_step_s, a)
+            self.t_s += TUNING.fill_step_s
             self._ring.push((self.t_s, a))
-            F, Q = self._transition(FILL_STEP_S), self._Q(FILL_STEP_S)
+            F, Q = self._transition(TUNING.fill_step_s), self._Q(TUNING.fill_step_s)
             predicted = sigma.predict(self._points, self._x, self._P, F, Q)
             if predicted is None:
                 return
@@ -222,12 +210,12 @@ class HarmonicObserver:
         return np.diag(self._noise * dt_s)
 
     def _R(self, dt_s: float) -> float:
-        return self._params.measurement_variance_m2 * REFERENCE_STEP_S / max(dt_s, 1e-3)
+        return self._params.measurement_variance_m2 * TUNING.reference_step_s / max(dt_s, 1e-3)
 
     def _follow_bias(self, dt_s: float, a: float) -> None:
         """Slow mean of the acceleration: bias and leftover gravity. A plain mean until it is BIAS_TIME_S long."""
         self._acceleration = a
-        self._bias_weight = min(self._bias_weight + dt_s, BIAS_TIME_S)
+        self._bias_weight = min(self._bias_weight + dt_s, TUNING.bias_time_s)
         if self._bias_weight > 0.0:
             self._bias += min(1.0, dt_s / self._bias_weight) * (a - self._bias)
 
@@ -301,14 +289,14 @@ class HarmonicObserver:
             w = self.omega_radps
             response = complex(np.sum(self._state_response(np.array([w]))[0, :-1:2]))
             return phase(response) / w, abs(response)
-        leads, gain = np.linspace(*LEAD_RANGE, 61) * 2.0 * pi / self.omega_radps, 1.0
+        leads, gain = np.linspace(*TUNING.lead_range, 61) * 2.0 * pi / self.omega_radps, 1.0
         for _ in range(3):
             G = self._response @ np.stack([self._output_row(-lead) for lead in leads], axis=1)
             cross, power = S @ G.real, S @ np.abs(G) ** 2
             best = int(np.argmax(np.where(cross > 0.0, cross**2 / power, 0.0)))
             lead, gain = float(leads[best]), float(power[best] / max(cross[best], 1e-300))
             leads = np.linspace(lead - (leads[1] - leads[0]), lead + (leads[1] - leads[0]), 11)
-        return lead, max(gain, MIN_GAIN)
+        return lead, max(gain, TUNING.min_gain)
 
     def error_std_m(self, shift_s: float, scale: float = 1.0) -> float:
         """Standard deviation of the error of :meth:`at` for a moment ``shift_s`` after the last sample.
@@ -351,19 +339,16 @@ class HarmonicObserver:
         heave, velocity = self._pair(shift_s - self.design_lead_s - learned_lead_s)
         return Motion(heave / self._gain, velocity / self._gain)
 
-    def outlook(self, shifts_s: tuple[float, ...], learned_lead_s: float = 0.0) -> list[Motion]:
-        """:meth:`at` for several moments at once."""
-        return [self.at(shift, learned_lead_s) for shift in shifts_s]
-
     def forecast(
         self, shift_s: float, learned_lead_s: float = 0.0, scale: float = 1.0, gain: float = 1.0
-    ) -> HeaveForecasts:
+    ) -> tuple[HeaveForecast, ...]:
         """Heave and :meth:`error_std_m` for each horizon after a moment ``shift_s`` after the last sample, both times
         ``gain``: what the laser has shown of the sensor's scale."""
-        horizons_s = self._params.forecast_horizons_s
-        shifts = tuple([shift_s + h for h in horizons_s])
-        heaves = [gain * motion.heave_m for motion in self.outlook(shifts, learned_lead_s)]
-        return PlainForecasts(horizons_s, heaves, [gain * self.error_std_m(shift, scale) for shift in shifts])
+        found = []
+        for h in self._params.forecast_horizons_s:
+            heave_m, std_m = self.at(shift_s + h, learned_lead_s).heave_m, self.error_std_m(shift_s + h, scale)
+            found.append(foretold(h, gain * heave_m, gain * std_m))
+        return tuple(found)
 
     def unshifted(self) -> Motion:
         """The one-step observer: eq. (14) with m = 0, as the comparison with the laser wants it."""
@@ -399,12 +384,18 @@ class HarmonicObserver:
         """Seconds of record since the start or the last reset; nan before the first sample."""
         return self.t_s - self._started_t_s
 
-    def restore(self, frequencies_hz: tuple[float, ...]) -> None:
-        """Start with the frequencies that an earlier run has found.
+    def saved(self) -> SavedObserver:
+        """The frequencies that were last found."""
+        return SavedObserver(frequencies_hz=self.frequencies_hz)
+
+    def restore(self, saved: SavedObserver, age_s: float = nan) -> None:
+        """Start with the frequencies that an earlier run has found, whatever their age: they soon are those of now.
 
         Raises:
             ValueError: their number is not that of the model, or one lies outside the wave band.
         """
+        if not (frequencies_hz := saved.frequencies_hz):
+            return
         low, high = self._params.band_hz
         if len(frequencies_hz) != self._params.components or not all(low <= f <= high for f in frequencies_hz):
             asked = f"{self._params.components} in {low}..{high} Hz"

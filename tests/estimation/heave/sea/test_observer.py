@@ -15,14 +15,16 @@ import pytest
 from evidence.scenarios import HORIZONS_S, Case, Setting, build, sea_limits, triplet
 from seas import model as some_model
 
+from heaved.estimation.heave.observer import SavedObserver
+from heaved.estimation.heave.params import SeaParams
 from heaved.estimation.heave.sea.model import SeaSystem
-from heaved.estimation.heave.sea.observer import OVERCONFIDENCE, Params, SeaObserver
+from heaved.estimation.heave.sea.observer import TUNING, SeaObserver
 from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow, look
 from heaved.samples import GRAVITY_MPS2
 from heaved.simulate.seaway import seaway
 
 Array = np.ndarray
-SMALL = Params(stages=6, components=2, windows_s=(120.0, 300.0), delay_s=30.0)
+SMALL = SeaParams(stages=6, components=2, windows_s=(120.0, 300.0), delay_s=30.0)
 """For what is no matter of the last per cent."""
 
 
@@ -42,7 +44,7 @@ class Result(NamedTuple):
 def result(name: str, duration_s: float) -> Result:
     """A cold start, every fit at once."""
     case = build(name, triplet(1), Setting(tilt="none", duration_s=duration_s))
-    observer = SeaObserver(Params(), HORIZONS_S)
+    observer = SeaObserver(SeaParams(), HORIZONS_S)
     heave, std, velocity, delayed, fitted = [], [], [], {}, []
     acceleration = case.recording.az_mps2 - GRAVITY_MPS2
     for t, a in zip(case.recording.t_s.tolist(), acceleration.tolist(), strict=True):
@@ -50,7 +52,7 @@ def result(name: str, duration_s: float) -> Result:
         if (past := observer.due()) is not None:
             assert observer.accept(look(past)) == "accepted"
             fitted.append(t)
-        motions = observer.outlook((0.0, *HORIZONS_S))
+        motions = [observer.at(shift_s) for shift_s in (0.0, *HORIZONS_S)]
         heave.append([motion.heave_m for motion in motions])
         velocity.append(motions[0].velocity_mps)
         std.append([observer.error_std_m(shift) for shift in (0.0, *HORIZONS_S)])
@@ -135,7 +137,8 @@ def test_it_settles_within_a_minute(name: str) -> None:
 @pytest.mark.parametrize("name", ["S4", "S6", "SL"])
 def test_a_new_model_takes_over_without_a_jump(name: str) -> None:
     """From sample to sample the heave is the integral of its velocity, at a fit as in the second before it; what
-    is left is what each sample teaches, at first more than later."""
+    is left is what each sample teaches, at first more than later.
+    """
     r = result(name, IRREGULAR[name][0])
     heave, velocity, t = r.heave_m[:, 0], r.velocity_mps, r.case.recording.t_s
     jump = np.abs(np.diff(heave) - 0.05 * 0.5 * (velocity[1:] + velocity[:-1]))
@@ -282,7 +285,7 @@ def test_a_restart_gives_heave_in_ten_seconds_and_knows_how_little_it_knows() ->
     assert before.model is not None
     restored = SeaObserver(SMALL, (1.0,))
     assert isnan(restored.at(0.0).heave_m)
-    restored.restore(before.model, 60.0)
+    restored.restore(before.saved(), 60.0)
     heave, std = [], []
     for at, value in zip(t[3000:6000].tolist(), a[3000:6000].tolist(), strict=True):
         restored.step(at, value)
@@ -302,9 +305,9 @@ def test_a_restart_gives_heave_in_ten_seconds_and_knows_how_little_it_knows() ->
 def test_a_model_of_another_configuration_is_refused() -> None:
     observer = SeaObserver(SMALL, ())
     with pytest.raises(ValueError, match="does not fit"):
-        observer.restore(some_model(8, 2))
+        observer.restore(SavedObserver(sea=some_model(8, 2)))
     with pytest.raises(ValueError, match="does not"):
-        observer.restore(msgspec.structs.replace(some_model(6, 2), level_m2phz=(nan, 1.0)))
+        observer.restore(SavedObserver(sea=msgspec.structs.replace(some_model(6, 2), level_m2phz=(nan, 1.0))))
     assert observer.model is None
 
 
@@ -358,7 +361,7 @@ def test_the_published_std_is_the_modelled_one_and_a_margin() -> None:
     """While innovations and the delayed heave have nothing to say against it."""
     observer, *_ = warm()
     assert observer.model is not None
-    modelled = observer.error_std_m(0.0) / OVERCONFIDENCE
+    modelled = observer.error_std_m(0.0) / TUNING.overconfidence
     system = SeaSystem(observer.model)
     steady = system.steady(0.05)
     assert steady is not None

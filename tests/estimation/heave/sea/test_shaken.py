@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from evidence.scenarios import sea_limits
 
-from heaved.estimation.heave.sea.observer import Params, SeaObserver
+from heaved.estimation.heave.params import SeaParams
+from heaved.estimation.heave.sea.observer import SeaObserver
 from heaved.estimation.heave.sea.refit import look
 from heaved.samples import GRAVITY_MPS2
 from heaved.simulate.seaway import seaway
@@ -32,7 +33,7 @@ def ran(sea: str, rate_hz: float, shake: str = NONE, added: object = 0.0, seed: 
         seaway(sea, seed, attitude=False), DURATION_S, imu_rate_hz=rate_hz, laser="off", seed=seed, shake=shake
     )
     a = made.az_mps2 - GRAVITY_MPS2 + (added(made.t_s) if callable(added) else 0.0)
-    observer, heave, std = SeaObserver(Params(), ()), [], []
+    observer, heave, std = SeaObserver(SeaParams(), ()), [], []
     for t_s, a_mps2 in zip(made.t_s.tolist(), a.tolist(), strict=True):
         observer.step(t_s, a_mps2)
         if (past := observer.due()) is not None:
@@ -117,7 +118,7 @@ def test_a_sensor_that_warms_up_is_followed() -> None:
 @pytest.mark.parametrize(("sea", "seed"), [("S4", 3), ("SL", 3)])
 def test_a_poor_sensor_is_known_for_one(sea: str, seed: int) -> None:
     made = record(seaway(sea, seed, attitude=False), DURATION_S, sensor="C", laser="off", seed=seed)
-    observer = SeaObserver(Params(), ())
+    observer = SeaObserver(SeaParams(), ())
     for t_s, a_mps2 in zip(made.t_s.tolist(), (made.az_mps2 - GRAVITY_MPS2).tolist(), strict=True):
         observer.step(t_s, a_mps2)
         if (past := observer.due()) is not None:
