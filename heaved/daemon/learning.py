@@ -99,7 +99,7 @@ class Workers:
         else:
             runs = self._metrics.training_runs if job is TRAINING else self._metrics.sea_fits
             runs.labels(Verdict.FAILED).inc()
-        trouble = reason.split(";")[0]  # Without the growing pause before the next start.
+        trouble = reason.partition(";")[0]  # Without the growing pause before the next start.
         if trouble != self._troubles.get(job.name):
             self._troubles[job.name] = trouble
             _log.warning(f"the {job.name} has failed: the stream goes on with what was learned", reason=reason)
