@@ -9,7 +9,7 @@ told from the motion. Readings that no longer change are those of :mod:`heaved.u
 
 from __future__ import annotations
 
-from math import exp, inf, isfinite, isnan, nan, pi, radians
+from math import exp, inf, isfinite, nan, pi, radians
 from typing import Final
 
 import msgspec
@@ -116,15 +116,10 @@ def wrapped(angle_rad: float) -> float:
 
 
 class AngleGate:
-    """Judges one angle, whose differences are taken the short way round.
-
-    Attributes:
-        rejected: readings refused so far.
-    """
+    """Judges one angle, whose differences are taken the short way round."""
 
     def __init__(self, most_rad: float = ANGLE_RAD) -> None:
         """``most_rad``: beyond it, either way, nothing is believed."""
-        self.rejected = 0
         self._most = most_rad
         self._t_s = -inf
         self._angle, self._rate = nan, 0.0
@@ -150,7 +145,6 @@ class AngleGate:
         """
         if not abs(angle_rad) <= self._most:
             self._row.clear()
-            self.rejected += not isnan(angle_rad)
             return False
         elapsed_s = t_s - self._t_s
         if elapsed_s > ANGLES.stale_s:
@@ -166,7 +160,6 @@ class AngleGate:
         else:
             limit = ANGLES.unknown_rad + ANGLES.unknown_rate_radps * elapsed_s
         if abs(off) > limit:
-            self.rejected += 1
             return self._is_proven(t_s, angle_rad, ANGLES.elsewhere_s)
         self._count += 1
         far = abs(off) / longer
