@@ -46,8 +46,7 @@ from heaved.estimation.craft.fusion import AttitudeFusion, Differ, Mode
 from heaved.estimation.craft.fusion import Params as FusionParams
 from heaved.estimation.craft.model import State
 from heaved.estimation.craft.wave_force import WaveShape, propagation
-from heaved.estimation.hull.estimate import Method
-from heaved.estimation.hull.estimate import Params as HullParams
+from heaved.estimation.hull import estimate
 from heaved.estimation.hull.estimator import HullDeformation
 from heaved.estimation.hull.refit import refit
 from heaved.estimation.rock import maximum_likelihood
@@ -59,7 +58,8 @@ from heaved.simulate.flexure import SCENES, Record, simulate
 from heaved.simulate.play import write_recording
 from heaved.simulate.seaway import SEAS, seaway
 from heaved.simulate.sensors import record
-from heaved.workers.process import TRAINER, Worker
+from heaved.workers.jobs import TRAINING
+from heaved.workers.process import Worker
 
 Array = NDArray[np.float64]
 Step = Callable[[], object]
@@ -231,14 +231,14 @@ def bench_hull(options: Options) -> Report:
     first = round(10 * STARTED_S)
 
     def rows() -> Iterator[Sequence[str | float]]:
-        for method in Method:
-            us = hull_steps_us(made, HullDeformation(HullParams(method=method, refit_after_s=0.0)))
+        for method in estimate.Method:
+            us = hull_steps_us(made, HullDeformation(estimate.Params(method=method, refit_after_s=0.0)))
             late = us[first:]
             yield method, float(np.median(late)), float(np.percentile(late, 99)), late.max(), us[:first].max()
 
     shown = table(("method", "step, median µs", "99 %", "largest", "start"), rows())
     base = hot_us(lambda: crane_base_attitude(AttitudeAngles(0.01, 0.02, 1.0), made.static), 40)
-    waiting = HullDeformation(HullParams(refit_after_s=300.0), refit_inline=False)
+    waiting = HullDeformation(estimate.Params(refit_after_s=300.0), refit_inline=False)
     hull_steps_us(simulate(SCENES["A1"], 1, duration_s=310.0), waiting)
     job = waiting.due_refit
     assert job is not None
@@ -391,7 +391,7 @@ async def process(window: TrainingWindow, seconds: float) -> tuple[Array, int]:
         trained += 1
         trainer.submit(window)
 
-    trainer = Worker("trainer", TrainedNetwork, next_one, print, command=TRAINER)
+    trainer = Worker(TRAINING, next_one, print)
     await trainer.start()
     trainer.submit(window)
     try:

@@ -107,7 +107,7 @@ class Daemon:
         self._heartbeat = Heartbeat(self._beat)
         self.memory = Memory(
             StateFile(state_directory(config.state.directory), PipelineState, check_state),
-            lambda: self.acquisition.pipeline.state(),
+            self._learned,
             count_save=lambda result: self.metrics.state_saves.labels(result).inc(),
             count_load=lambda result: self.metrics.state_loads.labels(result).inc(),
             realtime=realtime,
@@ -242,10 +242,14 @@ class Daemon:
             self.acquisition.pipeline = make_pipeline(self.config, self.acquisition.pipeline.stages)
             raise error if isinstance(error, ValueError) else ValueError(repr(error)) from error
 
+    def _learned(self) -> PipelineState:
+        """What a restart shall remember."""
+        return self.acquisition.pipeline.state()
+
     def _replace_pipeline(self) -> None:
         pipeline = make_pipeline(self.config, self.acquisition.pipeline.stages)
         try:
-            pipeline.restore(self.acquisition.pipeline.state())
+            pipeline.restore(self._learned())
         except ValueError as error:
             _log.warning("what was learned does not fit the new parameters: estimators start cold", reason=str(error))
             self.acquisition.accepted_s = self.acquisition.fitted_s = nan

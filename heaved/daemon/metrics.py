@@ -59,15 +59,18 @@ class DeviceMetrics:
         self._poll_duration.observe(duration_s)
 
     def set_up(self, up: bool) -> None:
+        """Whether it gives good samples."""
         self._up.set(up)
 
     def count_reconnect(self) -> None:
+        """Its connection was opened again."""
         self._reconnects.inc()
 
 
 class _Table:
     """Makes the metrics of one registry. Series exist from the start where their labels are known: a rate over a
-    counter that appears with its first event misses that event."""
+    counter that appears with its first event misses that event.
+    """
 
     def __init__(self, registry: CollectorRegistry) -> None:
         self._registry = registry
@@ -315,15 +318,19 @@ class Metrics:
     # What the stream's publisher counts.
 
     def set_clients(self, clients: int) -> None:
+        """Connections to the stream now."""
         self.clients.set(clients)
 
     def count_sent(self, frames: int) -> None:
+        """So many frames were handed to clients."""
         self.frames_sent.inc(frames)
 
     def count_dropped(self, reason: str) -> None:
+        """A line was dropped."""
         self.frames_dropped.labels(reason).inc()
 
     def count_client_error(self, reason: str) -> None:
+        """A client was turned away or misunderstood."""
         self.client_errors.labels(reason).inc()
 
     def render(self) -> bytes:

@@ -179,6 +179,7 @@ class OpenLink:
         return client
 
     def close(self) -> None:
+        """Close the line."""
         if self._client is not None:
             self._client.close()
 
@@ -250,7 +251,8 @@ class OpenLink:
 
     def unasked(self) -> list[Sender]:
         """Who has sent something beside the last answer, or since; each is told once. The same answer once more is
-        none: some devices repeat each, at once."""
+        none: some devices repeat each, at once.
+        """
         if not self._spare:
             return []
         spare = self._spare.replace(self._found, b"") if self._found else self._spare
@@ -320,7 +322,8 @@ def _raise_if_cancelled() -> None:
 
 def _quieten_pymodbus() -> None:
     """Its errors reach the daemon as results; as log lines they would come with every poll of an absent device. A level
-    that somebody set on purpose stays."""
+    that somebody set on purpose stays.
+    """
     logger = logging.getLogger("pymodbus.logging")
     if logger.level == logging.NOTSET:
         logger.setLevel(logging.CRITICAL)
@@ -490,7 +493,8 @@ class Bus:
 
     async def _read_block(self, connection: OpenLink, station: Station, number: int) -> Answer:
         """All registers of a block, in one read or in as many as it takes to know the answers from late ones. Its time
-        is that of the read with what dates the sample."""
+        is that of the read with what dates the sample.
+        """
         codec = station.codecs[number]
         for sender in connection.unasked():
             if (contact := self._contacts.get(sender.device_id)) is not None and sender.count:

@@ -52,7 +52,9 @@ Progress = Callable[[int], None]
 class Reader(Protocol):
     """An open line; see :class:`heaved.devices.bus.OpenLink`."""
 
-    async def read(self, device_id: int, block: Block, count: int, timeout_s: float) -> Answer: ...
+    async def read(self, device_id: int, block: Block, count: int, timeout_s: float) -> Answer:
+        """Read ``count`` registers of a block."""
+        ...
 
 
 class Variant(msgspec.Struct, frozen=True, kw_only=True):
@@ -68,9 +70,11 @@ class Variant(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def changes(self) -> int:
+        """Mistakes that are undone."""
         return (self.shift != 0) + self.other_function + (self.byte_order is not None)
 
     def describe(self) -> str:
+        """Name of the profile, and what was changed."""
         notes = [f"addresses {self.shift:+d}"] if self.shift else []
         notes += ["the other function (input/holding)"] if self.other_function else []
         notes += [f"byte order {self.byte_order}"] if self.byte_order is not None else []

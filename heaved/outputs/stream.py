@@ -30,13 +30,21 @@ _log = structlog.get_logger(__name__)
 class StreamMetrics(Protocol):
     """What the publisher counts for monitoring."""
 
-    def set_clients(self, clients: int) -> None: ...
+    def set_clients(self, clients: int) -> None:
+        """Connections served now."""
+        ...
 
-    def count_sent(self, frames: int) -> None: ...
+    def count_sent(self, frames: int) -> None:
+        """So many frames were handed to a client's connection."""
+        ...
 
-    def count_dropped(self, reason: str) -> None: ...
+    def count_dropped(self, reason: str) -> None:
+        """A line was dropped."""
+        ...
 
-    def count_client_error(self, reason: str) -> None: ...
+    def count_client_error(self, reason: str) -> None:
+        """A client was turned away or misunderstood."""
+        ...
 
 
 class Publisher:
@@ -191,14 +199,18 @@ class Publisher:
             _log.debug("stream client gone", peer=client.address, clients=self.clients)
 
     def count_drop(self) -> None:
+        """A line was dropped for a slow client."""
         self.dropped += 1
         self._metrics.count_dropped("slow_client")
 
     def count_sent(self, frames: int) -> None:
+        """So many frames were handed to a client's connection."""
         self._metrics.count_sent(frames)
 
     def greeting(self) -> bytes:
+        """The VERSION line."""
         return wire.encode_record(VersionRecord(release=self._version))
 
     def status_line(self) -> bytes:
+        """The STATUS line of now."""
         return wire.encode_record(self._status())

@@ -38,7 +38,9 @@ class Accelerations(Protocol):
 
     def __call__(
         self, state: Array, speed_mps: float, flaps_rad: Array, water_mps: Array, elevation_m: Array, /
-    ) -> Array: ...
+    ) -> Array:
+        """See the class."""
+        ...
 
 
 class Hull(msgspec.Struct, frozen=True, kw_only=True):

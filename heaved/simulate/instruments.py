@@ -82,7 +82,8 @@ class Imu:
 
 class Attitude:
     """Roll, pitch and yaw as a complementary filter of the IMU shows them, at increasing instants; exact for an
-    apparent vertical that runs straight between them."""
+    apparent vertical that runs straight between them.
+    """
 
     def __init__(self, sea: MotionSource, lean_s: float, late_s: float) -> None:
         self._sea, self._lean_s, self._late_s = sea, lean_s, late_s
@@ -127,6 +128,7 @@ class Moved:
         self._sea, self._shaken = sea, shaken
 
     def at(self, t_s: float) -> Motion[float]:
+        """The true motion at ``t_s``."""
         return self._shaken.moved(self._sea.at(t_s))
 
 
@@ -154,6 +156,7 @@ class CraftSensors:
         self._rng = np.random.default_rng([seed, 6, zlib.crc32(name.encode())])
 
     def read(self, t_s: float) -> CraftSample:
+        """The reading at ``t_s``."""
         made = self._voyage
         at = t_s % float(made.t_s[-1])
         columns = (made.heave_m, made.pitch_rad, made.speed_mps, made.flap_fore_rad, made.flap_aft_rad)

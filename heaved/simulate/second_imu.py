@@ -92,6 +92,7 @@ class SecondImu:
         return np.asarray(self._static @ (np.eye(3) - K + (0.5 - angle**2 / 24.0) * K @ K))
 
     def read(self, t_s: float) -> RatesSample:
+        """The reading at ``t_s``."""
         then_s = t_s - self._base.late_s
         hull = body_rates(self._sea.at(then_s))
         theta, rate = self._bend.at(then_s)

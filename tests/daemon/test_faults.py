@@ -48,6 +48,7 @@ from heaved.pipeline import Pipeline, PipelineState
 from heaved.samples import CorrectionState, HeaveState, LaserState, MotionFrame, Quality
 from heaved.simulate.faults import FaultKind, PlannedFault
 from heaved.simulate.plant import SimulatedPlant
+from heaved.workers.jobs import Job
 from heaved.workers.process import Worker
 
 Logs = Sequence[MutableMapping[str, Any]]
@@ -371,10 +372,13 @@ async def test_a_state_of_other_parameters(
 
 def let_die(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     """The worker of that name dies again and again; the other is well."""
-    dying = {"command": (sys.executable, "-c", "import sys; sys.exit('no such module')"), "first_backoff_s": 0.01}
+    command = (sys.executable, "-c", "import sys; sys.exit('no such module')")
 
-    def make(called: str, *arguments: Any, **options: Any) -> Worker[Any]:
-        return Worker(called, *arguments, **(options | dying if called == name else options))
+    def make(job: Job[Any, Any], *callbacks: Any) -> Worker[Any, Any]:
+        if job.name != name:
+            return Worker(job, *callbacks)
+        dying = msgspec.structs.replace(job, command=command, waits_for_work=False)
+        return Worker(dying, *callbacks, first_backoff_s=0.01)
 
     monkeypatch.setattr("heaved.daemon.learning.Worker", make)
 

@@ -360,7 +360,7 @@ def test_what_follows_a_restart_is_not_learned_before_it_has_settled(short: Reco
     assert pipe.summary().lead_comparisons > 0
     for sample in longer.samples():
         pipe.step(changed(sample, t_s=sample.t_s + 100.0))
-        if pipe.training_due() is not None:
+        if pipe.training_due() is not None or pipe.summary().windows_with_nothing_to_learn > 0:
             break
     assert sample.t_s == pytest.approx(60.0 + 20.0, abs=2.0)
 

@@ -180,6 +180,7 @@ class ResidualCorrection:
         return self._number - self.nothing_to_learn
 
     def state(self, *, laser_is_fresh: bool) -> CorrectionState:
+        """What people should know of it."""
         if not self._params.enabled:
             return CorrectionState.OFF
         if self.network is None:
@@ -361,6 +362,7 @@ class ResidualCorrection:
         return min(_between(amplitude, TUNING.same_amplitude), _between(frequency, TUNING.same_frequency))
 
     def saved(self) -> Saved | None:
+        """What a restart shall remember."""
         return self._in_use
 
     def restore(self, saved: Saved) -> None:

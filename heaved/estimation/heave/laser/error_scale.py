@@ -10,12 +10,14 @@ from __future__ import annotations
 
 from collections import deque
 from math import exp, hypot, inf, nan, sqrt
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from heaved.estimation.heave.laser.lead import LeadTracker
 from heaved.samples import DelayedHeave
+
+if TYPE_CHECKING:
+    from heaved.estimation.heave.laser.lead import LeadTracker
 
 
 class Tuning(msgspec.Struct, frozen=True, kw_only=True):
@@ -69,14 +71,16 @@ class PublishedScale:
 
     def at(self, t_s: float) -> float:
         """For a moment after the last reading: that the heave is better than modelled is of the sea of then, that it is
-        worse is of the sensor, and stays."""
+        worse is of the sensor, and stays.
+        """
         if self._scale2 >= 1.0 or not t_s > self._judged_s:
             return self.value
         return sqrt(1.0 + exp((self._judged_s - t_s) / TUNING.memory_s) * (self._scale2 - 1.0))
 
     def step(self, t_s: float, dt: float, deviation_m: float, modelled_std_m: float, *, may_judge: bool) -> None:
         """A reading at ``t_s``, ``dt`` of laser after the last, and how far it is off; both of the same time, for after
-        a gap both are large for a while. ``may_judge``: there has been enough of this target."""
+        a gap both are large for a while. ``may_judge``: there has been enough of this target.
+        """
         self._seconds += dt
         memory = min(1.0, dt / min(0.5 * self._seconds, TUNING.memory_s))
         self._shown2 += memory * (deviation_m**2 - self._shown2)

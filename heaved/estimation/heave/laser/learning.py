@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from math import inf, isfinite, nan
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
@@ -23,6 +23,9 @@ from heaved.estimation.heave.laser.reference import Reference
 from heaved.estimation.heave.observer import HeaveObserver, LaserAided
 from heaved.samples import Fault, LaserSample
 from heaved.unchanged import StuckDetector
+
+if TYPE_CHECKING:
+    from heaved.estimation.heave.observer import HeaveObserver, LaserAided
 
 Array = NDArray[np.float64]
 
@@ -114,7 +117,8 @@ class LaserLearning:
 
     def step(self, t_s: float, observer: HeaveObserver) -> None:
         """After a sample of the IMU at ``t_s``: take the readings whose heave is known by now; now and then, compare
-        the lead."""
+        the lead.
+        """
         self._keep_output(observer)
         while self._waiting and not self._waiting[0].t_s > self._output_t_s:
             self._read(self._waiting.popleft(), observer)

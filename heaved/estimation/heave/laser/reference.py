@@ -119,11 +119,13 @@ class Reference:
     @property
     def is_proven(self) -> bool:
         """Whether the readings may judge the heave: after another target, when they have agreed on it for so long that
-        a boat is gone."""
+        a boat is gone.
+        """
         return self.restarts == 0 or self._seconds >= TUNING.proven_s
 
     @property
     def constant_m(self) -> float:
+        """The constant in the signed readings; nan before it is known."""
         return self._constant_m if self.is_known else nan
 
     def signed(self, laser_m: float) -> float:
