@@ -18,9 +18,8 @@ import logging
 import struct
 import termios
 import time
-from collections.abc import Callable, Iterable, Sequence
 from math import isnan, nan
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
@@ -46,6 +45,9 @@ from heaved.devices.profile import Block, DeviceSpec, Quantity, block_registers
 from heaved.devices.station import PollResult, Reading, Station
 from heaved.devices.timer import DeadlineTimer, Pace, TimeLimit
 from heaved.samples import Fault
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
 
 __all__ = ["Answer", "Bus", "OpenLink", "PollResult"]
 

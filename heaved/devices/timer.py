@@ -12,10 +12,12 @@ import os
 import struct
 import sys
 import time
-from collections.abc import Callable
 from math import floor, inf
-from types import TracebackType
-from typing import Final, Self
+from typing import TYPE_CHECKING, Final, Self
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import TracebackType
 
 LOOP_RESOLUTION_S: Final = 1e-3
 """Of the loop's own timers."""

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 import zlib
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from heaved.devices.profile import DeviceSpec
 from heaved.samples import CraftSample, Fault, ImuSample, LaserSample, Sample
 from heaved.simulate.hydrofoil import CraftShake, CraftShaking, Passage, Voyage
 from heaved.simulate.second_imu import CraneBase, SecondImu
@@ -28,6 +28,9 @@ from heaved.simulate.sensors import (
 )
 from heaved.simulate.shaking import BUTTERWORTH_DAMPING, NONE, Shake, Shaking, shaking
 from heaved.simulate.vessel import Array, Motion, MotionSource, Triad, body_rates, specific_force
+
+if TYPE_CHECKING:
+    from heaved.devices.profile import DeviceSpec
 
 
 class Imu:
