@@ -23,8 +23,6 @@ from heaved.samples import HeaveForecast, RockPrediction
 Array = NDArray[np.float64]
 
 TURN: Final = 2.0 * pi
-MOST_HEAVE_M: Final = 20.0
-"""Half of the highest wave ever measured by a buoy or a platform (19 m) and as much again."""
 Record = TypeVar("Record", HeaveForecast, RockPrediction)
 Yaw = TypeVar("Yaw", float, Array)
 
@@ -65,12 +63,6 @@ def _largest(limits: Limits, at_s: tuple[float, ...]) -> tuple[Array, Array]:
 NO_LIMITS: Final = Limits((inf, inf, inf), inf)
 
 
-def bounded_heaves(numbers: Array) -> Array:
-    """(..., 2) heave and its standard deviation; nan where the heave is what no vessel does."""
-    is_wild = np.abs(numbers[..., :1]) > MOST_HEAVE_M
-    return np.where(is_wild, nan, numbers) if is_wild.any() else numbers
-
-
 class _Predictions(Sequence[Record]):
     """One record per horizon, made when it is asked for."""
 
@@ -98,56 +90,6 @@ class _Predictions(Sequence[Record]):
 
     def __repr__(self) -> str:
         return repr(tuple(self))
-
-
-class HeaveForecasts(_Predictions[HeaveForecast]):
-    """Heave and its standard deviation for each horizon (H,)."""
-
-    __slots__ = ("_records",)
-    _records: tuple[HeaveForecast, ...]
-
-    @classmethod
-    @abstractmethod
-    def numbers(cls, forecasts: Sequence[Self]) -> Array:
-        """(n, H, 2) heaves and standard deviations, m, of n forecasts for the same horizons."""
-
-    def __iter__(self) -> Iterator[HeaveForecast]:
-        try:
-            return iter(self._records)
-        except AttributeError:
-            self._records = self._made()
-            return iter(self._records)
-
-    def _made(self) -> tuple[HeaveForecast, ...]:
-        rows = zip(self.horizons_s, bounded_heaves(self.numbers([self])[0]).tolist(), strict=True)
-        return tuple([HeaveForecast(horizon_s=h, heave_m=heave_m, std_m=std_m) for h, (heave_m, std_m) in rows])
-
-    @classmethod
-    def of(cls, found: Sequence[HeaveForecast], horizons_s: tuple[float, ...]) -> HeaveForecasts:
-        """Those of ``found`` for these horizons, nan where there is none; mostly they are just these."""
-        if isinstance(found, HeaveForecasts) and found.horizons_s == horizons_s:
-            return found
-        records = _at(found, horizons_s, HeaveForecast(horizon_s=nan))
-        return PlainForecasts(horizons_s, [one.heave_m for one in records], [one.std_m for one in records])
-
-
-class PlainForecasts(HeaveForecasts):
-    """Numbers as they are."""
-
-    __slots__ = ("_heaves_m", "_stds_m")
-
-    def __init__(self, horizons_s: tuple[float, ...], heaves_m: Sequence[float], stds_m: Sequence[float]) -> None:
-        self.horizons_s, self._heaves_m, self._stds_m = horizons_s, heaves_m, stds_m
-
-    @classmethod
-    def numbers(cls, forecasts: Sequence[Self]) -> Array:
-        columns = [(one._heaves_m, one._stds_m) for one in forecasts]
-        return np.array(columns, dtype=np.float64).reshape(len(forecasts), 2, -1).transpose(0, 2, 1)
-
-    @classmethod
-    def unknown(cls, horizons_s: tuple[float, ...]) -> Self:
-        """Nothing is known for any of the horizons."""
-        return cls(horizons_s, [nan] * len(horizons_s), [nan] * len(horizons_s))
 
 
 class RockPredictions(_Predictions[RockPrediction]):

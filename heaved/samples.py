@@ -120,6 +120,8 @@ class CorrectionState(Enum):
 
 
 class Quality(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """What the numbers of a frame are worth, and why."""
+
     heave: HeaveState
     laser: LaserState
     correction: CorrectionState
@@ -128,7 +130,8 @@ class Quality(msgspec.Struct, frozen=True, gc=False, kw_only=True):
 
 class RockPrediction(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     """Attitude predicted for ``t_s + horizon_s``; standard deviations of the prediction error, and half-widths of the
-    interval that holds 95 % of what is measured then."""
+    interval that holds 95 % of what is measured then.
+    """
 
     horizon_s: float
     roll_rad: float = nan

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from heaved.block_outlook import BlockMaps, BlockOutlook, worked_out
-from heaved.predictions import TURN, HeaveForecasts, PlainForecasts, RockPredictions, turned
+from heaved.predictions import TURN, RockPredictions, turned
 from heaved.samples import HeaveForecast, RockPrediction
 
 HORIZONS_S = (0.05, 0.5, 2.0)
@@ -34,14 +34,9 @@ def rocks(yaw_rad: float = 1.0) -> tuple[RockPrediction, ...]:
     )
 
 
-@pytest.mark.parametrize(
-    ("columns", "records"),
-    [(HeaveForecasts.of(FORECASTS, HORIZONS_S), FORECASTS), (RockPredictions.of(rocks(), HORIZONS_S), rocks())],
-    ids=["heave", "rock"],
-)
-def test_columns_are_the_sequence_of_their_records(
-    columns: HeaveForecasts | RockPredictions, records: Sequence[HeaveForecast | RockPrediction]
-) -> None:
+def test_columns_are_the_sequence_of_their_records() -> None:
+    records = rocks()
+    columns = RockPredictions.of(records, HORIZONS_S)
     assert isinstance(columns, Sequence)
     assert len(columns) == len(records) == 3
     assert list(columns) == list(records)
@@ -49,7 +44,7 @@ def test_columns_are_the_sequence_of_their_records(
     assert tuple(columns[1:]) == records[1:]
     assert list(reversed(columns)) == list(reversed(records))
     assert records[1] in columns
-    assert columns.index(records[2]) == 2  # type: ignore[arg-type]
+    assert columns.index(records[2]) == 2
     assert columns == records
     assert records == columns
     assert columns != records[:2]
@@ -60,26 +55,13 @@ def test_columns_are_the_sequence_of_their_records(
         columns[3]
 
 
-def test_there_may_be_none() -> None:
-    none = PlainForecasts((), (), ())
-    assert not none
-    assert none == ()
-    assert list(none) == []
-
-
 def test_columns_of_these_horizons_stay_what_they_are() -> None:
-    heave, rock = HeaveForecasts.of(FORECASTS, HORIZONS_S), RockPredictions.of(rocks(), HORIZONS_S)
-    assert HeaveForecasts.of(heave, HORIZONS_S) is heave
+    rock = RockPredictions.of(rocks(), HORIZONS_S)
     assert RockPredictions.of(rock, HORIZONS_S) is rock
 
 
 def test_other_horizons_are_picked_and_what_is_not_there_is_not_known() -> None:
     asked = (2.0, 1.0, 0.05)
-    heave = HeaveForecasts.of(HeaveForecasts.of(FORECASTS, HORIZONS_S), asked)
-    assert (heave[0], heave[2]) == (FORECASTS[2], FORECASTS[0])
-    assert heave[1].horizon_s == 1.0
-    assert isnan(heave[1].heave_m)
-    assert isnan(heave[1].std_m)
     rock = RockPredictions.of(rocks(), asked)
     assert (rock[0], rock[2]) == (rocks()[2], rocks()[0])
     for found, h in ((rock[1], 1.0), (RockPredictions.unknown(HORIZONS_S)[1], 0.5)):

@@ -1,5 +1,7 @@
 """What comes from elsewhere cannot command the terminal that shows it."""
 
+from __future__ import annotations
+
 import pytest
 
 from heaved.text import printable, printable_lines
@@ -23,10 +25,10 @@ from heaved.text import printable, printable_lines
         ("\U000e0041", r"\U000e0041"),
     ],
 )
-def test_printable(text, shown):
+def test_printable(text: str, shown: str) -> None:
     assert printable(text) == shown
     assert printable(text).isprintable()
 
 
-def test_line_ends_may_stay():
+def test_line_ends_may_stay() -> None:
     assert printable_lines("one\x1b\ntwo\r\n") == "one\\x1b\ntwo\\r\n"

@@ -157,7 +157,7 @@ def flume_optical(path: Path, *, froude: float = 1.0) -> Array:
     Raises:
         ValueError, OSError: as :func:`flume`.
     """
-    return _columns(path, 8, header_rows=1)[1] * froude
+    return np.asarray(_columns(path, 8, header_rows=1)[1] * froude)
 
 
 def microswift(path: Path) -> Recording:

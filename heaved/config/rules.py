@@ -17,10 +17,10 @@ from heaved.devices.bandwidth import bandwidth_hz, folding, remedy
 from heaved.devices.link import RtuLink, bus_load_faults, buses, line_faults, most_rate_hz, parse_link
 from heaved.devices.profile import DeviceSpec, Role, profile_faults, role_needs, role_quantities
 from heaved.estimation.craft import fusion
-from heaved.estimation.heave.sea.whittle_fit import BAND_HZ
+from heaved.estimation.heave.sea.whittle_fit import TUNING as FIT
 from heaved.estimation.hull import estimate as hull
 
-LEAST_IMU_RATE_HZ: Final = 2.0 * BAND_HZ[1]
+LEAST_IMU_RATE_HZ: Final = 2.0 * FIT.band_hz[1]
 """Nyquist: of the highest frequency at which the sea is fitted."""
 GOOD_IMU_RATE_HZ: Final = 4.0
 """Two and a half times that: a whole octave above the waves, in which noise and vibration are seen for what they are,
@@ -31,7 +31,8 @@ LONG_TIMEOUT_S: Final = 1.0
 
 class Written(msgspec.Struct, frozen=True, kw_only=True):
     """A file as it is written, and what is right of it in itself: enough to check the rest against each other although
-    something else is wrong."""
+    something else is wrong.
+    """
 
     tree: Mapping[str, Any]
     devices: dict[int, DeviceSpec]
@@ -90,7 +91,8 @@ def rule_faults(file: Written) -> list[str]:
 
 def run_faults(file: Written) -> list[str]:
     """What a file must not lack to be run: see :func:`stage_faults`. A device that is not sound counts for what it is
-    meant to be, so that nothing is missed which is only wrong."""
+    meant to be, so that nothing is missed which is only wrong.
+    """
     carried: dict[str, Collection[str]] = {device.role: _quantities(device) for device in file.devices.values()}
     is_complete = "device" not in file.wrong
     for i, device in enumerate(file.listed("device")):
@@ -103,8 +105,9 @@ def run_faults(file: Written) -> list[str]:
         else:
             is_complete = False  # It may be the one that is looked for.
     slow = [
-        f"device[{i}].rate_hz: {device.rate_hz:g} is too slow for waves: the sea is fitted up to {BAND_HZ[1]:g} Hz, "
-        f"which takes {LEAST_IMU_RATE_HZ:g} Hz at least; 10 or more is good, 100 for a compensator"
+        f"device[{i}].rate_hz: {device.rate_hz:g} is too slow for waves: the sea is fitted up to "
+        f"{FIT.band_hz[1]:g} Hz, which takes {LEAST_IMU_RATE_HZ:g} Hz at least; "
+        "10 or more is good, 100 for a compensator"
         for i, device in file.devices.items()
         if device.role == "imu" and device.rate_hz < LEAST_IMU_RATE_HZ
     ]
@@ -259,7 +262,8 @@ def overload_faults(devices: tuple[DeviceSpec, ...]) -> list[str]:
 
 def _port_faults(devices: Mapping[int, DeviceSpec]) -> list[str]:
     """Serial ports that go by two names, such as /dev/ttyUSB0 and its link under /dev/serial/by-id: the second could
-    not be opened beside the first."""
+    not be opened beside the first.
+    """
     faults = []
     first: dict[str, tuple[int, str]] = {}
     for i, device in devices.items():

@@ -52,14 +52,15 @@ class Acquisition:
         publish: Callable[[MotionFrame], None],
         train: Callable[[TrainingWindow], None],
         fit: Callable[[SeaWindow], None],
-        refit: Callable[[RefitJob], None] = lambda job: None,
+        refit: Callable[[RefitJob], None] = lambda _job: None,
         publish_stages: Callable[[], None] = lambda: None,
         alive: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """``publish``, ``train``, ``fit`` and ``refit`` must only hand over, ``publish_stages`` looks after each poll
         for what the stages have to say, ``alive`` is told of each that shows the IMU alive; ``clock`` is that of the
-        samples."""
+        samples.
+        """
         self.pipeline = pipeline
         self.health: dict[str, DeviceHealth] = {}
         self.last_frame: MotionFrame | None = None
@@ -160,12 +161,12 @@ class Acquisition:
         """Hand a training's result to the pipeline, which decides whether it is used."""
         try:
             result = self.pipeline.accept(network)
-        except Exception as error:
+        except Exception as error:  # A bug in an estimator must not take the stream down.
             self._bug("accept", error)
-            result = "failed"
+            result = Verdict.FAILED
         self.trainings += 1
         self._metrics.training_runs.labels(result).inc()
-        if result == "accepted":
+        if result == Verdict.ACCEPTED:
             self.accepted_s = self._clock()
         if result != self.last_training:
             self.last_training = result
@@ -176,7 +177,7 @@ class Acquisition:
         """Hand a fit of the sea to the pipeline."""
         try:
             result = self.pipeline.accept_fit(fit)
-        except Exception as error:
+        except Exception as error:  # Likewise.
             self._bug("accept_fit", error)
             result = Verdict.FAILED
         self._metrics.sea_fits.labels(result).inc()
@@ -212,14 +213,14 @@ class Acquisition:
     def _step(self, sample: Sample) -> MotionFrame | None:
         try:
             return self.pipeline.step(sample)
-        except Exception as error:  # A bug in an estimator must not take the stream down.
+        except Exception as error:  # Likewise.
             self._bug("step", error)
         return self._coast(sample.t_s) if isinstance(sample, ImuSample) else None
 
     def _coast(self, t_s: float) -> MotionFrame | None:
         try:
             return self.pipeline.coast(t_s)
-        except Exception as error:
+        except Exception as error:  # Likewise.
             self._bug("coast", error)
             return None
 
@@ -245,7 +246,7 @@ class Acquisition:
             if job is not None and job is not self._refit_job:
                 self._refit_job = job
                 self._refit(job)
-        except Exception as error:
+        except Exception as error:  # Likewise.
             self._bug("work", error)
         if (failure := self.pipeline.stages.failure) is not None:
             self.pipeline.stages.failure = None

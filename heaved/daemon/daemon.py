@@ -28,7 +28,6 @@ from heaved.config import Config
 from heaved.config.read import ConfigError, load_to_run
 from heaved.config.rules import rate_faults
 from heaved.daemon.acquisition import Acquisition
-from heaved.daemon.feed import Feed
 from heaved.daemon.learning import Workers
 from heaved.daemon.logs import configure_logging
 from heaved.daemon.metrics import RENEWED_S, Metrics
@@ -44,8 +43,8 @@ from heaved.devices.link import buses
 from heaved.devices.profile import DeviceSpec
 from heaved.devices.timer import Heartbeat
 from heaved.estimation.stages import Stages
-from heaved.outputs.access import ListenError
 from heaved.outputs.http import HttpServer, liveness, readiness
+from heaved.outputs.listen import ListenError
 from heaved.outputs.records import StatusRecord
 from heaved.outputs.stream import Publisher
 from heaved.pipeline import Pipeline, PipelineState, assemble, check_state
@@ -108,7 +107,7 @@ class Daemon:
         self._heartbeat = Heartbeat(self._beat)
         self.memory = Memory(
             StateFile(state_directory(config.state.directory), PipelineState, check_state),
-            lambda: self.acquisition.pipeline.state(),
+            self._learned,
             count_save=lambda result: self.metrics.state_saves.labels(result).inc(),
             count_load=lambda result: self.metrics.state_loads.labels(result).inc(),
             realtime=realtime,
@@ -127,7 +126,6 @@ class Daemon:
         self._fed_s = -1.0
         self._fed_frames = 0
         self._publisher = self._make_publisher()
-        self._feed = Feed(self._publisher, self.utc)
         self._http = self._make_http() if config.http.enabled else None
 
     # ---- start and stop ----------------------------------------------------------------------------------------------
@@ -244,10 +242,14 @@ class Daemon:
             self.acquisition.pipeline = make_pipeline(self.config, self.acquisition.pipeline.stages)
             raise error if isinstance(error, ValueError) else ValueError(repr(error)) from error
 
+    def _learned(self) -> PipelineState:
+        """What a restart shall remember."""
+        return self.acquisition.pipeline.state()
+
     def _replace_pipeline(self) -> None:
         pipeline = make_pipeline(self.config, self.acquisition.pipeline.stages)
         try:
-            pipeline.restore(self.acquisition.pipeline.state())
+            pipeline.restore(self._learned())
         except ValueError as error:
             _log.warning("what was learned does not fit the new parameters: estimators start cold", reason=str(error))
             self.acquisition.accepted_s = self.acquisition.fitted_s = nan
@@ -294,7 +296,7 @@ class Daemon:
         self._publisher.publish_record(status)
         frame = self.acquisition.last_frame
         if frame is not None:
-            self._feed.outlook(frame)
+            self._publisher.publish_slow(frame)
         self._keep_gauges(frame)
         self._notifier.notify(f"STATUS={status_line(status)}")
 
@@ -328,14 +330,14 @@ class Daemon:
         )
 
     def _publish(self, frame: MotionFrame) -> None:
-        self._feed.motion(frame)
+        self._publisher.publish(frame)
         if not self._is_ready:
             self._is_ready = True
             self._notifier.notify("READY=1", "STATUS=running")
 
     def _publish_stages(self) -> None:
         stages = self.acquisition.pipeline.stages
-        self._feed.stages(stages.angles, stages.motion)
+        self._publisher.publish_stages(stages.angles, stages.motion)
 
     def _make_publisher(self) -> Publisher:
         stream = self.config.stream
@@ -349,6 +351,7 @@ class Daemon:
             version=__version__,
             status=self.status,
             metrics=self.metrics,
+            utc_s=self.utc.utc_s,
             clock=self._clock,
         )
 

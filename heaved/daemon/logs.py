@@ -284,7 +284,8 @@ class LineHandler(logging.Handler):
 
 def _writer() -> Callable[[str], None]:
     """Writes to standard error as it is now, without a buffer whose lock a hanging write would keep; what it does not
-    take is lost, since there is no better place to say so."""
+    take is lost, since there is no better place to say so.
+    """
     stream = sys.stderr
 
     def write(text: str) -> None:

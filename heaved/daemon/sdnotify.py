@@ -36,6 +36,7 @@ class Notifier:
         return True
 
     def close(self) -> None:
+        """Nothing more is told."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None

@@ -72,6 +72,7 @@ class Signals:
                 numbers = self._ours.recv(64)
                 if not numbers:
                     return
+                numbers = bytes(number for number in numbers if number in self._handlers)  # Others are not ours.
                 with self._lock:
                     self._seen.update(numbers)
                     if self._loop is not None and not self._loop.is_closed():

@@ -83,7 +83,7 @@ class StateFile(Generic[T]):
     Encoding is quick and belongs to whoever owns the state; the rest waits for the disk and belongs in a thread.
     """
 
-    def __init__(self, directory: Path, kind: type[T], check: Callable[[T], None] = lambda state: None) -> None:
+    def __init__(self, directory: Path, kind: type[T], check: Callable[[T], None] = lambda _state: None) -> None:
         """``check``: raises ValueError for a record whose numbers cannot be."""
         self.path = directory / FILE_NAME
         self._kind = kind
@@ -217,7 +217,8 @@ class Memory(Generic[T]):
     ) -> None:
         """``state``: what there is to remember now. ``count_save`` is told ``saved`` or ``failed`` for each save,
         ``count_load`` what came of the restoring: ``restored``, ``absent`` or ``refused``. ``realtime``: UTC, seconds
-        since 1970. ``load_s`` and ``save_s``: what the disk may take."""
+        since 1970. ``load_s`` and ``save_s``: what the disk may take.
+        """
         self.file = file
         self._state = state
         self._count_save = count_save
@@ -309,6 +310,7 @@ class Memory(Generic[T]):
         self.file.write(self.file.encode(state, saved_s))
 
     async def keep_saving(self, period_s: float) -> None:
+        """Save once a period until cancelled."""
         while True:
             await asyncio.sleep(period_s)
             await self.save()

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from math import isfinite
+from typing import Final
 
 from heaved import __version__
 from heaved.config import Config
 from heaved.daemon.acquisition import Acquisition
 from heaved.daemon.utc_clock import UtcClock
 from heaved.outputs import wire
+from heaved.outputs.fields import ATTITUDE, HULL, HULL_STD, MOTION, rounded
 from heaved.outputs.records import (
     AttitudeStatus,
     ClockStatus,
@@ -17,14 +19,16 @@ from heaved.outputs.records import (
     HeaveStatus,
     HullStatus,
     ObserverStatus,
-    QualityRecord,
     StatusRecord,
 )
-from heaved.samples import CorrectionState, Fault, HeaveState, LaserState, MotionFrame, SeaState
+from heaved.samples import CorrectionState, Fault, HeaveState, LaserState, MotionFrame, Quality, SeaState
 
-_SHOWN_S = (0.15, 1.0)
+_SHOWN_S: Final = (0.15, 1.0)
 """Horizons whose predictions the status judges."""
-_NO_QUALITY = QualityRecord(
+_HEAVE: Final = MOTION.only("heave_m", "heave_std_m")
+_ATTITUDE: Final = ATTITUDE.only("heave_m", "heave_std_m", "pitch_deg", "pitch_std_deg")
+_HULL_STD: Final = HULL_STD.only("x_std_arcsec", "y_std_arcsec", "z_std_arcsec")
+_NO_QUALITY: Final = Quality(
     heave=HeaveState.INVALID, laser=LaserState.OFF, correction=CorrectionState.OFF, reasons=("no frame yet",)
 )
 
@@ -48,13 +52,13 @@ def status_record(
         release=__version__,
         uptime_s=round(now_s - started_s, 3),
         frames=acquisition.frames,
-        rate_hz=wire.finite(acquisition.rate_hz(now_s)),
+        rate_hz=rounded(acquisition.rate_hz(now_s)),
         heave=_heave(frame, now_s),
-        quality=_quality(frame),
+        quality=_NO_QUALITY if frame is None else frame.quality,
         devices=_devices(acquisition, config, now_s),
         clients=clients,
         dropped=dropped,
-        lead_s=wire.finite(summary.lead_s),
+        lead_s=rounded(summary.lead_s),
         observer=_observer(acquisition, config, frame.sea if frame is not None else None, now_s),
         correction=_correction(acquisition, frame, now_s),
         hull=_hull(frame) if config.hull.enabled else None,
@@ -87,18 +91,8 @@ def _heave(frame: MotionFrame | None, now_s: float) -> HeaveStatus:
     if frame is None:
         return HeaveStatus()
     return HeaveStatus(
-        heave_m=wire.finite(frame.heave_m),
-        heave_std_m=wire.finite(frame.heave_std_m),
-        age_s=wire.finite(now_s - frame.t_s),
-    )
-
-
-def _quality(frame: MotionFrame | None) -> QualityRecord:
-    if frame is None:
-        return _NO_QUALITY
-    quality = frame.quality
-    return QualityRecord(
-        heave=quality.heave, laser=quality.laser, correction=quality.correction, reasons=quality.reasons
+        **_HEAVE.known(frame),
+        age_s=rounded(now_s - frame.t_s),
     )
 
 
@@ -108,7 +102,7 @@ def _observer(acquisition: Acquisition, config: Config, sea: SeaState | None, no
     return ObserverStatus(
         name=config.heave.observer,
         frequencies_hz=tuple(round(frequency_hz, 5) for frequency_hz in pipeline.summary().frequencies_hz),
-        fit_age_s=wire.finite(now_s - sea.t_s) if sea is not None else None,
+        fit_age_s=rounded(now_s - sea.t_s) if sea is not None else None,
         resets=sum(count for (name, _), count in pipeline.resets.items() if name == "heave"),
         vibration=wire.vibration_record(sea.vibration) if sea is not None else (),
         noise_mps2_rthz=wire.density(sea.noise_mps2_rthz) if sea is not None else None,
@@ -122,8 +116,8 @@ def _hull(frame: MotionFrame | None) -> HullStatus:
     hull = frame.hull
     return HullStatus(
         state=hull.state,
-        z_deg=wire.degrees(hull.total_rad[2]),
-        std_arcsec=wire.arcsec(max(hull.std_rad)),
+        z_deg=HULL.known(hull).get("z_deg"),
+        std_arcsec=max(_HULL_STD.known(hull).values(), default=None),
         warnings=hull.warnings,
         resets=hull.resets,
     )
@@ -134,11 +128,8 @@ def _attitude(frame: MotionFrame | None, now_s: float) -> AttitudeStatus:
         return AttitudeStatus()
     motion = frame.attitude
     return AttitudeStatus(
-        heave_m=wire.finite(motion.heave_m),
-        heave_std_m=wire.finite(motion.heave_std_m),
-        pitch_deg=wire.degrees(motion.pitch_rad),
-        pitch_std_deg=wire.degrees(motion.pitch_std_rad),
-        age_s=wire.finite(now_s - motion.t_s),
+        **_ATTITUDE.known(motion),
+        age_s=rounded(now_s - motion.t_s),
         cautions=motion.cautions,
         resets=motion.resets,
     )
@@ -154,11 +145,11 @@ def _devices(acquisition: Acquisition, config: Config, now_s: float) -> tuple[De
                 role=spec.role,
                 up=health.up,
                 link=spec.link,
-                rate_hz=wire.finite(health.rate_hz(now_s)),
+                rate_hz=rounded(health.rate_hz(now_s)),
                 wanted_rate_hz=spec.rate_hz,
                 results={fault.value: health.results[fault] for fault in Fault if health.results[fault]},
                 last_fault=health.last_fault.value if health.last_fault else None,
-                last_fault_age_s=wire.finite(now_s - health.last_fault_s),
+                last_fault_age_s=rounded(now_s - health.last_fault_s),
                 detail="" if health.up else health.detail,
             )
         )
@@ -172,4 +163,5 @@ def _correction(acquisition: Acquisition, frame: MotionFrame | None, now_s: floa
         runs=acquisition.trainings,
         last_result=acquisition.last_training or None,
         age_s=round(age_s, 3) if isfinite(age_s) else None,
+        nothing_to_learn=acquisition.pipeline.summary().windows_with_nothing_to_learn,
     )

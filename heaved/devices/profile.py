@@ -229,7 +229,8 @@ class _Group:
 
 class BlockCodec:
     """Registers of one block to values and back; compiled once, because a fast sensor is decoded hundreds of times a
-    second on the daemon's only loop."""
+    second on the daemon's only loop.
+    """
 
     def __init__(self, block: Block) -> None:
         self.block = block

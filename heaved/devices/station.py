@@ -152,7 +152,8 @@ class Station:
 
 def _dated_by(spec: DeviceSpec) -> tuple[int, int]:
     """The block whose request dates the sample, and the register in it: of what the role needs first (the vertical
-    acceleration, the laser, a rate), else of the first that is anything of the device's role."""
+    acceleration, the laser, a rate), else of the first that is anything of the device's role.
+    """
     for names in (set(role_needs(spec.role)[:1]), set(role_quantities(spec.role))):
         for number, block in enumerate(spec.profile.blocks):
             offsets = [field.offset for field in block.fields if field.quantity in names]

@@ -33,6 +33,7 @@ class Pace:
 
     @property
     def due_s(self) -> float:
+        """The deadline that comes next, or has come."""
         return self.start_s + self._number * self.period_s
 
     def advance(self, now_s: float) -> int:
@@ -47,7 +48,8 @@ class Pace:
 
 class DeadlineTimer:
     """Waits for absolute deadlines, one at a time. A context manager within a running loop. While the process is out of
-    descriptors the loop's own timers do."""
+    descriptors the loop's own timers do.
+    """
 
     def __init__(self) -> None:
         self._fd = -1
@@ -124,6 +126,7 @@ class Heartbeat:
             self._set(asyncio.get_running_loop().time() + 2.0 * self._period_s)
 
     def stop(self) -> None:
+        """No more beats."""
         if self._handle is not None:
             self._handle.cancel()
             self._handle = None

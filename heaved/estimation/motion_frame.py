@@ -22,7 +22,6 @@ from heaved.estimation.imu.vertical import Vertical
 from heaved.estimation.lever_arm import AttitudeMotion, Point
 from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S
 from heaved.estimation.stages import Stages
-from heaved.predictions import PlainForecasts
 from heaved.samples import (
     CorrectionState,
     DelayedHeave,
@@ -43,7 +42,7 @@ NOTHING: Final = Heave(
     observer_m=nan,
     correction_m=nan,
     lead_s=nan,
-    forecast=PlainForecasts((), (), ()),
+    forecast=(),
 )
 """While nothing is known of the heave."""
 
@@ -157,10 +156,8 @@ class MotionFrames:
         return msgspec.structs.replace(
             heave,
             std_m=hypot(heave.std_m, late_s * heave.velocity_mps),
-            forecast=PlainForecasts(
-                forecast.horizons_s,
-                [one.heave_m for one in forecast],
-                [hypot(one.std_m, late_s * fastest_mps) for one in forecast],
+            forecast=tuple(
+                [msgspec.structs.replace(one, std_m=hypot(one.std_m, late_s * fastest_mps)) for one in forecast]
             ),
         )
 
@@ -187,7 +184,7 @@ class MotionFrames:
             return last
         if (now := predicted(t_s, last, rock)) is not None:
             return now
-        if not last.serves(t_s):
+        if not self._vertical.serves(t_s):
             return UNKNOWN
         roll, pitch = last.at(t_s)
         return msgspec.structs.replace(last, roll_rad=roll, pitch_rad=pitch)
@@ -261,7 +258,7 @@ class MotionFrames:
         return Quality(
             heave=state,
             laser=LaserState.OFF if not has_laser else LaserState.VALID if fresh else LaserState.STALE,
-            correction=estimator.correction.state(fresh) if has_laser else CorrectionState.OFF,
+            correction=estimator.correction.state(laser_is_fresh=fresh) if has_laser else CorrectionState.OFF,
             reasons=reasons,
         )
 

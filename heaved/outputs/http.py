@@ -17,8 +17,7 @@ import structlog
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
-from heaved.outputs.access import checked_networks, is_allowed
-from heaved.outputs.listener import Listener
+from heaved.outputs.listen import Listener, checked_networks, is_allowed
 from heaved.samples import HeaveState, MotionFrame
 from heaved.text import printable
 
@@ -96,13 +95,13 @@ class _Refusal(asyncio.Protocol):
         patience_s = _REFUSAL_S if len(self._refused) <= _MAX_CONNECTIONS else 0.0
         self._end = asyncio.get_running_loop().call_later(patience_s, self.abort)
 
-    def data_received(self, data: bytes) -> None:
+    def data_received(self, _data: bytes) -> None:
         if self._answer:
             self._transport.write(self._answer)
             self._transport.write_eof()
             self._answer = b""
 
-    def connection_lost(self, exc: Exception | None) -> None:
+    def connection_lost(self, _error: Exception | None) -> None:
         self._refused.discard(self)
         self._end.cancel()
 
@@ -154,6 +153,7 @@ class HttpServer:
         return await self._listener.start()
 
     async def close(self) -> None:
+        """Stop listening, and end every connection."""
         self._listener.close()
         for peer in tuple(self._refused):
             peer.abort()

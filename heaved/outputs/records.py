@@ -1,7 +1,8 @@
 """What the stream says: a record for each class of line, ``class`` first.
 
 What is not known is left out, never ``null`` or ``NaN``; angles are in degrees, times ISO 8601 UTC, signs those of
-:mod:`heaved.samples`. HULL and ATTITUDE are in :mod:`heaved.outputs.stage_wire`.
+:mod:`heaved.samples`. Which of their numbers come from which record inside, and how they are rounded, says the table in
+:mod:`heaved.outputs.fields`.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from typing import Final
 
 import msgspec
 
-from heaved.samples import CorrectionState, HeaveState, LaserState, Vibration
+from heaved.samples import CorrectionState, Quality, Vibration
 
 PROTO_MAJOR: Final = 1
 PROTO_MINOR: Final = 3
@@ -27,19 +28,15 @@ class VersionRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class"
 
 
 class ErrorRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class", tag="ERROR"):
+    """What was wrong with a request, or why the connection ends."""
+
     message: str
 
 
-class QualityRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True):
-    heave: HeaveState
-    laser: LaserState
-    correction: CorrectionState
-    reasons: tuple[str, ...] = ()
-
-
-class RockRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_defaults=True):
+class RockRecord(msgspec.Struct, frozen=True, gc=False, omit_defaults=True):
     """Attitude predicted for ``horizon_s`` after the time of validity; standard deviations of the prediction error, and
-    half-widths of the interval that holds 95 % of what is measured then."""
+    half-widths of the interval that holds 95 % of what is measured then.
+    """
 
     horizon_s: float
     roll_deg: float | None = None
@@ -53,7 +50,7 @@ class RockRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_defau
     yaw_interval_deg: float | None = None
 
 
-class ForecastRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_defaults=True):
+class ForecastRecord(msgspec.Struct, frozen=True, gc=False, omit_defaults=True):
     """Heave predicted for ``horizon_s`` after the time of validity."""
 
     horizon_s: float
@@ -61,7 +58,7 @@ class ForecastRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_d
     std_m: float | None = None
 
 
-class PointRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_defaults=True):
+class PointRecord(msgspec.Struct, frozen=True, gc=False, omit_defaults=True):
     """A monitoring point, as configured."""
 
     name: str
@@ -101,7 +98,7 @@ class MotionRecord(
     points: tuple[PointRecord, ...] = ()
     rock: tuple[RockRecord, ...] = ()
     forecast: tuple[ForecastRecord, ...] = ()
-    quality: QualityRecord
+    quality: Quality
     age_s: float | None = None
     """From validity to the moment the line was given to the socket."""
     dropped: int | None = None
@@ -149,6 +146,62 @@ class DelayedRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class"
     mono_s: float
     heave_m: float
     std_m: float
+
+
+class HullRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag_field="class", tag="HULL"):
+    """Deformation between the IMUs amidships and at the crane base: ``v_local = R3(z) R2(y) R1(x) v_midships``."""
+
+    time: str
+    """UTC of validity."""
+    mono_s: float
+    state: str
+    """"starting", "converging", "converged", "weak" or "holding"."""
+    x_deg: float | None = None
+    """Total: static, mounting and flexure."""
+    y_deg: float | None = None
+    z_deg: float | None = None
+    static_x_deg: float | None = None
+    static_y_deg: float | None = None
+    static_z_deg: float | None = None
+    dynamic_x_deg: float | None = None
+    """Flexure about the hull's axes."""
+    dynamic_y_deg: float | None = None
+    dynamic_z_deg: float | None = None
+    x_std_arcsec: float | None = None
+    """Of the total, about the hull's axes."""
+    y_std_arcsec: float | None = None
+    z_std_arcsec: float | None = None
+    x_reachable_std_arcsec: float | None = None
+    """What the motion at hand would give in the end; absent: nothing."""
+    y_reachable_std_arcsec: float | None = None
+    z_reachable_std_arcsec: float | None = None
+    delay_s: float | None = None
+    """By which the second IMU is late, its configured latency included already."""
+    delay_std_s: float | None = None
+    refits: int
+    resets: int
+    warnings: tuple[str, ...] = ()
+
+
+class AttitudeRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class", tag="ATTITUDE"):
+    """Fused heave (about the trim, up) and pitch (bow up) of a craft."""
+
+    time: str
+    """UTC of validity."""
+    mono_s: float
+    heave_m: float
+    heave_std_m: float
+    heave_velocity_mps: float
+    heave_velocity_std_mps: float
+    pitch_deg: float
+    pitch_std_deg: float
+    pitch_rate_degps: float
+    pitch_rate_std_degps: float
+    probabilities: tuple[float, ...]
+    """Of the filters."""
+    switches: int
+    resets: int
+    cautions: tuple[str, ...]
 
 
 class QuietRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag_field="class", tag="QUIET"):
@@ -200,6 +253,8 @@ class HeaveStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
 
 
 class DeviceStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A configured device."""
+
     name: str
     role: str
     up: bool
@@ -216,6 +271,8 @@ class DeviceStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
 
 
 class ObserverStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The observer of the heave."""
+
     name: str
     """As ``[heave] observer`` has it."""
     frequencies_hz: tuple[float, ...] = ()
@@ -229,12 +286,16 @@ class ObserverStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
 
 
 class CorrectionStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The learned correction."""
+
     state: CorrectionState
     runs: int = 0
     """Trainings finished since the start, of any result."""
     last_result: str | None = None
     age_s: float | None = None
     """Since the network in use was accepted."""
+    nothing_to_learn: int = 0
+    """Times that no training was worth its while: a regression has shown that no network would be accepted."""
 
 
 class HullStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -261,6 +322,8 @@ class AttitudeStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
 
 
 class ClockStatus(msgspec.Struct, frozen=True, kw_only=True):
+    """UTC, as it is tracked."""
+
     utc_offset_s: float
     """UTC minus the monotonic clock."""
     steps: int = 0
@@ -277,7 +340,7 @@ class StatusRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     rate_hz: float | None = None
     """Frames a second, measured over the last seconds."""
     heave: HeaveStatus
-    quality: QualityRecord
+    quality: Quality
     devices: tuple[DeviceStatus, ...]
     clients: int
     dropped: int

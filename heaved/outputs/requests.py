@@ -11,13 +11,13 @@ MAX_REQUEST_BYTES: Final = 512
 """Longest line that a client may send, its line end included."""
 
 StreamClass = Literal["MOTION", "SEA", "DELAYED", "HULL", "ATTITUDE", "QUIET", "STATUS"]
-"""What a client may watch. VERSION, ERROR and the answer to ``?STATUS`` are sent whatever it watches."""
+"""What a client may subscribe to. VERSION, ERROR and the answer to ``?STATUS`` are sent to all."""
 STREAM_CLASSES: Final[tuple[str, ...]] = get_args(StreamClass)
 
 ACCEPTED: Final = 'send ?WATCH={"classes":["MOTION","SEA"],"rate_hz":10}, ?STATUS or ?VERSION, one per line'
 
 
-class Watch(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Subscription(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``?WATCH=``: which classes, and at most how many MOTION lines a second."""
 
     classes: tuple[StreamClass, ...] = ("MOTION",)
@@ -39,9 +39,9 @@ class BadRequest(msgspec.Struct, frozen=True):
     message: str
 
 
-Request = Watch | StatusQuery | VersionQuery | BadRequest
+Request = Subscription | StatusQuery | VersionQuery | BadRequest
 
-_watch_decoder = msgspec.json.Decoder(Watch)
+_subscription_decoder = msgspec.json.Decoder(Subscription)
 
 
 def parse_request(line: bytes) -> Request:
@@ -54,19 +54,19 @@ def parse_request(line: bytes) -> Request:
     if text == b"?VERSION":
         return VersionQuery()
     if text.startswith(b"?WATCH="):
-        return _parse_watch(text[len(b"?WATCH=") :])
+        return _parse_subscription(text[len(b"?WATCH=") :])
     shown = text[:40].decode("utf-8", "backslashreplace")
     return BadRequest(f"not understood: {shown!r}; {ACCEPTED}")
 
 
-def _parse_watch(text: bytes) -> Watch | BadRequest:
+def _parse_subscription(text: bytes) -> Subscription | BadRequest:
     try:
-        watch = _watch_decoder.decode(text)
+        wanted = _subscription_decoder.decode(text)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         return BadRequest(f"?WATCH: {error}; classes are {', '.join(STREAM_CLASSES)}; {ACCEPTED}")
-    if watch.rate_hz is not None and not 0.0 < watch.rate_hz < math.inf:
-        return BadRequest(f"?WATCH: rate_hz is {watch.rate_hz}, it must be above 0; {ACCEPTED}")
-    return watch
+    if wanted.rate_hz is not None and not 0.0 < wanted.rate_hz < math.inf:
+        return BadRequest(f"?WATCH: rate_hz is {wanted.rate_hz}, it must be above 0; {ACCEPTED}")
+    return wanted
 
 
 class LineSplitter:

@@ -11,17 +11,18 @@ import asyncio
 import time
 from collections.abc import Callable
 from math import inf
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import msgspec
 import structlog
 
 from heaved.outputs import wire
-from heaved.outputs.access import checked_networks, is_allowed
-from heaved.outputs.listener import Listener
+from heaved.outputs.listen import Listener, checked_networks, is_allowed
 from heaved.outputs.records import ErrorRecord, StatusRecord, VersionRecord
-from heaved.outputs.subscriber import Connection
-from heaved.samples import MotionFrame
+from heaved.outputs.subscriber import Subscriber
+from heaved.samples import CraftMotion, DelayedHeave, HullAngles, MotionFrame, SeaState
+
+Slow = TypeVar("Slow", DelayedHeave, HullAngles, CraftMotion, SeaState)
 
 _log = structlog.get_logger(__name__)
 
@@ -29,13 +30,21 @@ _log = structlog.get_logger(__name__)
 class StreamMetrics(Protocol):
     """What the publisher counts for monitoring."""
 
-    def set_clients(self, clients: int) -> None: ...
+    def set_clients(self, clients: int) -> None:
+        """Connections served now."""
+        ...
 
-    def count_sent(self, frames: int) -> None: ...
+    def count_sent(self, frames: int) -> None:
+        """So many frames were handed to a client's connection."""
+        ...
 
-    def count_dropped(self, reason: str) -> None: ...
+    def count_dropped(self, reason: str) -> None:
+        """A line was dropped."""
+        ...
 
-    def count_client_error(self, reason: str) -> None: ...
+    def count_client_error(self, reason: str) -> None:
+        """A client was turned away or misunderstood."""
+        ...
 
 
 class Publisher:
@@ -56,10 +65,12 @@ class Publisher:
         version: str,
         status: Callable[[], StatusRecord],
         metrics: StreamMetrics,
+        utc_s: Callable[[float], float],
         stuck_s: float = 10.0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """``clock``: the monotonic clock that ``MotionFrame.t_s`` is read from.
+        """``clock``: the monotonic clock that ``MotionFrame.t_s`` is read from; ``utc_s``: UTC, seconds since 1970, of
+        a time on it.
 
         Raises:
             ValueError: ``host`` reaches beyond this machine and ``allow`` names no network, or an entry is none.
@@ -68,16 +79,19 @@ class Publisher:
         self.queue_frames = queue_frames
         self.stuck_s = stuck_s
         self.clock = clock
-        self.metrics = metrics
+        self._metrics = metrics
+        self._utc_s = utc_s
         self._networks = checked_networks("stream", host, allow)
-        self._listener = Listener("stream", host, port, lambda address: Connection(self, address))
+        self._listener = Listener("stream", host, port, lambda address: Subscriber(self, address))
         self._max_clients = max_clients
         self._version = version
         self._status = status
         self._sequence = 0
         self._last_t_s = -inf
-        self._served: dict[Connection, None] = {}  # A set that keeps the order of arrival.
-        self._lingering: dict[Connection, None] = {}
+        self._served: dict[Subscriber, None] = {}  # A set that keeps the order of arrival.
+        self._newest: dict[str, object] = {}
+        """Of each slower class, what was published last."""
+        self._lingering: dict[Subscriber, None] = {}
 
     @property
     def clients(self) -> int:
@@ -92,29 +106,48 @@ class Publisher:
         """
         return await self._listener.start()
 
-    def publish(self, frame: MotionFrame, *, utc_s: float) -> None:
-        """Hand ``frame`` to every client that watches MOTION. ``utc_s``: time of validity, seconds since 1970."""
-        self._sequence += 1
-        interval_s, self._last_t_s = frame.t_s - self._last_t_s, frame.t_s
-        watching = [client for client in self._served if client.wants_motion(frame.t_s, interval_s)]
-        if not watching:
-            return
-        head = wire.motion_head(frame, seq=self._sequence, utc_s=utc_s)
-        line = head + wire.motion_tail(self.clock() - frame.t_s, 0)
-        self.metrics.count_sent(sum([client.send_motion(line, head, frame.t_s) for client in watching]))
+    def publish(self, frame: MotionFrame) -> None:
+        """Hand a frame to every subscriber of MOTION, and its delayed heave, if it is new, to those of DELAYED."""
+        self._publish_motion(frame)
+        self._publish_new("DELAYED", frame.delayed, wire.delayed_record)
 
-    def is_watched(self, name: str) -> bool:
-        """Whether any client watches the class ``name``: whether there is a record to make at all."""
-        return any(name in client.classes for client in self._served)
+    def publish_stages(self, hull: HullAngles | None, attitude: CraftMotion | None) -> None:
+        """HULL and ATTITUDE, if they are new."""
+        self._publish_new("HULL", hull, wire.hull_record)
+        self._publish_new("ATTITUDE", attitude, wire.attitude_record)
+
+    def publish_slow(self, frame: MotionFrame) -> None:
+        """SEA, if it has been fitted again, and QUIET; to be called once a second."""
+        self._publish_new("SEA", frame.sea, wire.sea_record)
+        if frame.quiet is not None:
+            self.publish_record(wire.quiet_record(frame.quiet, self._utc_s(frame.quiet.t_s)))
 
     def publish_record(self, record: msgspec.Struct) -> None:
-        """Hand a record of another class (SEA, STATUS, ...; the class is its tag) to the clients that watch it."""
-        watching = [client for client in self._served if record.__struct_config__.tag in client.classes]
-        if not watching:
+        """Hand a record of another class (STATUS, ...; the class is its tag) to its subscribers."""
+        subscribers = [client for client in self._served if record.__struct_config__.tag in client.classes]
+        if not subscribers:
             return
         line = wire.encode_record(record)
-        for client in watching:
+        for client in subscribers:
             client.send(line)
+
+    def _publish_motion(self, frame: MotionFrame) -> None:
+        self._sequence += 1
+        interval_s, self._last_t_s = frame.t_s - self._last_t_s, frame.t_s
+        subscribers = [client for client in self._served if client.wants_motion(frame.t_s, interval_s)]
+        if not subscribers:
+            return
+        head = wire.motion_head(frame, seq=self._sequence, utc_s=self._utc_s(frame.t_s))
+        line = head + wire.motion_tail(self.clock() - frame.t_s, 0)
+        self._metrics.count_sent(sum([client.send_motion(line, head, frame.t_s) for client in subscribers]))
+
+    def _publish_new(self, name: str, found: Slow | None, made: Callable[[Slow, float], msgspec.Struct]) -> None:
+        """What is slower than the frames and comes with many of them: once, if anybody subscribes to class ``name``."""
+        if found is None or found is self._newest.get(name):
+            return
+        self._newest[name] = found
+        if any(name in client.classes for client in self._served):
+            self.publish_record(made(found, self._utc_s(found.t_s)))
 
     async def close(self, drain_s: float = 0.5) -> None:
         """Stop listening, give the clients ``drain_s`` to take what is queued for them, close every connection."""
@@ -128,9 +161,9 @@ class Publisher:
             client.abort()
             await client.closed
 
-    # What follows is for the connections.
+    # What follows is for the subscribers: see :class:`heaved.outputs.subscriber.Server`.
 
-    def admit(self, client: Connection) -> ErrorRecord | None:
+    def admit(self, client: Subscriber) -> ErrorRecord | None:
         """Serve ``client``, or say why not."""
         address = client.address
         if not is_allowed(address, self._networks):
@@ -139,17 +172,17 @@ class Publisher:
             message = f"{self._max_clients} clients are connected and no more are served ([stream] max_clients)"
             return self.refusal("too_many_clients", address, message)
         self._served[client] = None
-        self.metrics.set_clients(self.clients)
+        self._metrics.set_clients(self.clients)
         _log.debug("stream client connected", peer=address, clients=self.clients)
         return None
 
     def refusal(self, reason: str, address: str, message: str) -> ErrorRecord:
         """Count and log what a client did wrong, and make the record that tells it."""
-        self.metrics.count_client_error(reason)
+        self._metrics.count_client_error(reason)
         _log.warning("stream client error", reason=reason, peer=address, error=message, alike=reason)
         return ErrorRecord(message=message)
 
-    def linger(self, client: Connection) -> bool:
+    def linger(self, client: Subscriber) -> bool:
         """Stop serving ``client`` but keep the connection for a moment; False when too many linger already."""
         self.forget(client)
         if len(self._lingering) >= self._max_clients:
@@ -157,20 +190,27 @@ class Publisher:
         self._lingering[client] = None
         return True
 
-    def forget(self, client: Connection) -> None:
+    def forget(self, client: Subscriber) -> None:
         """``client`` is served no more."""
         self._lingering.pop(client, None)
         if client in self._served:
             del self._served[client]
-            self.metrics.set_clients(self.clients)
+            self._metrics.set_clients(self.clients)
             _log.debug("stream client gone", peer=client.address, clients=self.clients)
 
     def count_drop(self) -> None:
+        """A line was dropped for a slow client."""
         self.dropped += 1
-        self.metrics.count_dropped("slow_client")
+        self._metrics.count_dropped("slow_client")
+
+    def count_sent(self, frames: int) -> None:
+        """So many frames were handed to a client's connection."""
+        self._metrics.count_sent(frames)
 
     def greeting(self) -> bytes:
+        """The VERSION line."""
         return wire.encode_record(VersionRecord(release=self._version))
 
     def status_line(self) -> bytes:
+        """The STATUS line of now."""
         return wire.encode_record(self._status())

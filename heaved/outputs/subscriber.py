@@ -1,12 +1,13 @@
-"""One connection of the stream: what it wants, what waits for it, what it does wrong."""
+"""One subscriber of the stream: what it wants, what waits for it, what it does wrong."""
 
 from __future__ import annotations
 
 import asyncio
 import socket
 from collections import deque
+from collections.abc import Callable
 from math import inf
-from typing import TYPE_CHECKING, Final, cast
+from typing import Final, Protocol, cast
 
 from heaved.outputs import wire
 from heaved.outputs.records import ErrorRecord
@@ -17,13 +18,10 @@ from heaved.outputs.requests import (
     LineSplitter,
     Request,
     StatusQuery,
+    Subscription,
     VersionQuery,
-    Watch,
     parse_request,
 )
-
-if TYPE_CHECKING:
-    from heaved.outputs.stream import Publisher
 
 _MAX_ERRORS: Final = 5
 _MAX_REQUESTS_PER_S: Final = 20
@@ -39,20 +37,66 @@ _SILENT_S: Final = 3.0
 altogether shows on sending alone."""
 
 
-class Connection(asyncio.Protocol):
+class Server(Protocol):
+    """What a subscriber needs of who serves it.
+
+    Attributes:
+        queue_frames: most lines that wait for it.
+        stuck_s: how long it may take nothing, with a full queue.
+        clock: the monotonic clock of the frames.
+    """
+
+    queue_frames: int
+    stuck_s: float
+    clock: Callable[[], float]
+
+    def admit(self, client: Subscriber) -> ErrorRecord | None:
+        """Serve ``client``, or say why not."""
+        ...
+
+    def linger(self, client: Subscriber) -> bool:
+        """Stop serving ``client`` but keep the connection for a moment; False when too many linger already."""
+        ...
+
+    def forget(self, client: Subscriber) -> None:
+        """``client`` is served no more."""
+        ...
+
+    def refusal(self, reason: str, address: str, message: str) -> ErrorRecord:
+        """Count and log what a client did wrong; what it is told."""
+        ...
+
+    def count_drop(self) -> None:
+        """A line was dropped for a slow client."""
+        ...
+
+    def count_sent(self, frames: int) -> None:
+        """So many frames were handed to a client's connection."""
+        ...
+
+    def greeting(self) -> bytes:
+        """The VERSION line."""
+        ...
+
+    def status_line(self) -> bytes:
+        """The STATUS line of now."""
+        ...
+
+
+class Subscriber(asyncio.Protocol):
     """A client that is connected. Made by the event loop, served by the publisher.
 
     The transport's own buffer is limited to nothing: it asks for a pause as soon as the kernel has not taken a whole
     line. So while not paused the queue is empty, and a line can go straight to the socket.
     """
 
-    def __init__(self, publisher: Publisher, address: str) -> None:
+    def __init__(self, server: Server, address: str) -> None:
         """``address``: of the peer."""
         loop = asyncio.get_running_loop()
         self.address = address
         self.classes: frozenset[str] = frozenset(("MOTION",))
         self.closed: asyncio.Future[None] = loop.create_future()
-        self._publisher = publisher
+        self._server = server
         self._transport: asyncio.Transport
         self._silence_timer: asyncio.TimerHandle | None = None
         self._is_silent = False  # Nothing was sent since the timer was started.
@@ -73,20 +117,22 @@ class Connection(asyncio.Protocol):
     # --- the connection's life ---
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Greet the client, or turn it away."""
         self._transport = cast(asyncio.Transport, transport)
         _set_options(transport.get_extra_info("socket"))
         self._transport.set_write_buffer_limits(high=0)
-        refusal = self._publisher.admit(self)
+        refusal = self._server.admit(self)
         if refusal is not None:
             self._turn_away(refusal)
             return
-        self._transport.write(self._publisher.greeting())
+        self._transport.write(self._server.greeting())
 
-    def connection_lost(self, exc: Exception | None) -> None:
+    def connection_lost(self, _error: Exception | None) -> None:
+        """It is gone."""
         for timer in (self._linger_timer, self._silence_timer):
             if timer is not None:
                 timer.cancel()
-        self._publisher.forget(self)
+        self._server.forget(self)
         self.closed.set_result(None)
 
     def eof_received(self) -> bool:
@@ -111,8 +157,8 @@ class Connection(asyncio.Protocol):
         if not self._is_silent or self._paused:  # Whether one that takes nothing is stuck is judged elsewhere.
             self._listen_for_silence()
             return
-        watched = ", ".join(sorted(self.classes)) or "no class"
-        message = f"closed: you have closed your side, and there is nothing to send of what you watch ({watched})"
+        subscribed = ", ".join(sorted(self.classes)) or "no class"
+        message = f"closed: you have closed your side, and there is nothing to send of what you watch ({subscribed})"
         self._turn_away(ErrorRecord(message=message))
 
     def finish(self) -> None:
@@ -122,13 +168,15 @@ class Connection(asyncio.Protocol):
             self._transport.close()
 
     def abort(self) -> None:
-        self._publisher.forget(self)
+        """Close at once."""
+        self._server.forget(self)
         self._transport.abort()
 
     def _turn_away(self, refusal: ErrorRecord) -> None:
         """Say why, then close. Closing at once would reset the connection of a client that is still sending, and it
-        would never read the reason."""
-        if not self._publisher.linger(self):
+        would never read the reason.
+        """
+        if not self._server.linger(self):
             self.abort()
             return
         self._queue.clear()
@@ -163,6 +211,7 @@ class Connection(asyncio.Protocol):
         return True
 
     def send(self, line: bytes) -> None:
+        """Write a line, or queue it."""
         if self._paused:
             self._enqueue(line, None)
         else:
@@ -170,9 +219,11 @@ class Connection(asyncio.Protocol):
             self._transport.write(line)
 
     def pause_writing(self) -> None:
+        """The client does not keep up."""
         self._paused = True
 
     def resume_writing(self) -> None:
+        """It does again: write what is queued."""
         self._paused = self._is_silent = False
         self._full_since_s = inf
         sent = 0
@@ -182,31 +233,32 @@ class Connection(asyncio.Protocol):
                 line = self._with_tail(line, t_s)
                 sent += 1
             self._transport.write(line)
-        self._publisher.metrics.count_sent(sent)
+        self._server.count_sent(sent)
         if self._is_finishing and not self._queue:
             self._transport.close()
 
     def _with_tail(self, head: bytes, t_s: float) -> bytes:
         dropped, self._dropped = self._dropped, 0
-        return head + wire.motion_tail(self._publisher.clock() - t_s, dropped)
+        return head + wire.motion_tail(self._server.clock() - t_s, dropped)
 
     def _enqueue(self, line: bytes, t_s: float | None) -> None:
         self._queue.append((line, t_s))
-        if len(self._queue) <= self._publisher.queue_frames:
+        if len(self._queue) <= self._server.queue_frames:
             return
         _, dropped_t_s = self._queue.popleft()
         self._dropped += dropped_t_s is not None
-        self._publisher.count_drop()
-        now_s = self._publisher.clock()
+        self._server.count_drop()
+        now_s = self._server.clock()
         self._full_since_s = min(self._full_since_s, now_s)
-        if now_s - self._full_since_s > self._publisher.stuck_s:
-            message = f"nothing taken for {self._publisher.stuck_s:g} s with a full queue: disconnected"
-            self._publisher.refusal("stuck", self.address, message)
+        if now_s - self._full_since_s > self._server.stuck_s:
+            message = f"nothing taken for {self._server.stuck_s:g} s with a full queue: disconnected"
+            self._server.refusal("stuck", self.address, message)
             self.abort()
 
     # --- from the client ---
 
     def data_received(self, data: bytes) -> None:
+        """Obey what the client says."""
         if self._linger_timer is not None:
             self._discarded_bytes += len(data)
             if self._discarded_bytes > _LINGER_BYTES:
@@ -218,10 +270,10 @@ class Connection(asyncio.Protocol):
                 return
         if self._lines.overflow:
             message = f"a line longer than {MAX_REQUEST_BYTES} bytes: closed; {ACCEPTED}"
-            self._turn_away(self._publisher.refusal("line_too_long", self.address, message))
+            self._turn_away(self._server.refusal("line_too_long", self.address, message))
 
     def _read(self, line: bytes) -> Request:
-        now_s = self._publisher.clock()
+        now_s = self._server.clock()
         if now_s - self._requests_since_s >= 1.0:
             self._requests_since_s, self._requests = now_s, 0
         self._requests += 1
@@ -230,24 +282,24 @@ class Connection(asyncio.Protocol):
         return parse_request(line)
 
     def _obey(self, request: Request) -> None:
-        if isinstance(request, Watch):
+        if isinstance(request, Subscription):
             self.classes = frozenset(request.classes)
             self._period_s = 0.0 if request.rate_hz is None else 1.0 / request.rate_hz
             self._due_s = -inf
         elif isinstance(request, StatusQuery):
-            self.send(self._publisher.status_line())
+            self.send(self._server.status_line())
         elif isinstance(request, VersionQuery):
-            self.send(self._publisher.greeting())
+            self.send(self._server.greeting())
         else:
             self._complain(request.message)
 
     def _complain(self, message: str) -> None:
         self._errors += 1
         if self._errors < _MAX_ERRORS:
-            self.send(wire.encode_record(self._publisher.refusal("bad_request", self.address, message)))
+            self.send(wire.encode_record(self._server.refusal("bad_request", self.address, message)))
         else:
             message = f"{message} (error {self._errors}: closed)"
-            self._turn_away(self._publisher.refusal("bad_request", self.address, message))
+            self._turn_away(self._server.refusal("bad_request", self.address, message))
 
 
 def _set_options(connection: socket.socket) -> None:

@@ -12,16 +12,19 @@ from __future__ import annotations
 import functools
 import math
 from datetime import UTC, datetime
-from typing import Any, Final
+from typing import Any
 
 import msgspec
 
+from heaved.outputs import fields
+from heaved.outputs.fields import rounded
 from heaved.outputs.records import (
+    AttitudeRecord,
     DelayedRecord,
     ForecastRecord,
+    HullRecord,
     MotionRecord,
     PointRecord,
-    QualityRecord,
     QuietRecord,
     QuietStatus,
     RockRecord,
@@ -30,23 +33,15 @@ from heaved.outputs.records import (
     WaveSystemRecord,
 )
 from heaved.samples import (
+    CraftMotion,
     DelayedHeave,
-    HeaveForecast,
+    HullAngles,
     MotionFrame,
-    PointMotion,
     QuietForecast,
-    RockPrediction,
     RockScore,
     SeaState,
     Vibration,
 )
-
-_MICRO_PER_RADIAN: Final = 1e6 * 180.0 / math.pi
-_LIMIT: Final = 1e15
-"""Millionths. Nothing that is published comes near it: what is beyond is as unknown as infinity."""
-_ROUND: Final = 1.5 * 2.0**52
-"""Adding it to a double below 2**51 and taking it away again rounds to a whole number: a third of the time of round(),
-which matters for the sixty numbers of a frame."""
 
 _encoder = msgspec.json.Encoder()
 
@@ -56,24 +51,6 @@ def encode_record(record: msgspec.Struct) -> bytes:
     become ``null``).
     """
     return _encoder.encode(record) + b"\n"
-
-
-def finite(value: float) -> float | None:
-    """``value`` to the sixth decimal; None when it is not known (nan, infinite, absurd)."""
-    millionths = value * 1e6
-    return (millionths + _ROUND - _ROUND) / 1e6 if -_LIMIT < millionths < _LIMIT else None
-
-
-def degrees(value_rad: float) -> float | None:
-    """Degrees, to the sixth decimal, of an angle in radians; None when it is not known."""
-    millionths = value_rad * _MICRO_PER_RADIAN
-    return (millionths + _ROUND - _ROUND) / 1e6 if -_LIMIT < millionths < _LIMIT else None
-
-
-def arcsec(value_rad: float) -> float | None:
-    """Seconds of arc, to the thousandth, of an angle in radians; None when it is not known."""
-    seconds = math.degrees(value_rad) * 3600.0
-    return round(seconds, 3) if math.isfinite(seconds) else None
 
 
 def iso_time(utc_s: float) -> str:
@@ -95,33 +72,20 @@ def encode_motion(frame: MotionFrame, *, seq: int, utc_s: float, sent_mono_s: fl
 
 def motion_head(frame: MotionFrame, *, seq: int, utc_s: float) -> bytes:
     """The MOTION line of ``frame`` up to its tail. ``utc_s``: time of validity, seconds since 1970."""
-    quality = frame.quality
     record = MotionRecord(
         seq=seq,
         time=iso_time(utc_s),
-        mono_s=round(frame.t_s * 1e6) / 1e6,
-        heave_m=finite(frame.heave_m),
-        heave_std_m=finite(frame.heave_std_m),
-        heave_velocity_mps=finite(frame.heave_velocity_mps),
-        heave_acceleration_mps2=finite(frame.heave_acceleration_mps2),
-        observer_m=finite(frame.observer_m),
-        correction_m=finite(frame.correction_m),
-        lead_s=finite(frame.lead_s),
-        reference_m=finite(frame.reference_m),
-        roll_deg=degrees(frame.roll_rad),
-        pitch_deg=degrees(frame.pitch_rad),
-        yaw_deg=degrees(frame.yaw_rad),
-        crane_roll_deg=degrees(frame.crane_roll_rad),
-        crane_pitch_deg=degrees(frame.crane_pitch_rad),
-        crane_yaw_deg=degrees(frame.crane_yaw_rad),
+        mono_s=_micro(frame.t_s),
+        **fields.MOTION.known(frame),
         compensation_lead_s=frame.compensation_lead_s or None,
-        points=tuple([_point(point) for point in frame.points]),
-        rock=tuple([_rock(prediction) for prediction in frame.rock]),
-        forecast=tuple([_forecast(forecast) for forecast in frame.forecast]),
-        quality=QualityRecord(
-            heave=quality.heave, laser=quality.laser, correction=quality.correction, reasons=quality.reasons
-        ),
-    )
+        points=tuple([PointRecord(point.name, *fields.POINT.sent(point)) for point in frame.points]),
+        rock=tuple([RockRecord(one.horizon_s, *fields.ROCK.sent(one)) for one in frame.rock]),
+        forecast=tuple([
+            ForecastRecord(one.horizon_s, *fields.FORECAST.sent(one)) for one in frame.forecast
+        ]),
+        quality=frame.quality,
+        dropped=None,  # Its tail has it.
+    )  # fmt: skip
     return _encoder.encode(record)[:-1]
 
 
@@ -130,28 +94,9 @@ def motion_tail(age_s: float, dropped: int) -> bytes:
     return b',"age_s":%.6f,"dropped":%d}\n' % (age_s, dropped)
 
 
-def _rock(prediction: RockPrediction) -> RockRecord:
-    return RockRecord(
-        horizon_s=prediction.horizon_s,
-        roll_deg=degrees(prediction.roll_rad),
-        pitch_deg=degrees(prediction.pitch_rad),
-        yaw_deg=degrees(prediction.yaw_rad),
-        roll_std_deg=degrees(prediction.roll_std_rad),
-        pitch_std_deg=degrees(prediction.pitch_std_rad),
-        yaw_std_deg=degrees(prediction.yaw_std_rad),
-        roll_interval_deg=degrees(prediction.roll_interval_rad),
-        pitch_interval_deg=degrees(prediction.pitch_interval_rad),
-        yaw_interval_deg=degrees(prediction.yaw_interval_rad),
-    )
-
-
-def _point(point: PointMotion) -> PointRecord:
-    return PointRecord(
-        name=point.name,
-        heave_m=finite(point.heave_m),
-        heave_std_m=finite(point.heave_std_m),
-        heave_velocity_mps=finite(point.heave_velocity_mps),
-    )
+def _micro(t_s: float) -> float:
+    """A time to the microsecond."""
+    return round(t_s * 1e6) / 1e6
 
 
 def sea_record(sea: SeaState, utc_s: float) -> SeaRecord:
@@ -197,12 +142,7 @@ def density(value: float) -> float | None:
 
 def delayed_record(delayed: DelayedHeave, utc_s: float) -> DelayedRecord:
     """``utc_s``: of its own validity, seconds since 1970."""
-    return DelayedRecord(
-        time=iso_time(utc_s),
-        mono_s=round(delayed.t_s * 1e6) / 1e6,
-        heave_m=round(delayed.heave_m, 6),
-        std_m=round(delayed.std_m, 6),
-    )
+    return DelayedRecord(time=iso_time(utc_s), mono_s=_micro(delayed.t_s), **fields.DELAYED.known(delayed))
 
 
 def quiet_record(quiet: QuietForecast, utc_s: float) -> QuietRecord:
@@ -210,13 +150,13 @@ def quiet_record(quiet: QuietForecast, utc_s: float) -> QuietRecord:
     window = quiet.window
     return QuietRecord(
         time=iso_time(utc_s),
-        mono_s=round(quiet.t_s * 1e6) / 1e6,
+        mono_s=_micro(quiet.t_s),
         is_expected=window is not None,
         start=iso_time(utc_s + window.start_s) if window is not None else None,
         start_s=window.start_s if window is not None else None,
         length_s=window.length_s if window is not None else None,
-        confidence=finite(window.confidence) if window is not None else None,
-        best_confidence=finite(quiet.best),
+        confidence=rounded(window.confidence) if window is not None else None,
+        best_confidence=rounded(quiet.best),
     )
 
 
@@ -240,16 +180,38 @@ def rock_status(scores: tuple[RockScore, ...], horizons_s: tuple[float, ...]) ->
         RockStatus(
             axis=score.axis,
             horizon_s=score.horizon_s,
-            error_deg=degrees(score.error_rad),
-            coverage=finite(score.coverage),
+            **fields.ROCK_SCORE.known(score),
         )
         for score in scores
         if score.horizon_s in horizons_s
     )
 
 
-def _forecast(forecast: HeaveForecast) -> ForecastRecord:
-    return ForecastRecord(horizon_s=forecast.horizon_s, heave_m=finite(forecast.heave_m), std_m=finite(forecast.std_m))
+def hull_record(hull: HullAngles, utc_s: float) -> HullRecord:
+    """``utc_s``: of its own validity, seconds since 1970."""
+    return HullRecord(
+        time=iso_time(utc_s),
+        mono_s=_micro(hull.t_s),
+        state=hull.state,
+        **fields.HULL.known(hull),
+        **fields.HULL_STD.known(hull),
+        refits=hull.refits,
+        resets=hull.resets,
+        warnings=hull.warnings,
+    )
+
+
+def attitude_record(motion: CraftMotion, utc_s: float) -> AttitudeRecord:
+    """``utc_s``: of its own validity, seconds since 1970."""
+    return AttitudeRecord(
+        time=iso_time(utc_s),
+        mono_s=_micro(motion.t_s),
+        **fields.ATTITUDE.known(motion),
+        probabilities=tuple([round(p, 6) for p in motion.probabilities]),
+        switches=motion.switches,
+        resets=motion.resets,
+        cautions=motion.cautions,
+    )
 
 
 def decode(line: bytes) -> dict[str, Any]:

@@ -14,7 +14,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
-from itertools import islice
 from math import inf, isnan, nan
 from pathlib import Path
 from typing import Final, TextIO
@@ -27,15 +26,14 @@ from heaved.estimation.heave.sea.refit import SeaWindow, look
 from heaved.estimation.stages import Stages
 from heaved.pipeline import Pipeline, assemble
 from heaved.replay.table import Table
-from heaved.samples import HeaveState, MotionFrame, Sample
+from heaved.samples import HeaveState, Quality, Sample
 from heaved.text import printable
 from heaved.workers.process import BlockingTrainer
 
-BLOCK_FRAMES: Final = 256
-"""Frames that are made into text together."""
-BLOCK_SAMPLES: Final = 64
-"""Samples that are read together, and go through the pipeline so."""
-
+PROGRESS_SAMPLES: Final = 64
+"""Progress is told after so many."""
+NOTHING_TO_LEARN: Final = "with nothing to learn"
+"""Of training windows: no network would have been accepted, as a regression has shown."""
 MOST_REASONS: Final = 12
 """That are printed."""
 _NUMBER: Final = re.compile(r"[-+]?\d+(\.\d+)?")
@@ -74,7 +72,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     quality: dict[HeaveState, int]
     """Frames by how far their heave can be trusted."""
     trainings: dict[str, int]
-    """Training windows by what became of them: accepted, rejected, failed."""
+    """Training windows by what became of them: accepted, rejected, failed, or not trained: nothing to learn."""
     fits: dict[str, int]
     """Fits of the sea likewise."""
     failure: str = ""
@@ -123,14 +121,27 @@ def replay(
     begun_s = time.monotonic()
     if out is not None and out.exists() and out.samefile(source):
         raise OutputError(f"{out} is the recording itself: name another file with -o")
+    tally = Tally()
     with Recording(source) as recording, BlockingTrainer() as trainer, _writing(out) as file:
         table = Table(config, file.write)
-        run = _Run(_pipeline(config, recording.has_laser), trainer)
-        frames = run.frames(recording, until_s, progress)
-        while block := list(islice(frames, BLOCK_FRAMES)):
-            table.put(block)
+        pipeline = _pipeline(config, recording.has_laser)
+        for number, sample in enumerate(_samples(recording, until_s, tally), start=1):
+            frame = pipeline.step(sample)
+            if (past := pipeline.fit_due()) is not None:
+                tally.fits[_fit(pipeline, past, tally)] += 1
+            if (window := pipeline.training_due()) is not None:
+                tally.trainings[pipeline.accept(trainer.fit(window))] += 1
+            if frame is not None:
+                tally.count(frame.t_s, frame.quality)
+                table.push(frame)
+            if progress is not None and number % PROGRESS_SAMPLES == 0:
+                progress(recording.read_bytes, recording.total_bytes)
+        if progress is not None:
+            progress(recording.read_bytes, recording.total_bytes)
         table.flush()
-    return run.summary(time.monotonic() - begun_s)
+    if (spared := pipeline.summary().windows_with_nothing_to_learn) > 0:
+        tally.trainings[NOTHING_TO_LEARN] = spared
+    return tally.summary(time.monotonic() - begun_s)
 
 
 def _pipeline(config: Config, has_laser: bool) -> Pipeline:
@@ -147,87 +158,75 @@ def _pipeline(config: Config, has_laser: bool) -> Pipeline:
     )
 
 
-class _Run:
-    """One pass over a recording, and what it counts."""
+def _samples(recording: Recording, until_s: float, tally: Tally) -> Iterator[Sample]:
+    """All samples up to ``until_s``, in order."""
+    first_s = nan
+    for imu, laser, rates, craft in recording.instants():
+        sample = imu or laser or rates or craft
+        if sample is not None:
+            first_s = sample.t_s if isnan(first_s) else first_s
+            if sample.t_s - first_s > until_s:
+                return
+            tally.duration_s = sample.t_s - first_s
+        tally.rows += 1
+        # The IMU last: a row is one instant, and what the others say is known when its frame is made.
+        for reading in (laser, rates, craft, imu):
+            if reading is not None:
+                yield reading
 
-    def __init__(self, pipeline: Pipeline, trainer: BlockingTrainer) -> None:
-        self._pipeline = pipeline
-        self._trainer = trainer
-        self._rows = 0
-        self._duration_s = 0.0
+
+def _fit(pipeline: Pipeline, past: SeaWindow, tally: Tally) -> str:
+    try:
+        fit = look(past)
+    except Exception as error:  # The daemon's fitter would die of it, too: what was learned stays.
+        tally.failure = repr(error)
+        return "failed"
+    return pipeline.accept_fit(fit)
+
+
+class Tally:
+    """What is counted while a recording goes through the pipeline; see :class:`Summary`."""
+
+    def __init__(self) -> None:
+        self.rows = 0
+        self.duration_s = 0.0
+        self.trainings: Counter[str] = Counter()
+        self.fits: Counter[str] = Counter()
+        self.failure = ""
         self._quality: Counter[HeaveState] = Counter()
-        self._trainings: Counter[str] = Counter()
-        self._fits: Counter[str] = Counter()
-        self._failure = ""
-        self._reasons: dict[str, _Given] = {}
+        self._reasons: dict[str, _CountedReason] = {}
+        """By their texts without the numbers."""
 
-    def frames(self, recording: Recording, until_s: float, progress: Progress | None) -> Iterator[MotionFrame]:
-        """The frames of all samples up to ``until_s``, in order."""
-        pipeline, samples = self._pipeline, self._samples(recording, until_s)
-        while block := list(islice(samples, BLOCK_SAMPLES)):
-            for sample in block:
-                frame = pipeline.step(sample)
-                if (past := pipeline.fit_due()) is not None:
-                    self._fits[self._fit(past)] += 1
-                if (window := pipeline.training_due()) is not None:
-                    self._trainings[pipeline.accept(self._trainer.fit(window))] += 1
-                if frame is not None:
-                    self._quality[frame.quality.heave] += 1
-                    for text in frame.quality.reasons:
-                        self._given(text, frame.t_s)
-                    yield frame
-            if progress is not None:
-                progress(recording.read_bytes, recording.total_bytes)
-
-    def _fit(self, past: SeaWindow) -> str:
-        try:
-            fit = look(past)
-        except Exception as error:  # The daemon's fitter would die of it, too: what was learned stays in use.
-            self._failure = repr(error)
-            return "failed"
-        return self._pipeline.accept_fit(fit)
-
-    def _samples(self, recording: Recording, until_s: float) -> Iterator[Sample]:
-        first_s = nan
-        for imu, laser, rates, craft in recording.instants():
-            sample = imu or laser or rates or craft
-            if sample is not None:
-                first_s = sample.t_s if isnan(first_s) else first_s
-                if sample.t_s - first_s > until_s:
-                    return
-                self._duration_s = sample.t_s - first_s
-            self._rows += 1
-            # The IMU last: a row is one instant, and what the others say is known when its frame is made.
-            for reading in (laser, rates, craft, imu):
-                if reading is not None:
-                    yield reading
-
-    def _given(self, text: str, t_s: float) -> None:
-        kind = _without_numbers(text)
-        given = self._reasons.get(kind)
-        if given is None:
-            given = self._reasons[kind] = _Given(text, t_s)
-        given.frames += 1
-        given.varies |= text != given.text
+    def count(self, t_s: float, quality: Quality) -> None:
+        """One frame."""
+        self._quality[quality.heave] += 1
+        for text in quality.reasons:
+            kind = _without_numbers(text)
+            reason = self._reasons.get(kind)
+            if reason is None:
+                reason = self._reasons[kind] = _CountedReason(text, t_s)
+            reason.frames += 1
+            reason.varies |= text != reason.text
 
     def summary(self, elapsed_s: float) -> Summary:
+        """``elapsed_s``: by the clock on the wall."""
         return Summary(
-            rows=self._rows,
+            rows=self.rows,
             frames=self._quality.total(),
-            duration_s=self._duration_s,
+            duration_s=self.duration_s,
             elapsed_s=elapsed_s,
             quality=dict(self._quality),
-            trainings=dict(self._trainings),
-            fits=dict(self._fits),
-            failure=self._failure,
+            trainings=dict(self.trainings),
+            fits=dict(self.fits),
+            failure=self.failure,
             reasons=tuple(
-                Reason(text=given.text, varies=given.varies, frames=given.frames, first_s=given.first_s)
-                for given in sorted(self._reasons.values(), key=lambda given: -given.frames)
+                Reason(text=one.text, varies=one.varies, frames=one.frames, first_s=one.first_s)
+                for one in sorted(self._reasons.values(), key=lambda one: -one.frames)
             ),
         )
 
 
-class _Given(msgspec.Struct):
+class _CountedReason(msgspec.Struct):
     """A reason, while it is counted."""
 
     text: str

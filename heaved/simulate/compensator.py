@@ -44,11 +44,15 @@ class Source(Enum):
 
 
 class Ahead(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """A heave that is forecast."""
+
     horizon_s: float
     heave_m: float | None = None
 
 
 class Trust(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """How far the heave can be trusted."""
+
     heave: HeaveState
 
 

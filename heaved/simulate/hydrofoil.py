@@ -15,12 +15,10 @@ from typing import Final, Protocol
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from heaved.samples import GRAVITY_MPS2
 from heaved.simulate.seaway import WaveSystem
-
-Array = NDArray[np.float64]
+from heaved.simulate.vessel import Array
 
 COMPONENTS: Final = 120
 """Waves in a sea."""
@@ -40,7 +38,9 @@ class Accelerations(Protocol):
 
     def __call__(
         self, state: Array, speed_mps: float, flaps_rad: Array, water_mps: Array, elevation_m: Array, /
-    ) -> Array: ...
+    ) -> Array:
+        """See the class."""
+        ...
 
 
 class Hull(msgspec.Struct, frozen=True, kw_only=True):

@@ -279,7 +279,8 @@ def leaning(truth: Motion[Real]) -> tuple[Real, Real]:
 def shown_angles(truth: Motion[Array], lean_s: float, late_s: float) -> Array:
     """Roll, pitch and yaw (3, n) as a complementary filter of time constant ``lean_s`` shows them ``late_s`` later: the
     true ones, and what has come into them of the apparent vertical. At the start nothing has; before it, all moved
-    evenly."""
+    evenly.
+    """
     angles = np.array([truth.roll_rad, truth.pitch_rad, truth.yaw_rad])
     rates = np.array([truth.roll_rate_radps, truth.pitch_rate_radps, truth.yaw_rate_radps])
     t_s, shown_s = truth.t_s, truth.t_s - late_s
@@ -290,9 +291,9 @@ def shown_angles(truth: Motion[Array], lean_s: float, late_s: float) -> Array:
         analogue = (np.array([1.0]), np.array([lean_s, 1.0]))
         found, denominator, _ = cont2discrete(analogue, float(np.mean(np.diff(t_s))), method="foh")
         numerator = found.ravel()
-        for angle, off in zip(angles, leaning(truth), strict=False):
+        for axis, off in enumerate(leaning(truth)):
             lean, _ = lfilter(numerator, denominator, off, zi=-numerator[:1] * off[:1])
-            angle += np.interp(shown_s, t_s, lean)
+            angles[axis] += np.interp(shown_s, t_s, lean)
     return np.asarray(angles, dtype=np.float64)
 
 

@@ -128,7 +128,8 @@ class Slave:
 
 class RtuPace:
     """When a slave on a serial line has heard a request and when its answer has been sent: a pty takes no time, a line
-    does. Silences of 3.5 characters stand before the answer and before the next request."""
+    does. Silences of 3.5 characters stand before the answer and before the next request.
+    """
 
     def __init__(self, link: RtuLink) -> None:
         self._character_s, self._silence_s = character_s(link), silence_s(link)
@@ -194,7 +195,7 @@ class _TcpConnection(asyncio.Protocol):
         self._transport = cast("asyncio.Transport", transport)
         self._siblings.add(self)
 
-    def connection_lost(self, exc: Exception | None) -> None:
+    def connection_lost(self, _error: Exception | None) -> None:
         self._siblings.discard(self)
 
     def abort(self) -> None:

@@ -35,12 +35,13 @@ def pack(number: int, job: RefitJob) -> HullJob:
 
 
 def work(job: HullJob) -> HullFit:
-    return HullFit(number=job.number, body=pickle.dumps(refit(pickle.loads(job.body))))
+    """Refit."""
+    return HullFit(number=job.number, body=pickle.dumps(refit(pickle.loads(job.body))))  # From us.
 
 
 def unpack(fit: HullFit) -> RefitResult | None:
     """None: the refit was in vain."""
-    result = pickle.loads(fit.body)
+    result = pickle.loads(fit.body)  # From our own process.
     assert result is None or isinstance(result, RefitResult)
     return result
 

@@ -8,12 +8,14 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Callable
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 
 from heaved.workers import protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 NICENESS = 10
 

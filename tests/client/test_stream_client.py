@@ -11,11 +11,11 @@ from collections.abc import AsyncIterator, Callable, Iterator
 import pytest
 from stream_peers import Connect, Serve, make_frame, make_status
 
-from heaved.client.stream_client import Trouble, Unreachable, fetch_status, is_ready, wait_until_ready
+from heaved.client.stream_client import Trouble, UnreachableError, fetch_status, is_ready, wait_until_ready
 from heaved.outputs import wire
-from heaved.outputs.records import MotionRecord, QualityRecord, VersionRecord
+from heaved.outputs.records import MotionRecord, VersionRecord
 from heaved.outputs.stream import Publisher
-from heaved.samples import CorrectionState, HeaveState, LaserState
+from heaved.samples import CorrectionState, HeaveState, LaserState, Quality
 
 Play = Callable[[Callable[[socket.socket], None]], int]
 
@@ -74,7 +74,7 @@ async def frames(publisher: Publisher, heave: HeaveState = HeaveState.VALID) -> 
 
     async def publish() -> None:
         while True:
-            publisher.publish(make_frame(publisher.clock(), heave), utc_s=1.7e9)
+            publisher.publish(make_frame(publisher.clock(), heave))
             await asyncio.sleep(0.005)
 
     task = asyncio.create_task(publish())
@@ -105,7 +105,7 @@ async def test_status_when_no_frame_flows(serve: Serve) -> None:
 async def test_status_when_there_is_no_room(serve: Serve, connect: Connect) -> None:
     served = await serve(max_clients=1)
     await connect(served)
-    with pytest.raises(Unreachable, match="no more are served") as raised:
+    with pytest.raises(UnreachableError, match="no more are served") as raised:
         await asyncio.to_thread(fetch_status, served.host, served.port, 10.0)
     assert raised.value.trouble is Trouble.TURNED_AWAY
 
@@ -135,7 +135,7 @@ def test_status_of_anything_else(
     play: Play, behave: Callable[[socket.socket], None], trouble: Trouble, said: str
 ) -> None:
     port = play(behave)
-    with pytest.raises(Unreachable) as raised:
+    with pytest.raises(UnreachableError) as raised:
         fetch_status("127.0.0.1", port, 0.3 if trouble is Trouble.SILENT else 10.0)
     assert raised.value.trouble is trouble
     assert said in str(raised.value)
@@ -147,13 +147,14 @@ def test_a_flood_of_other_lines_does_not_hold_status_up(play: Play) -> None:
         connection.sendall(VERSION)
         endless(b'{"class":"SEA"}\n' * 100)(connection)
 
-    with pytest.raises(Unreachable, match="not answered"):
+    with pytest.raises(UnreachableError, match="not answered"):
         fetch_status("127.0.0.1", play(behave), 0.3)
 
 
 def test_nobody_listens() -> None:
     port = refused_port()
-    with pytest.raises(Unreachable, match=rf"127\.0\.0\.1:{port}: Connection refused: is heaved running") as raised:
+    message = rf"127\.0\.0\.1:{port}: Connection refused: is heaved running"
+    with pytest.raises(UnreachableError, match=message) as raised:
         fetch_status("127.0.0.1", port)
     assert raised.value.trouble is Trouble.REFUSED
 
@@ -166,7 +167,7 @@ def test_no_such_host(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None
         raise error
 
     monkeypatch.setattr(socket, "getaddrinfo", fail)
-    with pytest.raises(Unreachable, match="crane:5570: no such host") as raised:
+    with pytest.raises(UnreachableError, match="crane:5570: no such host") as raised:
         fetch_status("crane", 5570)
     assert raised.value.trouble is Trouble.NO_ADDRESS
 
@@ -186,7 +187,7 @@ def test_no_such_host(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None
 def test_what_a_compensator_may_start_on(
     heave: HeaveState, heave_m: float | None, age_s: float | None, ready: bool
 ) -> None:
-    quality = QualityRecord(heave=heave, laser=LaserState.OFF, correction=CorrectionState.OFF, reasons=())
+    quality = Quality(heave=heave, laser=LaserState.OFF, correction=CorrectionState.OFF, reasons=())
     motion = MotionRecord(seq=1, time="", mono_s=0.0, heave_m=heave_m, quality=quality, age_s=age_s)
     assert is_ready(motion) is ready
 

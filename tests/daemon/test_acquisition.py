@@ -1,8 +1,12 @@
 """The hot path against a pipeline and a clock of the test's own."""
 
+from __future__ import annotations
+
 import itertools
 from collections import Counter
+from collections.abc import Callable, Sequence
 from types import SimpleNamespace
+from typing import Any, cast
 
 import msgspec
 import pytest
@@ -12,8 +16,10 @@ from heaved.config.read import data_directory, load
 from heaved.daemon.acquisition import IDLE_RATE_HZ, Acquisition
 from heaved.daemon.metrics import Metrics
 from heaved.devices.bus import PollResult
-from heaved.estimation.heave.sea.refit import SeaFit
+from heaved.devices.profile import Role
+from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
 from heaved.estimation.stages import Stages
+from heaved.pipeline import Pipeline
 from heaved.samples import (
     CorrectionState,
     Fault,
@@ -23,8 +29,13 @@ from heaved.samples import (
     LaserState,
     MotionFrame,
     Quality,
+    Sample,
     TrainedNetwork,
+    TrainingWindow,
 )
+
+Answer = Callable[[int], tuple[float, Fault] | None]
+"""Number of a poll -> seconds until its answer and its fault; None: no result at all."""
 
 PERIOD_S = 0.01
 DEVICES = load(data_directory() / "demo.toml").device
@@ -34,53 +45,53 @@ QUALITY = Quality(heave=HeaveState.VALID, laser=LaserState.VALID, correction=Cor
 class FakePipeline:
     """Frames that say where they come from: heave 1 of a sample, heave 0 extrapolated."""
 
-    def __init__(self):
-        self.error = {}
-        self.windows = []
-        self.pasts = []
-        self.resets = Counter()
+    def __init__(self) -> None:
+        self.error: dict[str, Exception] = {}
+        self.windows: list[TrainingWindow] = []
+        self.pasts: list[SeaWindow] = []
+        self.resets: Counter[tuple[str, str]] = Counter()
         self.stages = Stages()
         self.steps = 0
         self.verdict = "accepted"
 
-    def step(self, sample):
+    def step(self, sample: Sample) -> MotionFrame | None:
         if "step" in self.error:
             raise self.error["step"]
         self.steps += 1
         return None if isinstance(sample, LaserSample) else MotionFrame(t_s=sample.t_s, quality=QUALITY, heave_m=1.0)
 
-    def coast(self, t_s):
+    def coast(self, t_s: float) -> MotionFrame:
         if "coast" in self.error:
             raise self.error["coast"]
         return MotionFrame(t_s=t_s, quality=QUALITY, heave_m=0.0)
 
-    def training_due(self):
+    def training_due(self) -> TrainingWindow | None:
         return self.windows.pop() if self.windows else None
 
-    def accept(self, network):
+    def accept(self, network: TrainedNetwork) -> str:
         if "accept" in self.error:
             raise self.error["accept"]
         return self.verdict
 
-    def fit_due(self):
+    def fit_due(self) -> SeaWindow | None:
         return self.pasts.pop() if self.pasts else None
 
-    def accept_fit(self, fit):
+    def accept_fit(self, fit: SeaFit) -> str:
         if "accept_fit" in self.error:
             raise self.error["accept_fit"]
         return self.verdict
 
 
 class Rig:
-    def __init__(self):
+    def __init__(self) -> None:
         self.now_s = 100.0
-        self.frames = []
-        self.windows = []
-        self.pasts = []
+        self.frames: list[MotionFrame] = []
+        self.windows: list[TrainingWindow] = []
+        self.pasts: list[SeaWindow] = []
         self.metrics = Metrics("test")
         self.pipeline = FakePipeline()
         self.acquisition = Acquisition(
-            self.pipeline,
+            cast(Pipeline, self.pipeline),
             metrics=self.metrics,
             publish=self.frames.append,
             train=self.windows.append,
@@ -89,7 +100,7 @@ class Rig:
         )
         self.acquisition.set_devices(DEVICES)
 
-    def poll(self, t_s, fault=Fault.NONE, role="imu", **changes):
+    def poll(self, t_s: float, fault: Fault = Fault.NONE, role: Role = "imu", **changes: Any) -> None:
         kind = ImuSample if role == "imu" else LaserSample
         self.acquisition.on_poll(
             msgspec.structs.replace(
@@ -111,52 +122,53 @@ class Rig:
             )
         )
 
-    def run(self, seconds, answer, tick_offset_s=0.004, from_s=None):
+    def run(self, seconds: float, answer: Answer, tick_offset_s: float = 0.004, from_s: float | None = None) -> None:
         """Polls every period, as ``answer(number)`` says: seconds until the answer and its fault, or None for no
-        result at all; heartbeats every period between them, in order of time."""
+        result at all; heartbeats every period between them, in order of time.
+        """
         start_s = self.now_s if from_s is None else from_s
-        events = []
+        events: list[tuple[float, tuple[float, Fault] | None]] = []
         free_s = start_s
         for number in range(round(seconds / PERIOD_S)):
             due_s = start_s + number * PERIOD_S
-            events.append((due_s + tick_offset_s, "tick", None))
+            events.append((due_s + tick_offset_s, None))
             answered = answer(number)
             if answered is not None and due_s >= free_s - 1e-9:
                 wait_s, fault = answered
                 free_s = due_s + wait_s
-                events.append((free_s, "poll", (due_s, fault)))
-        for at_s, what, details in sorted(events, key=lambda event: event[0]):
+                events.append((free_s, (due_s, fault)))
+        for at_s, polled in sorted(events, key=lambda event: event[0]):
             self.now_s = at_s
-            if what == "tick":
+            if polled is None:
                 self.acquisition.heartbeat()
             else:
-                self.poll(details[0], details[1])
+                self.poll(*polled)
         self.now_s = start_s + seconds
 
-    def value(self, name):
+    def value(self, name: str) -> float:
         lines = self.metrics.render().decode().splitlines()
         return sum(float(line.split()[-1]) for line in lines if line.startswith(name))
 
 
 @pytest.fixture
-def rig():
+def rig() -> Rig:
     return Rig()
 
 
-def well(number):
+def well(number: int) -> tuple[float, Fault]:
     return 0.002, Fault.NONE
 
 
-def jitter(number):
+def jitter(number: int) -> tuple[float, Fault]:
     """Up to 8 ms late; the 2 ms steps are of no rhythm with the ticks."""
     return 0.001 + 0.002 * (number * 7 % 5), Fault.NONE
 
 
-def times(frames):
+def times(frames: Sequence[MotionFrame]) -> list[float]:
     return [frame.t_s for frame in frames]
 
 
-def check_increasing(frames):
+def check_increasing(frames: Sequence[MotionFrame]) -> None:
     assert all(after > before for before, after in itertools.pairwise(times(frames)))
 
 
@@ -165,7 +177,7 @@ def check_increasing(frames):
 
 @pytest.mark.parametrize("answer", [well, jitter])
 @pytest.mark.parametrize("tick_offset_s", [0.0, 0.0019, 0.0021, 0.005, 0.0099])
-def test_ordinary_jitter_makes_no_double_frames(rig, answer, tick_offset_s):
+def test_ordinary_jitter_makes_no_double_frames(rig: Rig, answer: Answer, tick_offset_s: float) -> None:
     rig.poll(rig.now_s - PERIOD_S)
     rig.frames.clear()
     rig.run(2.0, answer, tick_offset_s)
@@ -173,7 +185,7 @@ def test_ordinary_jitter_makes_no_double_frames(rig, answer, tick_offset_s):
     assert all(frame.heave_m == 1.0 for frame in rig.frames)
 
 
-def test_a_loop_that_was_held_up_makes_no_double_frames(rig):
+def test_a_loop_that_was_held_up_makes_no_double_frames(rig: Rig) -> None:
     """For 40 ms nothing ran: heartbeat and poll are both late, and the sample follows."""
     rig.run(1.0, well)
     rig.frames.clear()
@@ -188,7 +200,7 @@ def test_a_loop_that_was_held_up_makes_no_double_frames(rig):
     assert rig.acquisition.heartbeat(0.001)
 
 
-def test_the_stream_runs_on_a_machine_that_is_always_late(rig):
+def test_the_stream_runs_on_a_machine_that_is_always_late(rig: Rig) -> None:
     rig.run(1.0, well)
     rig.frames.clear()
     for _ in range(200):
@@ -198,14 +210,14 @@ def test_the_stream_runs_on_a_machine_that_is_always_late(rig):
     check_increasing(rig.frames)
 
 
-def test_without_any_imu_the_stream_runs_all_the_same(rig):
+def test_without_any_imu_the_stream_runs_all_the_same(rig: Rig) -> None:
     rig.run(2.0, lambda number: None)
     assert len(rig.frames) == 200
     assert all(frame.heave_m == 0.0 for frame in rig.frames)
     check_increasing(rig.frames)
 
 
-def test_idle_rate_without_an_imu_configured(rig):
+def test_idle_rate_without_an_imu_configured(rig: Rig) -> None:
     rig.acquisition.set_devices(())
     assert rig.acquisition.period_s == 1.0 / IDLE_RATE_HZ
     rig.acquisition.set_devices(DEVICES)
@@ -222,7 +234,7 @@ def test_idle_rate_without_an_imu_configured(rig):
     ],
     ids=["nothing", "disconnected", "timeouts of 50 ms", "nan"],
 )
-def test_the_rate_stays_through_an_outage_and_after_it(rig, outage):
+def test_the_rate_stays_through_an_outage_and_after_it(rig: Rig, outage: Answer) -> None:
     rig.run(1.0, well)
     rig.run(2.0, outage)
     rig.run(1.0, well)
@@ -235,10 +247,10 @@ def test_the_rate_stays_through_an_outage_and_after_it(rig, outage):
 
 
 @pytest.mark.parametrize("latency_s", [-0.2, -0.02, 0.0, 0.02])
-def test_devices_that_answer_old_values_come_back_too(rig, latency_s):
+def test_devices_that_answer_old_values_come_back_too(rig: Rig, latency_s: float) -> None:
     """Validity lags arrival by far more than a period: extrapolated frames must not shut the real ones out."""
 
-    def poll_run(seconds):
+    def poll_run(seconds: float) -> None:
         for _ in range(round(seconds / PERIOD_S)):
             rig.now_s += PERIOD_S
             rig.poll(rig.now_s + latency_s)
@@ -252,7 +264,7 @@ def test_devices_that_answer_old_values_come_back_too(rig, latency_s):
     assert len(rig.frames) == pytest.approx(300, abs=5)
 
 
-def test_first_contact_after_extrapolation_without_known_lag(rig):
+def test_first_contact_after_extrapolation_without_known_lag(rig: Rig) -> None:
     """Frames of "now" were published before the first sample showed that validity is 0.5 s earlier."""
     rig.run(1.0, lambda number: None)
     for _ in range(100):
@@ -263,7 +275,7 @@ def test_first_contact_after_extrapolation_without_known_lag(rig):
     assert sum(frame.heave_m == 1.0 for frame in rig.frames) >= 48
 
 
-def test_a_slow_device_is_filled_up(rig):
+def test_a_slow_device_is_filled_up(rig: Rig) -> None:
     """33 Hz where 100 Hz were configured: no sample is lost for a replacement."""
     rig.run(3.0, lambda number: (0.024, Fault.NONE))
     check_increasing(rig.frames)
@@ -271,7 +283,7 @@ def test_a_slow_device_is_filled_up(rig):
     assert sum(frame.heave_m == 1.0 for frame in rig.frames) >= 100 - 1  # Before the first, its lag is not known.
 
 
-def test_laser_polls_make_no_frames(rig):
+def test_laser_polls_make_no_frames(rig: Rig) -> None:
     rig.poll(100.0)
     for number in range(10):
         rig.poll(100.0 + number * 0.001, role="laser")
@@ -282,7 +294,7 @@ def test_laser_polls_make_no_frames(rig):
 # ---- accounting ------------------------------------------------------------------------------------------------------
 
 
-def test_metrics_of_polls_and_frames(rig):
+def test_metrics_of_polls_and_frames(rig: Rig) -> None:
     rig.run(1.0, well)
     rig.poll(rig.now_s, Fault.CRC)
     rig.now_s += PERIOD_S
@@ -295,7 +307,7 @@ def test_metrics_of_polls_and_frames(rig):
     assert rig.value('heaved_quality{state="valid"}') == 1
 
 
-def test_a_thousand_timeouts_are_one_line_and_one_when_it_is_back(rig):
+def test_a_thousand_timeouts_are_one_line_and_one_when_it_is_back(rig: Rig) -> None:
     rig.run(1.0, well)
     with capture_logs() as logs:
         for _ in range(1000):
@@ -308,7 +320,7 @@ def test_a_thousand_timeouts_are_one_line_and_one_when_it_is_back(rig):
     assert rig.value('heaved_device_up{device="imu"}') == 1
 
 
-def test_devices_that_go_and_stay_over_a_reload(rig):
+def test_devices_that_go_and_stay_over_a_reload(rig: Rig) -> None:
     rig.run(1.0, well)
     imu, laser = DEVICES
     rig.acquisition.set_devices((imu,))
@@ -323,7 +335,7 @@ def test_devices_that_go_and_stay_over_a_reload(rig):
 # ---- bugs in the pipeline --------------------------------------------------------------------------------------------
 
 
-def test_a_bug_in_step_is_said_once_and_the_stream_goes_on(rig):
+def test_a_bug_in_step_is_said_once_and_the_stream_goes_on(rig: Rig) -> None:
     rig.pipeline.error["step"] = ZeroDivisionError("float division by zero")
     with capture_logs() as logs:
         rig.run(1.0, well)
@@ -340,7 +352,7 @@ def test_a_bug_in_step_is_said_once_and_the_stream_goes_on(rig):
     assert sum(frame.heave_m == 1.0 for frame in rig.frames) >= 100 - 1  # Before the first, its lag is not known.
 
 
-def test_two_kinds_of_bugs_are_two_lines(rig):
+def test_two_kinds_of_bugs_are_two_lines(rig: Rig) -> None:
     with capture_logs() as logs:
         rig.pipeline.error["step"] = ZeroDivisionError()
         rig.run(0.1, well)
@@ -349,7 +361,7 @@ def test_two_kinds_of_bugs_are_two_lines(rig):
     assert sum(line["log_level"] == "error" for line in logs) == 2
 
 
-def test_with_no_frame_at_all_nothing_is_raised(rig):
+def test_with_no_frame_at_all_nothing_is_raised(rig: Rig) -> None:
     rig.pipeline.error = {"step": ValueError(), "coast": ValueError()}
     rig.run(1.0, well)
     assert rig.frames == []
@@ -359,15 +371,15 @@ def test_with_no_frame_at_all_nothing_is_raised(rig):
 # ---- training --------------------------------------------------------------------------------------------------------
 
 
-def test_a_window_is_handed_on_once(rig):
-    window = SimpleNamespace(number=1)
+def test_a_window_is_handed_on_once(rig: Rig) -> None:
+    window = cast(TrainingWindow, SimpleNamespace(number=1))
     rig.pipeline.windows = [window]
     rig.run(0.1, well)
     assert rig.windows == [window]
     assert rig.pasts == []
 
 
-def test_results_are_counted_and_said_when_they_change(rig):
+def test_results_are_counted_and_said_when_they_change(rig: Rig) -> None:
     with capture_logs() as logs:
         for verdict in ["rejected", "accepted", "accepted", "accepted", "rejected"]:
             rig.pipeline.verdict = verdict
@@ -385,16 +397,18 @@ def test_results_are_counted_and_said_when_they_change(rig):
 # ---- fits of the sea -------------------------------------------------------------------------------------------------
 
 
-def test_a_past_is_handed_on_once(rig):
-    past = SimpleNamespace(number=1)
+def test_a_past_is_handed_on_once(rig: Rig) -> None:
+    past = cast(SeaWindow, SimpleNamespace(number=1))
     rig.pipeline.pasts = [past]
     rig.run(0.1, well)
     assert rig.pasts == [past]
     assert rig.windows == []
 
 
-def test_a_bug_in_handing_out_work_is_said_once_and_the_stream_goes_on(rig, monkeypatch):
-    def broken():
+def test_a_bug_in_handing_out_work_is_said_once_and_the_stream_goes_on(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken() -> None:
         raise ZeroDivisionError
 
     monkeypatch.setattr(rig.pipeline, "fit_due", broken)
@@ -405,7 +419,7 @@ def test_a_bug_in_handing_out_work_is_said_once_and_the_stream_goes_on(rig, monk
     assert rig.value('heaved_filter_resets_total{filter="pipeline",reason="work: ZeroDivisionError"}') == 100
 
 
-def test_fits_are_counted_and_said_when_they_change(rig):
+def test_fits_are_counted_and_said_when_they_change(rig: Rig) -> None:
     with capture_logs() as logs:
         for verdict in ["failed", "accepted", "accepted", "rejected", "accepted"]:
             rig.pipeline.verdict = verdict

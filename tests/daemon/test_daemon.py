@@ -1,10 +1,15 @@
 """The daemon in one process with a simulated plant: start, what it says, reload, stop, start again."""
 
+from __future__ import annotations
+
 import asyncio
 import json
 import socket
+from collections.abc import Iterator
 from contextlib import closing
 from datetime import datetime
+from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -23,10 +28,13 @@ from running import (
 )
 from structlog.testing import capture_logs
 
-from heaved.config import HttpParams, StreamParams
+from heaved.config import Config, HttpParams, StreamParams
 from heaved.daemon.daemon import Daemon
 from heaved.daemon.sdnotify import Notifier
 from heaved.daemon.supervise import supervise
+from heaved.devices.bus import PollResult
+from heaved.estimation.heave import params as heave
+from heaved.pipeline import PipelineState
 from heaved.samples import (
     CorrectionState,
     DelayedHeave,
@@ -38,7 +46,7 @@ from heaved.samples import (
 )
 
 
-async def test_frames_flow_at_the_rate_of_the_imu(tmp_path):
+async def test_frames_flow_at_the_rate_of_the_imu(tmp_path: Path) -> None:
     async with plant_of(demo_config(tmp_path)) as (_, config), running(config) as daemon:
         async with asyncio.timeout(20), stream_of(daemon) as records:
             assert (await anext(records))["class"] == "VERSION"
@@ -49,7 +57,7 @@ async def test_frames_flow_at_the_rate_of_the_imu(tmp_path):
         assert metric(daemon, 'heaved_polls_total{device="imu",result="none"}') > 100
 
 
-async def test_status_knows_it_all(tmp_path):
+async def test_status_knows_it_all(tmp_path: Path) -> None:
     async with plant_of(demo_config(tmp_path)) as (_, config), running(config) as daemon:
         await until(daemon, lambda record: record["seq"] > 250)
         reader, writer = await asyncio.open_connection(*daemon.addresses["stream"])
@@ -67,7 +75,7 @@ async def test_status_knows_it_all(tmp_path):
     assert record["quality"]["heave"] == "settling"
 
 
-async def test_who_watches_status_gets_it_without_asking(tmp_path):
+async def test_who_watches_status_gets_it_without_asking(tmp_path: Path) -> None:
     async with running(demo_config(tmp_path, device=())) as daemon:
         reader, writer = await asyncio.open_connection(*daemon.addresses["stream"])
         writer.write(b'?WATCH={"classes":["STATUS"]}\n')
@@ -78,7 +86,7 @@ async def test_who_watches_status_gets_it_without_asking(tmp_path):
     assert record["devices"] == []
 
 
-async def test_sea_and_delayed_heave_are_sent_once_each_to_who_watches_them(tmp_path):
+async def test_sea_and_delayed_heave_are_sent_once_each_to_who_watches_them(tmp_path: Path) -> None:
     state = SeaState(
         significant_height_m=2.5, peak_period_s=9.0, mean_period_s=7.5, systems=(), frequencies_hz=(0.1,),
         spectrum_m2phz=(3.0,), t_s=40.0, window_s=300.0,
@@ -86,9 +94,9 @@ async def test_sea_and_delayed_heave_are_sent_once_each_to_who_watches_them(tmp_
     async with running(demo_config(tmp_path, device=())) as daemon:
         reader, writer = await asyncio.open_connection(*daemon.addresses["stream"])
 
-        async def until_status():
+        async def until_status() -> list[dict[str, Any]]:
             writer.write(b"?STATUS\n")
-            records = []
+            records: list[dict[str, Any]] = []
             while not records or records[-1]["class"] != "STATUS":
                 records.append(json.loads(await reader.readline()))
             return records[:-1]
@@ -117,11 +125,11 @@ async def test_sea_and_delayed_heave_are_sent_once_each_to_who_watches_them(tmp_
         assert metric(daemon, "heaved_peak_period_seconds") == 9.0
 
 
-def utc_s(text):
+def utc_s(text: str) -> float:
     return datetime.fromisoformat(text).timestamp()
 
 
-async def test_http_says_alive_and_not_yet_ready_without_sensors(tmp_path):
+async def test_http_says_alive_and_not_yet_ready_without_sensors(tmp_path: Path) -> None:
     async with running(demo_config(tmp_path, device=())) as daemon:
         await until(daemon, lambda record: True)
         status, body = await get(daemon, "/healthz")
@@ -133,14 +141,14 @@ async def test_http_says_alive_and_not_yet_ready_without_sensors(tmp_path):
         assert 'heaved_quality{state="invalid"} 1.0' in body
 
 
-async def test_without_devices_the_stream_runs_at_ten_hertz(tmp_path):
+async def test_without_devices_the_stream_runs_at_ten_hertz(tmp_path: Path) -> None:
     async with running(demo_config(tmp_path, device=())) as daemon:
         frames = await frames_of(daemon, 11)
         assert median_period_s(frames) == pytest.approx(0.1, rel=0.3)
         assert all(frame["quality"]["heave"] == "invalid" and "heave_m" not in frame for frame in frames)
 
 
-async def test_http_off(tmp_path):
+async def test_http_off(tmp_path: Path) -> None:
     async with running(demo_config(tmp_path, http=HttpParams(enabled=False), device=())) as daemon:
         assert list(daemon.addresses) == ["stream"]
 
@@ -149,28 +157,34 @@ async def test_http_off(tmp_path):
 
 
 @pytest.mark.parametrize(("params", "learned", "frequency_hz"), [(*HARMONIC[:2], 0.0987), (*SEA[:2], 0.2)])
-async def test_a_restart_remembers(tmp_path, params, learned, frequency_hz):
+async def test_a_restart_remembers(
+    tmp_path: Path, params: heave.Params, learned: PipelineState, frequency_hz: float
+) -> None:
     config = demo_config(tmp_path, device=(), heave=params)
     async with running(config) as daemon:
         assert daemon.acquisition.pipeline.state() != learned
         daemon.acquisition.pipeline.restore(learned)
     async with running(config) as daemon:
         assert daemon.acquisition.pipeline.state() == learned
-        assert daemon.status().observer.frequencies_hz == (frequency_hz,)
+        observer = daemon.status().observer
+        assert observer is not None
+        assert observer.frequencies_hz == (frequency_hz,)
         assert metric(daemon, 'heaved_state_loads_total{result="restored"}') == 1
 
 
-async def test_the_state_is_saved_now_and_then(tmp_path):
+async def test_the_state_is_saved_now_and_then(tmp_path: Path) -> None:
     state = msgspec.structs.replace(demo_config(tmp_path).state, save_period_s=1.0)
     async with running(demo_config(tmp_path, device=(), state=state)) as daemon:
         await until(daemon, lambda record: metric(daemon, 'heaved_state_saves_total{result="saved"}') >= 1)
-        assert daemon.memory.file.read().state == daemon.acquisition.pipeline.state()
+        saved = daemon.memory.file.read()
+        assert saved is not None
+        assert saved.state == daemon.acquisition.pipeline.state()
 
 
 # ---- reload ----------------------------------------------------------------------------------------------------------
 
 
-def to_toml(config):
+def to_toml(config: Config) -> str:
     """A configuration file of the tables that these tests change."""
     lines = []
     for device in config.device:
@@ -183,7 +197,7 @@ def to_toml(config):
     return "\n".join([*lines, "[heave.sea]", f"stages = {config.heave.sea.stages}", ""])
 
 
-async def test_reload_restarts_only_what_has_changed(tmp_path):
+async def test_reload_restarts_only_what_has_changed(tmp_path: Path) -> None:
     path = tmp_path / "heaved.toml"
     async with plant_of(demo_config(tmp_path)) as (_, config):
         path.write_text(to_toml(config))
@@ -208,7 +222,9 @@ async def test_reload_restarts_only_what_has_changed(tmp_path):
 
 
 @pytest.mark.parametrize(("params", "learned", "other"), [HARMONIC, SEA])
-async def test_reload_of_an_estimator_keeps_what_was_learned(tmp_path, params, learned, other):
+async def test_reload_of_an_estimator_keeps_what_was_learned(
+    tmp_path: Path, params: heave.Params, learned: PipelineState, other: dict[str, Any]
+) -> None:
     path = tmp_path / "heaved.toml"
     config = demo_config(tmp_path, device=(), heave=params)
     async with running(config, path) as daemon:
@@ -226,7 +242,7 @@ async def test_reload_of_an_estimator_keeps_what_was_learned(tmp_path, params, l
         assert frame["quality"]["heave"] == "invalid"
 
 
-async def test_a_fitter_runs_for_the_observer_that_needs_it_and_only_then(tmp_path):
+async def test_a_fitter_runs_for_the_observer_that_needs_it_and_only_then(tmp_path: Path) -> None:
     path = tmp_path / "heaved.toml"
     sea = demo_config(tmp_path, device=())
     harmonic = msgspec.structs.replace(sea, heave=HARMONIC[0])
@@ -236,12 +252,14 @@ async def test_a_fitter_runs_for_the_observer_that_needs_it_and_only_then(tmp_pa
             path.write_text(to_toml(config))
             await daemon.reload()
             assert ("fitter" in daemon.workers.running) == (name == "sea")
-            assert daemon.status().observer.name == name
+            observer = daemon.status().observer
+            assert observer is not None
+            assert observer.name == name
         assert daemon.workers.running["fitter"] is not first
         await until(daemon, lambda record: True)
 
 
-async def test_reload_says_what_needs_a_restart(tmp_path):
+async def test_reload_says_what_needs_a_restart(tmp_path: Path) -> None:
     path = tmp_path / "heaved.toml"
     config = demo_config(tmp_path, device=())
     path.write_text(to_toml(msgspec.structs.replace(config, stream=StreamParams(port=5999))))
@@ -259,14 +277,14 @@ async def test_reload_says_what_needs_a_restart(tmp_path):
 
 
 @pytest.fixture
-def manager(tmp_path):
+def manager(tmp_path: Path) -> Iterator[socket.socket]:
     with closing(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)) as receiver:
         receiver.bind(str(tmp_path / "notify"))
         receiver.setblocking(False)
         yield receiver
 
 
-def received(manager):
+def received(manager: socket.socket) -> list[str]:
     messages = []
     while True:
         try:
@@ -275,7 +293,7 @@ def received(manager):
             return messages
 
 
-async def test_what_the_service_manager_is_told(tmp_path, manager):
+async def test_what_the_service_manager_is_told(tmp_path: Path, manager: socket.socket) -> None:
     path = tmp_path / "heaved.toml"
     config = demo_config(tmp_path, device=())
     path.write_text("[heave]\ncomponents = 99\n")
@@ -294,13 +312,15 @@ async def test_what_the_service_manager_is_told(tmp_path, manager):
     assert received(manager)[-1].startswith("STOPPING=1")
 
 
-async def test_the_watchdog_starves_when_no_frame_is_made(tmp_path, manager, monkeypatch):
+async def test_the_watchdog_starves_when_no_frame_is_made(
+    tmp_path: Path, manager: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
     notifier = Notifier({"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "40000"})
     async with running(demo_config(tmp_path, device=()), notifier=notifier) as daemon:
         await until(daemon, lambda record: record["seq"] > 5)
         assert "WATCHDOG=1" in received(manager)
 
-        def broken(t_s):
+        def broken(t_s: float) -> None:
             raise FloatingPointError("a bug")
 
         monkeypatch.setattr(daemon.acquisition.pipeline, "coast", broken)
@@ -316,12 +336,12 @@ async def test_the_watchdog_starves_when_no_frame_is_made(tmp_path, manager, mon
 # ---- supervision -----------------------------------------------------------------------------------------------------
 
 
-async def test_a_task_that_fails_is_said_and_started_again(monkeypatch):
+async def test_a_task_that_fails_is_said_and_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("heaved.daemon.supervise.FIRST_PAUSE_S", 0.0)
     lives = []
     done = asyncio.Event()
 
-    async def run():
+    async def run() -> None:
         lives.append(1)
         if len(lives) == 3:
             done.set()
@@ -337,13 +357,14 @@ async def test_a_task_that_fails_is_said_and_started_again(monkeypatch):
     assert all(line["task"] == "poll" and str(line["exc_info"]) == "out of luck" for line in logs)
 
 
-async def test_a_bus_that_fails_is_polled_again(tmp_path, monkeypatch):
+async def test_a_bus_that_fails_is_polled_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The callback of a bus never raises; if a bug lets it, the bus comes back."""
     async with plant_of(demo_config(tmp_path)) as (_, config):
         daemon = Daemon(config)
-        on_poll, failures = daemon.acquisition.on_poll, []
+        on_poll = daemon.acquisition.on_poll
+        failures: list[PollResult] = []
 
-        def fail_once(result):
+        def fail_once(result: PollResult) -> None:
             if not failures:
                 failures.append(result)
                 raise RuntimeError("a bug")
@@ -358,7 +379,7 @@ async def test_a_bus_that_fails_is_polled_again(tmp_path, monkeypatch):
         assert failures
 
 
-async def test_frames_carry_utc_of_validity(tmp_path):
+async def test_frames_carry_utc_of_validity(tmp_path: Path) -> None:
     frames = []
     async with running(demo_config(tmp_path, device=()), realtime=lambda: 1_767_225_600.0) as daemon:
         record = await until(daemon, lambda record: True)

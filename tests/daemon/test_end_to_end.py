@@ -1,10 +1,14 @@
 """A simulated ship, its sensors on Modbus TCP, the daemon, a client on TCP: what arrives is the ship's motion."""
 
+from __future__ import annotations
+
 import asyncio
 import itertools
 import math
 import statistics
 import time
+from collections.abc import Sequence
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -25,7 +29,7 @@ SHORT = msgspec.structs.replace(SWELL, frequency_hz=(1.0 / PERIOD_S,))
 class Swell:
     """Regular motions: heave of 1 m at 3 s, which grows from rest, roll of 3 degrees at 9 s, pitch of 1 at 6.5 s."""
 
-    def at(self, t_s):
+    def at(self, t_s: float) -> Motion[float]:
         u = min(max(t_s / GROWTH_S, 0.0), 1.0)
         # Smooth to the second derivative, so that the accelerometer sees no jump.
         growth = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
@@ -51,7 +55,7 @@ class Swell:
         )
 
 
-def rms(values):
+def rms(values: Sequence[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
@@ -65,9 +69,12 @@ QUICK = heave.Params(
     [(QUICK, PipelineState(), 1.0), (heave.Params(), PipelineState(sea=SHORT), 3.0 * PERIOD_S)],
     ids=["harmonic", "sea, of which an earlier run knew the period"],
 )
-async def test_the_clients_see_the_motion_of_the_ship(tmp_path, params, learned, wait_s):
+async def test_the_clients_see_the_motion_of_the_ship(
+    tmp_path: Path, params: heave.Params, learned: PipelineState, wait_s: float
+) -> None:
     """``wait_s``: from the first heave (harmonic: 15 s after the first sample; sea: at once, so three periods more)
-    until it is looked at."""
+    until it is looked at.
+    """
     sea = Swell()
     config = demo_config(tmp_path, heave=params)
     StateFile(tmp_path / "state", PipelineState).write(StateFile.encode(learned))

@@ -1,5 +1,7 @@
 """What goes wrong on a ship: each fault has a message and a metric, and the daemon stays up."""
 
+from __future__ import annotations
+
 import asyncio
 import contextlib
 import errno
@@ -10,12 +12,29 @@ import os
 import signal
 import socket
 import sys
+from asyncio.subprocess import Process
+from collections.abc import AsyncIterator, Callable, Iterator, MutableMapping, Sequence
 from contextlib import asynccontextmanager, closing
+from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
 import structlog
-from running import HARMONIC, PATIENCE_S, SEA, SWELL, demo_config, get, metric, plant_of, running, stream_of, until
+from running import (
+    HARMONIC,
+    PATIENCE_S,
+    SEA,
+    SWELL,
+    Record,
+    demo_config,
+    get,
+    metric,
+    plant_of,
+    running,
+    stream_of,
+    until,
+)
 from structlog.testing import capture_logs
 
 from heaved.config import HttpParams, StreamParams
@@ -23,21 +42,27 @@ from heaved.daemon import daemon as daemon_module
 from heaved.daemon.daemon import Daemon, run
 from heaved.daemon.realtime import set_real_time
 from heaved.daemon.state import StateFile
-from heaved.outputs.access import ListenError
+from heaved.estimation.heave import params as heave
+from heaved.outputs.listen import ListenError
 from heaved.pipeline import Pipeline, PipelineState
 from heaved.samples import CorrectionState, HeaveState, LaserState, MotionFrame, Quality
 from heaved.simulate.faults import FaultKind, PlannedFault
+from heaved.simulate.plant import SimulatedPlant
+from heaved.workers.jobs import Job
 from heaved.workers.process import Worker
+
+Logs = Sequence[MutableMapping[str, Any]]
+"""What structlog has captured."""
 
 FOR_EVER_S = 1e6
 
 
-def fault(kind, plant, device="imu"):
+def fault(kind: FaultKind, plant: SimulatedPlant, device: str = "imu") -> PlannedFault:
     """From now on, until the plant's plan is cleared."""
     return PlannedFault(device=device, kind=kind, start_s=plant.time_s(), duration_s=FOR_EVER_S)
 
 
-def events(logs, level="warning"):
+def events(logs: Logs, level: str = "warning") -> list[str]:
     return [line["event"] for line in logs if line["log_level"] == level]
 
 
@@ -45,7 +70,7 @@ def events(logs, level="warning"):
 
 
 @pytest.mark.parametrize("table", ["stream", "http"])
-async def test_a_port_in_use(tmp_path, table):
+async def test_a_port_in_use(tmp_path: Path, table: str) -> None:
     with closing(socket.create_server(("127.0.0.1", 0))) as taken:
         port = taken.getsockname()[1]
         params = {"stream": StreamParams(port=port), "http": HttpParams(port=port)}[table]
@@ -59,7 +84,7 @@ async def test_a_port_in_use(tmp_path, table):
 
 
 @pytest.fixture
-def logging_as_before():
+def logging_as_before() -> Iterator[None]:
     root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
     yield
@@ -67,7 +92,9 @@ def logging_as_before():
     structlog.reset_defaults()
 
 
-def test_a_port_in_use_ends_the_process_with_1(tmp_path, capsys, logging_as_before):
+def test_a_port_in_use_ends_the_process_with_1(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], logging_as_before: None
+) -> None:
     with closing(socket.create_server(("127.0.0.1", 0))) as taken:
         port = taken.getsockname()[1]
         assert run(demo_config(tmp_path, stream=StreamParams(port=port)), None, log_format="human") == 1
@@ -79,7 +106,7 @@ def test_a_port_in_use_ends_the_process_with_1(tmp_path, capsys, logging_as_befo
 # ---- devices ---------------------------------------------------------------------------------------------------------
 
 
-async def test_absent_at_the_start_then_plugged_in(tmp_path):
+async def test_absent_at_the_start_then_plugged_in(tmp_path: Path) -> None:
     async with plant_of(demo_config(tmp_path)) as (plant, config):
         await plant.stop()
         with capture_logs() as logs:
@@ -98,7 +125,7 @@ async def test_absent_at_the_start_then_plugged_in(tmp_path):
     assert events(logs).count("device down") == 2
 
 
-async def test_unplugged_and_back(tmp_path):
+async def test_unplugged_and_back(tmp_path: Path) -> None:
     async with plant_of(demo_config(tmp_path)) as (plant, config):
         with capture_logs() as logs:
             async with running(config) as daemon:
@@ -117,7 +144,7 @@ async def test_unplugged_and_back(tmp_path):
     assert events(logs).count("device down") == 1
 
 
-async def test_a_pipeline_that_stops_is_seen(tmp_path):
+async def test_a_pipeline_that_stops_is_seen(tmp_path: Path) -> None:
     """By who asks whether it is ready, and by who looks at gauges: no value stands still."""
     late_s = [0.0]
     now = asyncio.get_running_loop().time
@@ -149,11 +176,11 @@ async def test_a_pipeline_that_stops_is_seen(tmp_path):
         (FaultKind.DROPOUT, "timeout"),
     ],
 )
-async def test_bad_answers_end_to_end(tmp_path, kind, result):
+async def test_bad_answers_end_to_end(tmp_path: Path, kind: FaultKind, result: str) -> None:
     """No nan, no stale value, no gap in the stream: an invalid heave that says why, and then a good one again."""
     async with plant_of(demo_config(tmp_path)) as (plant, config), running(config) as daemon:
         await until(daemon, lambda record: record["quality"]["heave"] == "settling")
-        frames = []
+        frames: list[Record] = []
         plant.inject(fault(kind, plant))
         async with asyncio.timeout(PATIENCE_S), stream_of(daemon) as records:
             assert (await anext(records))["class"] == "VERSION"
@@ -170,7 +197,7 @@ async def test_bad_answers_end_to_end(tmp_path, kind, result):
         assert all(after["mono_s"] > before["mono_s"] for before, after in itertools.pairwise(frames))
 
 
-async def test_garbage_on_a_serial_line(tmp_path):
+async def test_garbage_on_a_serial_line(tmp_path: Path) -> None:
     config = demo_config(tmp_path)
     imu = msgspec.structs.replace(config.device[0], link=f"rtu://{tmp_path}/imu?baudrate=921600", rate_hz=50.0)
     async with plant_of(msgspec.structs.replace(config, device=(imu,))) as (plant, config), running(config) as daemon:
@@ -184,19 +211,19 @@ async def test_garbage_on_a_serial_line(tmp_path):
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may open every port")
-async def test_no_permission_on_the_serial_port(tmp_path):
+async def test_no_permission_on_the_serial_port(tmp_path: Path) -> None:
     port = tmp_path / "ttyUSB0"
     port.touch(mode=0o000)
     await check_forbidden_port(tmp_path, port)
 
 
-async def test_permission_refused_by_the_system(tmp_path, monkeypatch):
+async def test_permission_refused_by_the_system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same for root, to whom the system would not refuse it."""
     port = tmp_path / "ttyUSB0"
     port.touch()
     really_open = os.open
 
-    def refuse(path, *args, **kwargs):
+    def refuse(path: str | Path, *args: Any, **kwargs: Any) -> int:
         if str(path) == str(port):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
         return really_open(path, *args, **kwargs)
@@ -205,7 +232,7 @@ async def test_permission_refused_by_the_system(tmp_path, monkeypatch):
     await check_forbidden_port(tmp_path, port)
 
 
-async def check_forbidden_port(tmp_path, port):
+async def check_forbidden_port(tmp_path: Path, port: Path) -> None:
     config = demo_config(tmp_path)
     imu = msgspec.structs.replace(config.device[0], link=f"rtu://{port}?baudrate=115200")
     with capture_logs() as logs:
@@ -220,7 +247,7 @@ async def check_forbidden_port(tmp_path, port):
 # ---- clock -----------------------------------------------------------------------------------------------------------
 
 
-async def test_a_clock_step_of_an_hour_changes_no_estimate(tmp_path):
+async def test_a_clock_step_of_an_hour_changes_no_estimate(tmp_path: Path) -> None:
     """The published UTC follows, monotonic time goes on, and the filters see nothing of it."""
     now = asyncio.get_running_loop().time
     offset_s = [1_767_225_600.0]
@@ -239,11 +266,13 @@ async def test_a_clock_step_of_an_hour_changes_no_estimate(tmp_path):
         assert 0.0 < mono_s < PATIENCE_S
         assert utc_s(after) - utc_s(before) == pytest.approx(mono_s + 3600.0, abs=0.01)
         assert metric(daemon, 'heaved_filter_resets_total{filter="heave"') == 0
-        assert daemon.status().clock.steps == 1
+        clock = daemon.status().clock
+        assert clock is not None
+        assert clock.steps == 1
         assert daemon.acquisition.pipeline.summary().out_of_order == 0
 
 
-def utc_s(record):
+def utc_s(record: Record) -> float:
     hours, minutes, seconds = record["time"].rstrip("Z").split("T")[1].split(":")
     return 3600 * int(hours) + 60 * int(minutes) + float(seconds)
 
@@ -251,8 +280,8 @@ def utc_s(record):
 # ---- state -----------------------------------------------------------------------------------------------------------
 
 
-async def test_a_full_disk(tmp_path, monkeypatch):
-    def full(fd):
+async def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(fd: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with capture_logs() as logs:
@@ -268,7 +297,7 @@ async def test_a_full_disk(tmp_path, monkeypatch):
     assert events(logs) == ["the state cannot be saved"]
 
 
-async def test_a_corrupt_state(tmp_path):
+async def test_a_corrupt_state(tmp_path: Path) -> None:
     config = demo_config(tmp_path, device=())
     (tmp_path / "state").mkdir()
     (tmp_path / "state" / "state.json").write_text('{"version":1,"sha')
@@ -293,7 +322,7 @@ NOWHERE = msgspec.structs.replace(SWELL, frequency_hz=(1e300,))
         (b"[" * 100_000, "is damaged"),
     ],
 )
-async def test_a_state_of_nonsense(tmp_path, content, reason):
+async def test_a_state_of_nonsense(tmp_path: Path, content: bytes, reason: str) -> None:
     """Set aside, named, and no reason not to start."""
     (tmp_path / "state").mkdir()
     (tmp_path / "state" / "state.json").write_bytes(content)
@@ -307,10 +336,10 @@ async def test_a_state_of_nonsense(tmp_path, content, reason):
     assert (tmp_path / "state" / "state.corrupt").read_bytes() == content
 
 
-async def test_a_state_that_an_estimator_stumbles_over(tmp_path, monkeypatch):
+async def test_a_state_that_an_estimator_stumbles_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever it raises, the daemon starts, and with new estimators."""
 
-    def stumble(self, state, age_s):
+    def stumble(self: Any, state: PipelineState, age_s: float) -> None:
         self.stumbled = True
         raise ZeroDivisionError("float division by zero")
 
@@ -325,7 +354,9 @@ async def test_a_state_that_an_estimator_stumbles_over(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(("params", "learned", "other"), [HARMONIC, SEA])
-async def test_a_state_of_other_parameters(tmp_path, params, learned, other):
+async def test_a_state_of_other_parameters(
+    tmp_path: Path, params: heave.Params, learned: PipelineState, other: dict[str, Any]
+) -> None:
     config = demo_config(tmp_path, device=(), heave=params)
     async with running(config) as daemon:
         daemon.acquisition.pipeline.restore(learned)
@@ -339,24 +370,27 @@ async def test_a_state_of_other_parameters(tmp_path, params, learned, other):
 # ---- trainer and fitter ----------------------------------------------------------------------------------------------
 
 
-def let_die(monkeypatch, name):
+def let_die(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     """The worker of that name dies again and again; the other is well."""
-    dying = {"command": (sys.executable, "-c", "import sys; sys.exit('no such module')"), "first_backoff_s": 0.01}
+    command = (sys.executable, "-c", "import sys; sys.exit('no such module')")
 
-    def make(called, *arguments, **options):
-        return Worker(called, *arguments, **(options | dying if called == name else options))
+    def make(job: Job[Any, Any], *callbacks: Any) -> Worker[Any, Any]:
+        if job.name != name:
+            return Worker(job, *callbacks)
+        dying = msgspec.structs.replace(job, command=command, waits_for_work=False)
+        return Worker(dying, *callbacks, first_backoff_s=0.01)
 
     monkeypatch.setattr("heaved.daemon.learning.Worker", make)
 
 
-def check_said_once(logs, name):
+def check_said_once(logs: Logs, name: str) -> None:
     (line,) = [line for line in logs if "has failed" in line["event"]]
     assert name in line["event"]
     assert line["log_level"] == "warning"
     assert "no such module" in line["reason"]
 
 
-async def test_the_trainer_dies_again_and_again(tmp_path, monkeypatch):
+async def test_the_trainer_dies_again_and_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     let_die(monkeypatch, "trainer")
     config = demo_config(tmp_path)
     correction = msgspec.structs.replace(config.correction, enabled=True)
@@ -369,7 +403,7 @@ async def test_the_trainer_dies_again_and_again(tmp_path, monkeypatch):
     check_said_once(logs, "trainer")
 
 
-async def test_the_fitter_dies_again_and_again(tmp_path, monkeypatch):
+async def test_the_fitter_dies_again_and_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The stream goes on without a gap, with what was learned: here the sea of an earlier run."""
     let_die(monkeypatch, "fitter")
     config = demo_config(tmp_path, heave=SEA[0])
@@ -379,7 +413,7 @@ async def test_the_fitter_dies_again_and_again(tmp_path, monkeypatch):
             async with running(config) as daemon:
                 await until(daemon, lambda record: metric(daemon, 'heaved_sea_fits_total{result="failed"}') >= 3)
                 first = await until(daemon, lambda record: "heave_m" in record)
-                frames = []
+                frames: list[Record] = []
                 async with asyncio.timeout(PATIENCE_S), stream_of(daemon) as records:
                     while len(frames) < 100:
                         record = await anext(records)
@@ -394,7 +428,7 @@ async def test_the_fitter_dies_again_and_again(tmp_path, monkeypatch):
 # ---- configuration ---------------------------------------------------------------------------------------------------
 
 
-async def test_a_bad_file_at_reload_changes_nothing(tmp_path):
+async def test_a_bad_file_at_reload_changes_nothing(tmp_path: Path) -> None:
     path = tmp_path / "heaved.toml"
     path.write_text("[heave]\ncomponents = 99\n[stream]\nprot = 1\n")
     async with plant_of(demo_config(tmp_path)) as (_, config), running(config, path) as daemon:
@@ -443,9 +477,16 @@ directory = "{}/state"
 
 
 @asynccontextmanager
-async def process(path, exit_s=PATIENCE_S, what="", stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE):
+async def process(
+    path: Path,
+    exit_s: float = PATIENCE_S,
+    what: str = "",
+    stdout: int = asyncio.subprocess.PIPE,
+    stderr: int = asyncio.subprocess.PIPE,
+) -> AsyncIterator[Process]:
     """The daemon as a process; killed at the end, if it is still there. ``exit_s``: in place of the 1.8 s after which
-    the process ends whatever hangs, so that a slow machine does not need that. ``what``: hangs."""
+    the process ends whatever hangs, so that a slow machine does not need that. ``what``: hangs.
+    """
     command = (sys.executable, "-c", PROGRAM, str(path), str(exit_s), what)
     daemon = await asyncio.create_subprocess_exec(*command, stdout=stdout, stderr=stderr)
     try:
@@ -456,9 +497,10 @@ async def process(path, exit_s=PATIENCE_S, what="", stdout=asyncio.subprocess.PI
             await daemon.wait()
 
 
-async def listening(daemon):
+async def listening(daemon: Process) -> dict[str, tuple[str, int]]:
     """Addresses by name, as the daemon prints them."""
     addresses = {}
+    assert daemon.stdout is not None
     for _ in range(2):
         line = (await asyncio.wait_for(daemon.stdout.readline(), 60)).decode()
         name, address = line.split()
@@ -468,7 +510,7 @@ async def listening(daemon):
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-async def test_signals_end_it_in_time_whatever_hangs(tmp_path, number):
+async def test_signals_end_it_in_time_whatever_hangs(tmp_path: Path, number: signal.Signals) -> None:
     """A client that never reads, an HTTP client that never asks, a device that accepts and never answers."""
     path = tmp_path / "heaved.toml"
     with closing(socket.create_server(("127.0.0.1", 0))) as silent:
@@ -505,14 +547,14 @@ async def test_signals_end_it_in_time_whatever_hangs(tmp_path, number):
         assert (tmp_path / "state" / "state.json").is_file()
 
 
-def plain(tmp_path):
+def plain(tmp_path: Path) -> Path:
     """A configuration without devices."""
     path = tmp_path / "heaved.toml"
     path.write_text(PLAIN.format(tmp_path))
     return path
 
 
-async def test_a_disk_that_hangs_does_not_hold_the_process(tmp_path):
+async def test_a_disk_that_hangs_does_not_hold_the_process(tmp_path: Path) -> None:
     async with process(plain(tmp_path), exit_s=0.5, what="disk hangs") as daemon:
         await listening(daemon)
         daemon.send_signal(signal.SIGTERM)
@@ -521,7 +563,7 @@ async def test_a_disk_that_hangs_does_not_hold_the_process(tmp_path):
     assert not (tmp_path / "state" / "state.json").exists()
 
 
-async def test_a_disk_that_hangs_at_the_start_does_not_hold_the_stream(tmp_path):
+async def test_a_disk_that_hangs_at_the_start_does_not_hold_the_stream(tmp_path: Path) -> None:
     async with process(plain(tmp_path), exit_s=0.5, what="disk hangs at the start") as daemon:
         reader, writer = await asyncio.open_connection(*(await listening(daemon))["stream"])
         assert b"VERSION" in await asyncio.wait_for(reader.readline(), PATIENCE_S)
@@ -534,7 +576,7 @@ async def test_a_disk_that_hangs_at_the_start_does_not_hold_the_stream(tmp_path)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-async def test_a_loop_that_hangs_does_not_hold_the_process(tmp_path, number):
+async def test_a_loop_that_hangs_does_not_hold_the_process(tmp_path: Path, number: signal.Signals) -> None:
     async with process(plain(tmp_path), exit_s=0.5, what="loop hangs") as daemon:
         reader, writer = await asyncio.open_connection(*(await listening(daemon))["stream"])
         with contextlib.suppress(TimeoutError):
@@ -547,7 +589,7 @@ async def test_a_loop_that_hangs_does_not_hold_the_process(tmp_path, number):
     assert b"not everything has stopped in time" in errors
 
 
-async def test_a_start_that_hangs_can_be_ended(tmp_path):
+async def test_a_start_that_hangs_can_be_ended(tmp_path: Path) -> None:
     async with process(plain(tmp_path), exit_s=0.5, what="start hangs") as daemon:
         await log_line(daemon, b"no saved state")
         daemon.send_signal(signal.SIGTERM)
@@ -555,17 +597,17 @@ async def test_a_start_that_hangs_can_be_ended(tmp_path):
     assert daemon.returncode == 0
 
 
-def full_device():
+def full_device() -> int:
     return os.open("/dev/full", os.O_WRONLY)
 
 
-def pipe_without_reader():
+def pipe_without_reader() -> int:
     reading, writing = os.pipe()
     os.close(reading)
     return writing
 
 
-def full_pipe():
+def full_pipe() -> int:
     """Nobody reads it, and who writes to it waits for ever. (The reading end is left open on purpose.)"""
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
@@ -577,19 +619,22 @@ def full_pipe():
     return writing
 
 
-FULL_PIPES = []
+FULL_PIPES: list[int] = []
 
 
 @pytest.mark.parametrize("make", [full_device, pipe_without_reader, full_pipe])
 @pytest.mark.parametrize("name", ["stdout", "stderr"])
-async def test_whoever_reads_what_it_prints_does_not_hold_the_process(tmp_path, name, make):
+async def test_whoever_reads_what_it_prints_does_not_hold_the_process(
+    tmp_path: Path, name: str, make: Callable[[], int]
+) -> None:
     """It serves the stream, and ends when it is told to, by itself."""
     path = tmp_path / "heaved.toml"
     with closing(socket.create_server(("127.0.0.1", 0))) as taken:
         port = taken.getsockname()[1]
     path.write_text(PLAIN.format(tmp_path).replace("[stream]\nport = 0", f"[stream]\nport = {port}"))
     file = make()
-    async with process(path, **{name: file}) as daemon:
+    pipes = {"stdout": asyncio.subprocess.PIPE, "stderr": asyncio.subprocess.PIPE} | {name: file}
+    async with process(path, stdout=pipes["stdout"], stderr=pipes["stderr"]) as daemon:
         os.close(file)
         reader, writer = await connected(port)
         for _ in range(5):
@@ -607,7 +652,7 @@ async def test_whoever_reads_what_it_prints_does_not_hold_the_process(tmp_path, 
         os.close(FULL_PIPES.pop())
 
 
-async def connected(port):
+async def connected(port: int) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
     async with asyncio.timeout(60):
         while True:
             with contextlib.suppress(ConnectionRefusedError):
@@ -615,7 +660,12 @@ async def connected(port):
             await asyncio.sleep(0.05)
 
 
-async def test_without_standard_files_nothing_takes_their_place(tmp_path):
+def standard_files(pid: int) -> list[str]:
+    """What stands behind the first three descriptors of a process."""
+    return [str(Path(f"/proc/{pid}/fd/{fd}").readlink()) for fd in range(3)]
+
+
+async def test_without_standard_files_nothing_takes_their_place(tmp_path: Path) -> None:
     """A line of the log would go into whatever socket was opened instead, and to its client."""
     path = tmp_path / "heaved.toml"
     with closing(socket.create_server(("127.0.0.1", 0))) as taken:
@@ -627,7 +677,7 @@ async def test_without_standard_files_nothing_takes_their_place(tmp_path):
         reader, writer = await connected(port)
         for _ in range(5):
             assert (await asyncio.wait_for(reader.readline(), PATIENCE_S)).startswith(b'{"class":')
-        links = [os.readlink(f"/proc/{daemon.pid}/fd/{fd}") for fd in range(3)]
+        links = standard_files(daemon.pid)
         daemon.send_signal(signal.SIGTERM)
         assert await asyncio.wait_for(daemon.wait(), PATIENCE_S) == 0
         writer.close()
@@ -638,12 +688,12 @@ async def test_without_standard_files_nothing_takes_their_place(tmp_path):
     assert links == ["/dev/null"] * 3
 
 
-def test_the_process_is_gone_within_two_seconds():
+def test_the_process_is_gone_within_two_seconds() -> None:
     assert daemon_module._EXIT_S < 2.0
     assert 2.0 * daemon_module._CANCEL_S + daemon_module._STOP_S < daemon_module._EXIT_S
 
 
-async def frames_dropped(address):
+async def frames_dropped(address: tuple[str, int]) -> None:
     """Returns when the daemon has dropped frames: another client is stuck."""
     reader, writer = await asyncio.open_connection(*address)
     async with asyncio.timeout(PATIENCE_S):
@@ -656,7 +706,7 @@ async def frames_dropped(address):
     writer.close()
 
 
-async def test_a_hang_up_reads_the_file_again(tmp_path):
+async def test_a_hang_up_reads_the_file_again(tmp_path: Path) -> None:
     path = tmp_path / "heaved.toml"
     good = f'[stream]\nport = 0\n[http]\nport = 0\n[state]\ndirectory = "{tmp_path}/state"\n'
     path.write_text(good)
@@ -673,7 +723,8 @@ async def test_a_hang_up_reads_the_file_again(tmp_path):
     assert daemon.returncode == 0
 
 
-async def log_line(daemon, wanted):
+async def log_line(daemon: Process, wanted: bytes) -> None:
+    assert daemon.stderr is not None
     async with asyncio.timeout(PATIENCE_S):
         while line := await daemon.stderr.readline():
             record = msgspec.json.decode(line)  # Every line is a record.
@@ -683,8 +734,8 @@ async def log_line(daemon, wanted):
     raise AssertionError("the log has ended")
 
 
-def test_no_real_time_permission_is_a_warning_with_advice(monkeypatch):
-    def refuse(*_):
+def test_no_real_time_permission_is_a_warning_with_advice(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
         raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
@@ -697,7 +748,7 @@ def test_no_real_time_permission_is_a_warning_with_advice(monkeypatch):
     assert "CAP_SYS_NICE" in line["hint"]
 
 
-def test_real_time_scheduling_is_not_inherited(monkeypatch):
+def test_real_time_scheduling_is_not_inherited(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
     monkeypatch.setattr(os, "sched_setscheduler", lambda *arguments: asked.append(arguments))
     set_real_time(20)

@@ -1,8 +1,11 @@
 """One line per event, for a person or for a machine."""
 
+from __future__ import annotations
+
 import json
 import logging
 import threading
+from collections.abc import Iterator
 from datetime import UTC, datetime
 
 import pytest
@@ -13,7 +16,7 @@ from heaved.daemon.logs import MOST_DIFFERENT, PERIOD_S, QUEUE_LINES, LineHandle
 
 
 @pytest.fixture(autouse=True)
-def logging_as_before():
+def logging_as_before() -> Iterator[None]:
     root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
     yield
@@ -21,12 +24,12 @@ def logging_as_before():
     structlog.reset_defaults()
 
 
-def boom():
+def boom() -> None:
     raise ZeroDivisionError("float division by zero")
 
 
 @pytest.mark.parametrize("log_format", ["human", "json"])
-def test_one_line_per_event_even_with_a_traceback(capsys, log_format):
+def test_one_line_per_event_even_with_a_traceback(capsys: pytest.CaptureFixture[str], log_format: str) -> None:
     configure_logging(log_format)
     log = structlog.get_logger("heaved.test")
     log.debug("not of interest")
@@ -45,7 +48,7 @@ def test_one_line_per_event_even_with_a_traceback(capsys, log_format):
     assert "something of a library: 7" in lines[2]
 
 
-def test_json_fields(capsys):
+def test_json_fields(capsys: pytest.CaptureFixture[str]) -> None:
     configure_logging("json")
     structlog.get_logger("heaved.test").warning("device down", device="imu", away_s=1.5)
     record = json.loads(capsys.readouterr().err)
@@ -54,7 +57,7 @@ def test_json_fields(capsys):
     assert record == {"event": "device down", "level": "warning", "device": "imu", "away_s": 1.5}
 
 
-def test_human_fields(capsys):
+def test_human_fields(capsys: pytest.CaptureFixture[str]) -> None:
     configure_logging("human")
     structlog.get_logger("heaved.test").warning("device down", device="imu", away_s=1.23456789, detail="two words")
     line = capsys.readouterr().err.rstrip("\n")
@@ -63,7 +66,7 @@ def test_human_fields(capsys):
     assert rest == "warning  device down  device=imu  away_s=1.23457  detail='two words'"
 
 
-def test_an_unknown_format_names_the_known_ones():
+def test_an_unknown_format_names_the_known_ones() -> None:
     with pytest.raises(ValueError, match="human, json"):
         configure_logging("xml")
 
@@ -75,20 +78,21 @@ HEAD = len("2026-01-01T00:00:00.000000Z warning  ")
 """What stands before the event in a line."""
 
 
-class Lines(list):
+class Lines(list[str]):
     """What a handler has written, and its clock."""
 
-    def __init__(self):
+    handler: LineHandler
+
+    def __init__(self) -> None:
         super().__init__()
         self.now_s = 0.0
-        self.handler = None
 
-    def __call__(self):
+    def __call__(self) -> float:
         return self.now_s
 
 
 @pytest.fixture
-def lines(monkeypatch):
+def lines(monkeypatch: pytest.MonkeyPatch) -> Lines:
     lines = Lines()
     monkeypatch.setattr(logs, "_writer", lambda: lambda text: lines.append(text[HEAD:].rstrip("\n")))
     lines.handler = configure_logging("human")
@@ -96,7 +100,7 @@ def lines(monkeypatch):
     return lines
 
 
-def test_the_same_fault_is_one_line_and_a_count(lines):
+def test_the_same_fault_is_one_line_and_a_count(lines: Lines) -> None:
     log = structlog.get_logger("heaved.test")
     for _ in range(1000):
         log.warning("no room", peer="a")
@@ -109,7 +113,7 @@ def test_the_same_fault_is_one_line_and_a_count(lines):
     assert lines[3:] == ["something else"]
 
 
-def test_other_devices_and_other_words_are_no_repetition(lines):
+def test_other_devices_and_other_words_are_no_repetition(lines: Lines) -> None:
     log = structlog.get_logger("heaved.test")
     for device in ("imu", "laser"):
         for fault in ("timeout", "crc"):
@@ -117,7 +121,7 @@ def test_other_devices_and_other_words_are_no_repetition(lines):
     assert len(lines) == 4
 
 
-def test_too_many_words_for_one_thing_are_counted(lines):
+def test_too_many_words_for_one_thing_are_counted(lines: Lines) -> None:
     log = structlog.get_logger("heaved.test")
     for i in range(1000):
         log.error("not understood", said=i)
@@ -127,21 +131,21 @@ def test_too_many_words_for_one_thing_are_counted(lines):
     assert lines[MOST_DIFFERENT] == f"not understood (repeated {1000 - MOST_DIFFERENT} times in 10 s)  said=999"
 
 
-def test_who_says_it_may_say_what_is_alike(lines):
+def test_who_says_it_may_say_what_is_alike(lines: Lines) -> None:
     log = structlog.get_logger("heaved.test")
     for i in range(100):
         log.warning("client error", error=f"unknown {i}", alike="bad_request")
     assert lines == ["client error  error='unknown 0'"]
 
 
-def test_what_is_no_fault_is_always_said(lines):
+def test_what_is_no_fault_is_always_said(lines: Lines) -> None:
     log = structlog.get_logger("heaved.test")
     for _ in range(3):
         log.info("configuration read again")
     assert len(lines) == 3
 
 
-def test_a_fault_of_a_library_is_one_traceback_and_a_count(lines):
+def test_a_fault_of_a_library_is_one_traceback_and_a_count(lines: Lines) -> None:
     """Whatever addresses its text names."""
     for i in range(1000):
         try:
@@ -155,7 +159,7 @@ def test_a_fault_of_a_library_is_one_traceback_and_a_count(lines):
     assert lines[1] == "a fault (repeated 999 times in 10 s)"
 
 
-def test_counts_are_said_at_the_end_at_the_latest(lines):
+def test_counts_are_said_at_the_end_at_the_latest(lines: Lines) -> None:
     log = structlog.get_logger("heaved.test")
     for _ in range(3):
         log.warning("no room")
@@ -164,7 +168,7 @@ def test_counts_are_said_at_the_end_at_the_latest(lines):
     assert lines == ["no room", "no room (repeated 2 times in 2 s)"]
 
 
-def test_little_is_kept_of_what_was_said():
+def test_little_is_kept_of_what_was_said() -> None:
     repeats = Repeats()
     for i in range(100_000):
         repeats.admits(logging.makeLogRecord({"msg": f"fault {i}", "levelno": logging.ERROR, "name": f"{i % 3}"}), 0.0)
@@ -174,7 +178,7 @@ def test_little_is_kept_of_what_was_said():
 
 
 @pytest.mark.parametrize("log_format", ["human", "json"])
-def test_a_line_commands_no_terminal(capsys, log_format):
+def test_a_line_commands_no_terminal(capsys: pytest.CaptureFixture[str], log_format: str) -> None:
     configure_logging(log_format)
     evil = "\x1b]0;x\x07\x9b31m\u202e\x7f\n\r"
     structlog.get_logger("heaved.test").warning(f"event {evil}", detail=evil, other=f"with a space {evil}")
@@ -187,12 +191,12 @@ def test_a_line_commands_no_terminal(capsys, log_format):
 # ---- who reads it ----------------------------------------------------------------------------------------------------
 
 
-def test_a_log_that_nobody_reads_holds_nobody_up():
+def test_a_log_that_nobody_reads_holds_nobody_up() -> None:
     """A thread waits for the reader; beyond what is kept for it, lines are lost, and that is said."""
     reads, begun = threading.Event(), threading.Event()
     written = []
 
-    def write(text):
+    def write(text: str) -> None:
         begun.set()
         reads.wait()
         written.append(text)
@@ -210,7 +214,7 @@ def test_a_log_that_nobody_reads_holds_nobody_up():
     reads.set()  # What waits is left behind, not waited for.
 
 
-def test_warnings_and_what_nobody_catches_go_into_the_log(capsys):
+def test_warnings_and_what_nobody_catches_go_into_the_log(capsys: pytest.CaptureFixture[str]) -> None:
     handler = configure_logging("human")
     with handler.in_background():
         thread = threading.Thread(target=boom, name="worker")

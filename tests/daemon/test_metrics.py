@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 
 import msgspec
 import pytest
@@ -128,14 +127,14 @@ def exercise(metrics: Metrics) -> None:
     metrics.config_reloads.labels("applied").inc()
 
 
-def own_labels(samples: Iterable[tuple[str, dict[str, str], float]]) -> tuple[str, ...]:
-    return tuple(sorted({label for sample in samples for label in sample[1]} - {"le"}))
+def own_labels(family: Metric) -> tuple[str, ...]:
+    return tuple(sorted({label for sample in family.samples for label in sample.labels} - {"le"}))
 
 
 def test_names_types_and_labels_are_the_contract() -> None:
     metrics = Metrics("1.2.3")
     exercise(metrics)
-    found = {(family.name, family.type, own_labels(family.samples)) for family in families(metrics).values()}
+    found = {(family.name, family.type, own_labels(family)) for family in families(metrics).values()}
     assert found == CONTRACT
     assert all(family.documentation for family in families(metrics).values())
 
@@ -196,6 +195,15 @@ def test_what_is_not_known_is_nan() -> None:
 
 
 SHAKES = tuple(Vibration(frequency_hz=3.1 * k, width_hz=0.1, rms_mps2=0.3 / k) for k in (1, 2, 3, 4))
+WHOLE_SEA = SeaState(
+    significant_height_m=2.5, peak_period_s=9.0, mean_period_s=7.5, systems=(), frequencies_hz=(),
+    spectrum_m2phz=(), t_s=990.0, vibration=SHAKES, noise_mps2_rthz=1e-3, bias_walk_mps2_rts=3e-5,
+)  # fmt: skip
+WHOLE_HULL = HullAngles(t_s=999.8, state="converged", total_rad=(0.1, 0.2, 0.3), std_rad=(0.01, 0.02, 0.03))
+WHOLE_CRAFT = CraftMotion(
+    t_s=999.9, heave_m=0.4, heave_velocity_mps=0.0, pitch_rad=0.05, pitch_rate_radps=0.0, heave_std_m=0.01,
+    heave_velocity_std_mps=0.1, pitch_std_rad=0.001, pitch_rate_std_radps=0.01,
+)  # fmt: skip
 WHOLE = MotionFrame(
     t_s=1000.0,
     quality=Quality(heave=HeaveState.VALID, laser=LaserState.VALID, correction=CorrectionState.ACTIVE),
@@ -203,16 +211,10 @@ WHOLE = MotionFrame(
     heave_std_m=0.02,
     lead_s=0.1,
     reference_m=1.25,
-    sea=SeaState(
-        significant_height_m=2.5, peak_period_s=9.0, mean_period_s=7.5, systems=(), frequencies_hz=(),
-        spectrum_m2phz=(), t_s=990.0, vibration=SHAKES, noise_mps2_rthz=1e-3, bias_walk_mps2_rts=3e-5,
-    ),
+    sea=WHOLE_SEA,
     delayed=DelayedHeave(t_s=940.0, heave_m=-0.75, std_m=0.01),
-    hull=HullAngles(t_s=999.8, state="converged", total_rad=(0.1, 0.2, 0.3), std_rad=(0.01, 0.02, 0.03)),
-    attitude=CraftMotion(
-        t_s=999.9, heave_m=0.4, heave_velocity_mps=0.0, pitch_rad=0.05, pitch_rate_radps=0.0, heave_std_m=0.01,
-        heave_velocity_std_mps=0.1, pitch_std_rad=0.001, pitch_rate_std_radps=0.01,
-    ),
+    hull=WHOLE_HULL,
+    attitude=WHOLE_CRAFT,
     quiet=QuietForecast(
         t_s=1000.0, window=QuietWindow(t_s=1000.0, start_s=12.0, length_s=15.0, confidence=0.85), best=0.9
     ),
@@ -271,17 +273,17 @@ GONE: dict[str, tuple[MotionFrame | None, set[str]]] = {
     "the laser": (judged(laser=LaserState.STALE), {"heaved_reference_error_meters"}),
     "the laser's reading": (changed(reference_m=math.nan), {"heaved_reference_error_meters"}),
     "the sea": (changed(sea=None), SEA),
-    "fits of the sea": (changed(sea=msgspec.structs.replace(WHOLE.sea, t_s=399.0)), SEA),
-    "what shakes": (changed(sea=msgspec.structs.replace(WHOLE.sea, vibration=SHAKES[:2])), SHAKING),
+    "fits of the sea": (changed(sea=msgspec.structs.replace(WHOLE_SEA, t_s=399.0)), SEA),
+    "what shakes": (changed(sea=msgspec.structs.replace(WHOLE_SEA, vibration=SHAKES[:2])), SHAKING),
     "what is known of the noise": (
-        changed(sea=msgspec.structs.replace(WHOLE.sea, noise_mps2_rthz=math.nan, bias_walk_mps2_rts=math.nan)),
+        changed(sea=msgspec.structs.replace(WHOLE_SEA, noise_mps2_rthz=math.nan, bias_walk_mps2_rts=math.nan)),
         NOISE,
     ),
     "the delayed heave": (changed(delayed=None), DELAYED),
     "the smoother": (changed(t_s=1006.0, hull=None, attitude=None), DELAYED | HULL | CRAFT),
-    "the second IMU": (changed(hull=msgspec.structs.replace(WHOLE.hull, t_s=994.9)), HULL),
+    "the second IMU": (changed(hull=msgspec.structs.replace(WHOLE_HULL, t_s=994.9)), HULL),
     "the hull's stage": (changed(hull=None), HULL),
-    "the craft's sensors": (changed(attitude=msgspec.structs.replace(WHOLE.attitude, t_s=994.9)), CRAFT),
+    "the craft's sensors": (changed(attitude=msgspec.structs.replace(WHOLE_CRAFT, t_s=994.9)), CRAFT),
     "the craft's stage": (changed(attitude=None), CRAFT),
     "the correction": (judged(correction=CorrectionState.OFF), TRAINED),
     "quiet windows": (changed(quiet=None), QUIET),

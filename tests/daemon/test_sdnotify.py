@@ -1,16 +1,23 @@
 """The notification protocol, against a socket of the test's own in the place of systemd's."""
 
+from __future__ import annotations
+
 import os
 import socket
+from collections.abc import Iterator
 from contextlib import closing
+from pathlib import Path
 
 import pytest
 
 from heaved.daemon.sdnotify import Notifier
 
+Manager = tuple[str, socket.socket]
+"""What NOTIFY_SOCKET says, and the socket of the service manager."""
+
 
 @pytest.fixture(params=["path", "abstract"])
-def manager(request, tmp_path):
+def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Manager]:
     """(what NOTIFY_SOCKET says, the socket of the service manager)."""
     with closing(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)) as receiver:
         if request.param == "path":
@@ -22,7 +29,7 @@ def manager(request, tmp_path):
         yield name, receiver
 
 
-def test_one_datagram_with_a_line_for_each_assignment(manager):
+def test_one_datagram_with_a_line_for_each_assignment(manager: Manager) -> None:
     name, receiver = manager
     with closing(Notifier({"NOTIFY_SOCKET": name})) as notifier:
         assert notifier.notify("READY=1", "STATUS=heave valid ± 0.1 m")
@@ -31,13 +38,13 @@ def test_one_datagram_with_a_line_for_each_assignment(manager):
         assert receiver.recv(1000) == b"STOPPING=1"
 
 
-def test_started_by_hand_nothing_happens():
+def test_started_by_hand_nothing_happens() -> None:
     with closing(Notifier({})) as notifier:
         assert notifier.watchdog_s is None
         assert not notifier.notify("READY=1")
 
 
-def test_a_service_manager_that_does_not_read_hangs_nobody(manager):
+def test_a_service_manager_that_does_not_read_hangs_nobody(manager: Manager) -> None:
     name, _ = manager
     with closing(Notifier({"NOTIFY_SOCKET": name})) as notifier:
         sent = [notifier.notify("STATUS=" + "x" * 1000) for _ in range(5000)]
@@ -45,7 +52,7 @@ def test_a_service_manager_that_does_not_read_hangs_nobody(manager):
     assert not sent[-1]
 
 
-def test_a_service_manager_that_is_gone_is_no_error(tmp_path):
+def test_a_service_manager_that_is_gone_is_no_error(tmp_path: Path) -> None:
     with closing(Notifier({"NOTIFY_SOCKET": str(tmp_path / "gone")})) as notifier:
         assert not notifier.notify("WATCHDOG=1")
 
@@ -61,6 +68,6 @@ def test_a_service_manager_that_is_gone_is_no_error(tmp_path):
         ({}, None),
     ],
 )
-def test_watchdog_of_this_process_alone(environment, seconds):
+def test_watchdog_of_this_process_alone(environment: dict[str, str], seconds: float | None) -> None:
     with closing(Notifier({"NOTIFY_SOCKET": "/nowhere", **environment})) as notifier:
         assert notifier.watchdog_s == seconds

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
-from running import PATIENCE_S, demo_config, metric, running
+from numpy.typing import NDArray
+from running import PATIENCE_S, Record, demo_config, metric, running
 
-from heaved.config import HttpParams, StateParams, StreamParams
+from heaved.config import Config, HttpParams, StateParams, StreamParams
 from heaved.config.read import data_directory, load
+from heaved.daemon.daemon import Daemon
 from heaved.demo.craft_at_sea import voyages
 from heaved.estimation.craft import fusion
 from heaved.estimation.craft.dynamics import Vessel
@@ -22,6 +27,8 @@ from heaved.simulate.hydrofoil import Passage
 from heaved.simulate.instruments import Instruments
 from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.vessel import Motion
+
+Array = NDArray[np.float64]
 
 LATE_S = 0.004
 """The simulated second IMU answers with rates of so long ago."""
@@ -47,12 +54,12 @@ QUICK = hull.Params(enabled=True, start_s=2.0, refit_after_s=8.0, converged_arcs
 """Converges in seconds, to what is enough to know that every sign and frame on the way is right."""
 
 
-def hull_config(directory, **changes):
+def hull_config(directory: Path, **changes: Any) -> Config:
     devices = load(data_directory() / "hull.toml").device
     return demo_config(directory, device=devices, hull=QUICK, **changes)
 
 
-async def watching(daemon, *classes):
+async def watching(daemon: Daemon, *classes: str) -> AsyncIterator[Record]:
     """Records of those classes only."""
     reader, writer = await asyncio.open_connection(*daemon.addresses["stream"])
     writer.write(b"?WATCH=" + msgspec.json.encode({"classes": classes}) + b"\n")
@@ -65,14 +72,15 @@ async def watching(daemon, *classes):
         writer.close()
 
 
-async def test_the_deformation_of_a_simulated_hull_is_on_the_stream(tmp_path):
+async def test_the_deformation_of_a_simulated_hull_is_on_the_stream(tmp_path: Path) -> None:
     config = hull_config(tmp_path)
     instruments = Instruments(Rolling(), seed=1)
     plant = SimulatedPlant(config.device, instruments, any_port=True)
     await plant.start()
     config = msgspec.structs.replace(config, device=plant.devices)
     crane = next(device for device in plant.devices if device.role == "imu2")
-    hulls, motions = [], []
+    hulls: list[Record] = []
+    motions: list[Record] = []
     try:
         async with running(config) as daemon, asyncio.timeout(3.0 * PATIENCE_S):
             async for record in watching(daemon, "HULL", "MOTION"):
@@ -86,6 +94,7 @@ async def test_the_deformation_of_a_simulated_hull_is_on_the_stream(tmp_path):
         await plant.stop()
     last, motion = hulls[-1], motions[-1]
     assert last["state"] == "converged"
+    assert status.hull is not None
     assert status.hull.state == "converged"
     # At the 10 Hz of the stage: none twice, none left out but where the machine stood still.
     steps = np.diff([record["mono_s"] for record in hulls])
@@ -99,12 +108,12 @@ async def test_the_deformation_of_a_simulated_hull_is_on_the_stream(tmp_path):
     assert (motion["yaw_deg"] - motion["crane_yaw_deg"]) % 360.0 == pytest.approx(30.0, abs=3.0)
 
 
-def angles_of(C):
+def angles_of(C: Array) -> tuple[float, float, float]:
     """x, y, z of C = R3(z) R2(y) R1(x), from its first column and last row."""
     return math.atan2(-C[2, 1], C[2, 2]), math.asin(C[2, 0]), math.atan2(-C[1, 0], C[0, 0])
 
 
-async def test_a_second_imu_that_is_dead_is_named_and_the_stream_goes_on(tmp_path):
+async def test_a_second_imu_that_is_dead_is_named_and_the_stream_goes_on(tmp_path: Path) -> None:
     config = hull_config(tmp_path)
     plant = SimulatedPlant(
         config.device, Instruments(Rolling(), seed=1), any_port=True,
@@ -129,7 +138,7 @@ async def test_a_second_imu_that_is_dead_is_named_and_the_stream_goes_on(tmp_pat
     assert not any("crane_roll_deg" in motion for motion in motions)
 
 
-async def test_the_attitude_of_a_simulated_craft_is_on_the_stream(tmp_path):
+async def test_the_attitude_of_a_simulated_craft_is_on_the_stream(tmp_path: Path) -> None:
     voyage = voyages(Vessel(), [2], Passage(stages=((0.0, 1.0),), duration_s=60.0))[0]
     config = msgspec.structs.replace(
         load(data_directory() / "hydrofoil.toml"),
@@ -150,6 +159,7 @@ async def test_the_attitude_of_a_simulated_craft_is_on_the_stream(tmp_path):
             status = daemon.status()
     finally:
         await plant.stop()
+    assert status.attitude is not None
     assert status.attitude.heave_m is not None
     assert np.median(np.diff([record["mono_s"] for record in records])) == pytest.approx(0.05, abs=0.01)
     t = np.array([record["mono_s"] for record in records]) - epoch_s
@@ -162,7 +172,7 @@ async def test_the_attitude_of_a_simulated_craft_is_on_the_stream(tmp_path):
     assert all(sum(record["probabilities"]) == pytest.approx(1.0, abs=1e-5) for record in records)
 
 
-async def test_a_reload_switches_a_stage_without_touching_the_heave(tmp_path):
+async def test_a_reload_switches_a_stage_without_touching_the_heave(tmp_path: Path) -> None:
     path = tmp_path / "heaved.toml"
 
     def write(text: str) -> None:

@@ -1,5 +1,7 @@
 """The state file: whole or not at all, and never a reason not to start."""
 
+from __future__ import annotations
+
 import asyncio
 import contextlib
 import errno
@@ -10,6 +12,8 @@ import os
 import socket
 import stat
 import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -17,7 +21,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
-from heaved.daemon.state import Memory, StateError, StateFile, state_directory
+from heaved.daemon.state import Memory, Saved, StateError, StateFile, state_directory
 
 
 class Learned(msgspec.Struct, frozen=True):
@@ -31,17 +35,17 @@ NEWER = Learned(lead_s=-0.2, weights=b"\0\xff", periods_s=(6.0,))
 
 
 @pytest.fixture
-def file(tmp_path):
+def file(tmp_path: Path) -> StateFile[Learned]:
     return StateFile(tmp_path / "state" / "heaved", Learned)
 
 
 @pytest.fixture
-def full_disk(monkeypatch):
+def full_disk(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
     """fsync is where a full disk shows at the latest. Returns a switch."""
     is_full = [True]
     fsync = os.fsync
 
-    def full(fd):
+    def full(fd: int) -> None:
         if is_full[0]:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         fsync(fd)
@@ -50,36 +54,42 @@ def full_disk(monkeypatch):
     return is_full
 
 
+def read(file: StateFile[Learned]) -> Saved[Learned]:
+    saved = file.read()
+    assert saved is not None
+    return saved
+
+
 # ---- file ------------------------------------------------------------------------------------------------------------
 
 
-def test_round_trip(file):
+def test_round_trip(file: StateFile[Learned]) -> None:
     assert file.read() is None
     file.write(file.encode(LEARNED))
-    assert file.read().state == LEARNED
+    assert read(file).state == LEARNED
     file.write(file.encode(NEWER))
-    assert file.read().state == NEWER
-    assert os.listdir(file.path.parent) == ["state.json"]
+    assert read(file).state == NEWER
+    assert [path.name for path in file.path.parent.iterdir()] == ["state.json"]
 
 
-def test_it_is_json_for_people(file):
+def test_it_is_json_for_people(file: StateFile[Learned]) -> None:
     file.write(file.encode(LEARNED))
     content = json.loads(file.path.read_text())
     assert content["version"] == 3
     assert content["state"]["lead_s"] == 0.11
 
 
-def test_a_full_disk_leaves_the_old_file_and_nothing_else(file, full_disk):
+def test_a_full_disk_leaves_the_old_file_and_nothing_else(file: StateFile[Learned], full_disk: list[bool]) -> None:
     full_disk[0] = False
     file.write(file.encode(LEARNED))
     full_disk[0] = True
     with pytest.raises(OSError, match="No space left"):
         file.write(file.encode(NEWER))
-    assert file.read().state == LEARNED
-    assert os.listdir(file.path.parent) == ["state.json"]
+    assert read(file).state == LEARNED
+    assert [path.name for path in file.path.parent.iterdir()] == ["state.json"]
 
 
-def flipped(content, place, value):
+def flipped(content: bytes, place: int, value: int) -> bytes:
     damaged = bytearray(content)
     damaged[place % len(damaged)] ^= value
     return bytes(damaged)
@@ -102,42 +112,42 @@ def flipped(content, place, value):
         (lambda content: b"[" * 100_000, "damaged"),
     ],
 )
-def test_damage_is_seen(file, damage, reason):
+def test_damage_is_seen(file: StateFile[Learned], damage: Callable[[bytes], bytes], reason: str) -> None:
     file.write(file.encode(LEARNED))
     file.path.write_bytes(damage(file.path.read_bytes()))
     with pytest.raises(StateError, match=reason):
         file.read()
 
 
-def as_fifo(path):
+def as_fifo(path: Path) -> None:
     os.mkfifo(path)
 
 
-def as_directory(path):
+def as_directory(path: Path) -> None:
     path.mkdir()
 
 
-def as_link(path):
+def as_link(path: Path) -> None:
     other = path.with_name("other")
     other.write_bytes(StateFile.encode(LEARNED))
     path.symlink_to(other)
 
 
-def as_link_to_zeros(path):
+def as_link_to_zeros(path: Path) -> None:
     path.symlink_to("/dev/zero")
 
 
-def as_socket(path):
+def as_socket(path: Path) -> None:
     with socket.socket(socket.AF_UNIX) as made, contextlib.chdir(path.parent):
         made.bind(path.name)
 
 
-def as_endless(path):
+def as_endless(path: Path) -> None:
     with path.open("wb") as file:
         file.truncate(1 << 40)
 
 
-ODD_FILES = {
+ODD_FILES: dict[Callable[[Path], None], str] = {
     as_fifo: "no regular file",
     as_directory: "no regular file",
     as_link: "no regular file",
@@ -148,7 +158,9 @@ ODD_FILES = {
 
 
 @pytest.mark.parametrize("make", ODD_FILES)
-async def test_what_is_no_file_of_ours_is_set_aside_at_once(memory, counted, make):
+async def test_what_is_no_file_of_ours_is_set_aside_at_once(
+    memory: Memory[Learned], counted: list[str], make: Callable[[Path], None]
+) -> None:
     """Nothing of it is waited for, and the next save is as always."""
     memory.file.prepare()
     make(memory.file.path)
@@ -158,15 +170,15 @@ async def test_what_is_no_file_of_ours_is_set_aside_at_once(memory, counted, mak
     assert counted == ["refused", "saved"]
     (line,) = logs
     assert ODD_FILES[make] in line["reason"]
-    assert os.path.basename(line["kept"]) in os.listdir(memory.file.path.parent)
-    assert memory.file.read().state == LEARNED
+    assert (memory.file.path.parent / Path(line["kept"]).name).exists()
+    assert read(memory.file).state == LEARNED
 
 
-def never_taken(state, age_s):
+def never_taken(state: Learned, age_s: float) -> None:
     raise AssertionError("there is nothing to take")
 
 
-def test_only_its_owner_reads_it_whatever_the_umask(file):
+def test_only_its_owner_reads_it_whatever_the_umask(file: StateFile[Learned]) -> None:
     before = os.umask(0)
     try:
         file.write(file.encode(LEARNED))
@@ -176,46 +188,50 @@ def test_only_its_owner_reads_it_whatever_the_umask(file):
 
 
 @pytest.mark.parametrize("make", [as_fifo, as_link])
-def test_nothing_is_written_through_what_stands_at_the_temporary_name(file, make):
+def test_nothing_is_written_through_what_stands_at_the_temporary_name(
+    file: StateFile[Learned], make: Callable[[Path], None]
+) -> None:
     file.prepare()
     make(file.path.with_suffix(".tmp"))
     before = {path.name: path.read_bytes() for path in file.path.parent.iterdir() if path.is_file()}
     file.write(file.encode(NEWER))
-    assert file.read().state == NEWER
+    assert read(file).state == NEWER
     assert not os.path.lexists(file.path.with_suffix(".tmp"))
     for name, content in before.items():
         if name == "other":
             assert (file.path.parent / name).read_bytes() == content
 
 
-def test_it_says_when_it_was_saved(file):
+def test_it_says_when_it_was_saved(file: StateFile[Learned]) -> None:
     file.write(file.encode(LEARNED, 1_767_225_600.25))
     assert json.loads(file.path.read_text())["saved"] == "2026-01-01T00:00:00.250+00:00"
-    assert file.read().saved_s == 1_767_225_600.25
+    assert read(file).saved_s == 1_767_225_600.25
     file.path.write_bytes(file.path.read_bytes().replace(b"2026-01-01", b"2026-01-02"))
     with pytest.raises(StateError, match="checksum"):
         file.read()
 
 
-def test_a_file_of_version_2_is_read_and_its_age_is_not_known(file):
+def test_a_file_of_version_2_is_read_and_its_age_is_not_known(file: StateFile[Learned]) -> None:
     """As release 0.1.0 wrote it."""
     body = msgspec.json.encode(LEARNED)
     old = {"version": 2, "sha256": hashlib.sha256(body).hexdigest(), "state": msgspec.Raw(body)}
     file.prepare()
     file.path.write_bytes(msgspec.json.encode(old) + b"\n")
-    assert file.read().state == LEARNED
-    assert math.isnan(file.read().saved_s)
+    assert read(file).state == LEARNED
+    assert math.isnan(read(file).saved_s)
 
 
 @given(place=st.integers(0, 10_000), value=st.integers(1, 255))
-def test_one_wrong_byte_never_gives_another_state(tmp_path_factory, place, value):
+def test_one_wrong_byte_never_gives_another_state(
+    tmp_path_factory: pytest.TempPathFactory, place: int, value: int
+) -> None:
     file = StateFile(tmp_path_factory.getbasetemp(), Learned)
     file.path.write_bytes(flipped(file.encode(NEWER), place, value))
     with contextlib.suppress(StateError):
-        assert file.read().state == NEWER  # White space at the end.
+        assert read(file).state == NEWER  # White space at the end.
 
 
-def test_a_state_of_another_release_is_damage_not_an_exception(file):
+def test_a_state_of_another_release_is_damage_not_an_exception(file: StateFile[Learned]) -> None:
     class Older(msgspec.Struct):
         something: int
 
@@ -234,7 +250,9 @@ def test_a_state_of_another_release_is_damage_not_an_exception(file):
         ("~/state", {}, "/home/mate/state"),
     ],
 )
-def test_directory(monkeypatch, configured, environment, expected):
+def test_directory(
+    monkeypatch: pytest.MonkeyPatch, configured: str, environment: dict[str, str], expected: str
+) -> None:
     monkeypatch.setenv("HOME", "/home/mate")
     assert str(state_directory(configured, environment)) == expected
 
@@ -243,18 +261,18 @@ def test_directory(monkeypatch, configured, environment, expected):
 
 
 @pytest.fixture
-def counted():
+def counted() -> list[str]:
     return []
 
 
 @pytest.fixture
-def memory(file, counted):
+def memory(file: StateFile[Learned], counted: list[str]) -> Iterator[Memory[Learned]]:
     memory = Memory(file, lambda: LEARNED, count_save=counted.append, count_load=counted.append)
     yield memory
     memory.close()
 
 
-async def test_saved_and_restored(memory, counted):
+async def test_saved_and_restored(memory: Memory[Learned], counted: list[str]) -> None:
     taken = []
     await memory.restore(lambda state, age_s: taken.append(state))
     assert taken == []
@@ -265,7 +283,9 @@ async def test_saved_and_restored(memory, counted):
 
 
 @pytest.mark.parametrize("content", [b"{", b'{"version":7}', b"\0" * 50])
-async def test_a_useless_file_is_set_aside_counted_and_named(memory, counted, content):
+async def test_a_useless_file_is_set_aside_counted_and_named(
+    memory: Memory[Learned], counted: list[str], content: bytes
+) -> None:
     memory.file.prepare()
     memory.file.path.write_bytes(content)
     taken = []
@@ -282,10 +302,10 @@ async def test_a_useless_file_is_set_aside_counted_and_named(memory, counted, co
     assert memory.file.read() is None
 
 
-async def test_a_state_that_does_not_fit_is_set_aside(memory, counted):
+async def test_a_state_that_does_not_fit_is_set_aside(memory: Memory[Learned], counted: list[str]) -> None:
     memory.file.write(memory.file.encode(NEWER))
 
-    def refuse(state, age_s):
+    def refuse(state: Learned, age_s: float) -> None:
         raise ValueError("20 weights, this network has 511")
 
     with capture_logs() as logs:
@@ -295,7 +315,9 @@ async def test_a_state_that_does_not_fit_is_set_aside(memory, counted):
     assert memory.file.path.with_suffix(".corrupt").is_file()
 
 
-async def test_a_full_disk_is_said_once_and_again_when_it_is_well(memory, counted, full_disk):
+async def test_a_full_disk_is_said_once_and_again_when_it_is_well(
+    memory: Memory[Learned], counted: list[str], full_disk: list[bool]
+) -> None:
     with capture_logs() as logs:
         for _ in range(100):
             await memory.save()
@@ -311,7 +333,7 @@ async def test_a_full_disk_is_said_once_and_again_when_it_is_well(memory, counte
     assert logs[0]["file"] == str(memory.file.path)
 
 
-async def test_a_directory_that_cannot_be_is_said_at_the_start(tmp_path, counted):
+async def test_a_directory_that_cannot_be_is_said_at_the_start(tmp_path: Path, counted: list[str]) -> None:
     (tmp_path / "a_file").write_text("")
     file = StateFile(tmp_path / "a_file" / "heaved", Learned)
     memory = Memory(file, lambda: LEARNED, count_save=counted.append, count_load=counted.append)
@@ -324,7 +346,7 @@ async def test_a_directory_that_cannot_be_is_said_at_the_start(tmp_path, counted
     assert counted == ["refused", "failed", "failed"]
 
 
-async def test_a_slow_disk_does_not_hold_the_loop(memory, monkeypatch):
+async def test_a_slow_disk_does_not_hold_the_loop(memory: Memory[Learned], monkeypatch: pytest.MonkeyPatch) -> None:
     disk = threading.Event()
     monkeypatch.setattr(memory.file, "write", lambda content: disk.wait())
     saving = asyncio.create_task(memory.save())
@@ -342,7 +364,9 @@ NOW_S = 1_767_225_600.0
     ("saved_s", "age_s"),
     [(NOW_S - 12.5, 12.5), (NOW_S - 3e7, 3e7), (NOW_S + 3600.0, 0.0), (math.nan, math.nan)],
 )
-async def test_the_age_of_what_is_restored(file, counted, saved_s, age_s):
+async def test_the_age_of_what_is_restored(
+    file: StateFile[Learned], counted: list[str], saved_s: float, age_s: float
+) -> None:
     file.write(file.encode(LEARNED, saved_s))
     memory = Memory(file, never_asked, count_save=counted.append, count_load=counted.append, realtime=lambda: NOW_S)
     taken = []
@@ -354,11 +378,11 @@ async def test_the_age_of_what_is_restored(file, counted, saved_s, age_s):
     assert found_s == pytest.approx(age_s, nan_ok=True)
 
 
-def never_asked():
+def never_asked() -> Learned:
     raise AssertionError("nothing is saved")
 
 
-async def test_a_state_from_the_future_is_set_aside(file, counted):
+async def test_a_state_from_the_future_is_set_aside(file: StateFile[Learned], counted: list[str]) -> None:
     file.write(file.encode(LEARNED, NOW_S + 10 * 86400.0))
     memory = Memory(file, never_asked, count_save=counted.append, count_load=counted.append, realtime=lambda: NOW_S)
     with capture_logs() as logs:
@@ -369,8 +393,8 @@ async def test_a_state_from_the_future_is_set_aside(file, counted):
     assert file.path.with_suffix(".corrupt").is_file()
 
 
-async def test_numbers_that_cannot_be_are_set_aside(tmp_path, counted):
-    def check(state):
+async def test_numbers_that_cannot_be_are_set_aside(tmp_path: Path, counted: list[str]) -> None:
+    def check(state: Learned) -> None:
         if not 0.0 < state.lead_s < 1.0:
             raise ValueError(f"lead {state.lead_s} s")
 
@@ -385,8 +409,8 @@ async def test_numbers_that_cannot_be_are_set_aside(tmp_path, counted):
     assert logs[0]["kept"] == str(tmp_path / "state.corrupt")
 
 
-async def test_nonsense_does_not_replace_what_is_there(tmp_path, counted):
-    def check(state):
+async def test_nonsense_does_not_replace_what_is_there(tmp_path: Path, counted: list[str]) -> None:
+    def check(state: Learned) -> None:
         if not math.isfinite(state.lead_s):
             raise ValueError(f"lead {state.lead_s} s")
 
@@ -399,11 +423,13 @@ async def test_nonsense_does_not_replace_what_is_there(tmp_path, counted):
     memory.close()
     assert counted == ["failed"]
     assert logs[0]["reason"] == "lead nan s"
-    assert file.read().state == LEARNED
+    assert read(file).state == LEARNED
 
 
 @pytest.mark.parametrize("call", ["prepare", "read"])
-async def test_a_disk_that_hangs_at_the_start_is_not_waited_for(file, counted, monkeypatch, call):
+async def test_a_disk_that_hangs_at_the_start_is_not_waited_for(
+    file: StateFile[Learned], counted: list[str], monkeypatch: pytest.MonkeyPatch, call: str
+) -> None:
     file.write(file.encode(LEARNED))
     disk = threading.Event()
     monkeypatch.setattr(file, call, disk.wait)
@@ -417,10 +443,12 @@ async def test_a_disk_that_hangs_at_the_start_is_not_waited_for(file, counted, m
     assert "has not answered" in logs[0]["reason"]
 
 
-async def test_a_disk_that_hangs_later_is_said_once_and_saves_go_on_after_it(file, counted, monkeypatch):
+async def test_a_disk_that_hangs_later_is_said_once_and_saves_go_on_after_it(
+    file: StateFile[Learned], counted: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     disk, written = threading.Event(), []
 
-    def write(content):
+    def write(content: bytes) -> None:
         disk.wait()
         written.append(content)
 
@@ -430,6 +458,7 @@ async def test_a_disk_that_hangs_later_is_said_once_and_saves_go_on_after_it(fil
         for _ in range(3):
             await memory.save()
         disk.set()
+        assert memory._saving is not None
         await memory._saving
         await memory.save()
     memory.close()

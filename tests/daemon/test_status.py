@@ -1,6 +1,6 @@
 """The STATUS record and its one line."""
 
-from types import SimpleNamespace
+from __future__ import annotations
 
 import msgspec
 import pytest
@@ -10,8 +10,9 @@ from heaved.daemon.acquisition import Acquisition
 from heaved.daemon.daemon import make_pipeline
 from heaved.daemon.metrics import Metrics
 from heaved.daemon.status import status_line, status_record
+from heaved.daemon.utc_clock import UtcClock
 from heaved.outputs import wire
-from heaved.outputs.records import HeaveStatus, QualityRecord, StatusRecord
+from heaved.outputs.records import HeaveStatus, StatusRecord
 from heaved.samples import (
     CorrectionState,
     Fault,
@@ -24,11 +25,11 @@ from heaved.samples import (
 )
 
 CONFIG = load(data_directory() / "demo.toml")
-QUALITY = QualityRecord(heave=HeaveState.VALID, laser=LaserState.VALID, correction=CorrectionState.OFF)
+QUALITY = Quality(heave=HeaveState.VALID, laser=LaserState.VALID, correction=CorrectionState.OFF)
 
 
 @pytest.fixture
-def acquisition():
+def acquisition() -> Acquisition:
     acquisition = Acquisition(
         make_pipeline(CONFIG),
         metrics=Metrics("test"),
@@ -41,13 +42,13 @@ def acquisition():
     return acquisition
 
 
-def record_of(acquisition):
+def record_of(acquisition: Acquisition) -> StatusRecord:
     return status_record(
         acquisition,
         CONFIG,
         now_s=110.0,
         started_s=100.0,
-        utc=SimpleNamespace(offset_s=1.7e9, steps=0),
+        utc=UtcClock(lambda: 0.0, lambda: 1.7e9),
         clients=2,
         dropped=0,
         config_file=None,
@@ -55,7 +56,7 @@ def record_of(acquisition):
     )
 
 
-def test_before_the_first_frame_and_poll_it_is_whole_json(acquisition):
+def test_before_the_first_frame_and_poll_it_is_whole_json(acquisition: Acquisition) -> None:
     line = wire.encode_record(record_of(acquisition))
     assert b"null" not in line
     assert msgspec.json.decode(line, type=StatusRecord).uptime_s == 10.0
@@ -64,7 +65,7 @@ def test_before_the_first_frame_and_poll_it_is_whole_json(acquisition):
     }  # fmt: skip
 
 
-def test_devices(acquisition):
+def test_devices(acquisition: Acquisition) -> None:
     imu = acquisition.health["imu"]
     for number in range(5):
         imu.observe(100.0 + number, Fault.NONE, "")
@@ -78,7 +79,7 @@ def test_devices(acquisition):
     assert status_line(record) == "heave invalid, 0.0 Hz, 2 clients, imu down (timeout), laser down (not polled yet)"
 
 
-def test_what_the_observer_has_found_out(acquisition):
+def test_what_the_observer_has_found_out(acquisition: Acquisition) -> None:
     acquisition.last_frame = MotionFrame(
         t_s=109.9,
         quality=Quality(heave=HeaveState.VALID, laser=LaserState.OFF, correction=CorrectionState.OFF),
@@ -95,7 +96,7 @@ def test_what_the_observer_has_found_out(acquisition):
     }  # fmt: skip
 
 
-def test_line_when_all_is_well(acquisition):
+def test_line_when_all_is_well(acquisition: Acquisition) -> None:
     for health in acquisition.health.values():
         health.observe(109.0, Fault.NONE, "")
     heave = HeaveStatus(heave_m=-0.1234, heave_std_m=0.0312, age_s=0.01)

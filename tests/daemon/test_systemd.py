@@ -1,5 +1,7 @@
 """The unit, judged by systemd's own tools where they are installed."""
 
+from __future__ import annotations
+
 import re
 import shutil
 import subprocess
@@ -14,7 +16,7 @@ needs_systemd = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reas
 
 
 @pytest.fixture
-def unit(tmp_path):
+def unit(tmp_path: Path) -> Path:
     """The unit with a program that exists here."""
     program = tmp_path / "heaved"
     program.write_text("#!/bin/sh\n")
@@ -24,26 +26,26 @@ def unit(tmp_path):
     return copy
 
 
-def analyze(*arguments):
+def analyze(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(["systemd-analyze", *arguments], capture_output=True, text=True, check=False, timeout=60)
 
 
 @needs_systemd
-def test_systemd_finds_nothing_wrong(unit):
+def test_systemd_finds_nothing_wrong(unit: Path) -> None:
     result = analyze("verify", str(unit))
     assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
 
 
 @needs_systemd
-def test_exposure(unit):
+def test_exposure(unit: Path) -> None:
     result = analyze("security", "--offline=true", str(unit))
     (exposure,) = re.findall(r"Overall exposure level for \S+: (\d+\.\d)", result.stdout)
     assert float(exposure) <= 1.5
 
 
-def settings():
+def settings() -> dict[str, list[str]]:
     """Key to values, in order, of the whole unit."""
-    found = {}
+    found: dict[str, list[str]] = {}
     for line in UNIT.read_text().splitlines():
         if line and not line.startswith(("#", "[")):
             key, _, value = line.partition("=")
@@ -51,7 +53,7 @@ def settings():
     return found
 
 
-def test_what_the_daemon_relies_on():
+def test_what_the_daemon_relies_on() -> None:
     unit = settings()
     assert unit["ExecStart"] == [f"{PROGRAM} run --config /etc/heaved/heaved.toml"]
     assert unit["Type"] == ["notify"]

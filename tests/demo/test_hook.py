@@ -1,14 +1,17 @@
 """The client that drives the simulated winch, without a daemon."""
 
+from __future__ import annotations
+
 import socket
 import time
+from collections.abc import Callable
 from itertools import count
 
 from heaved.demo.hook import follow
 from heaved.simulate.seaway import seaway
 
 
-def ends_after(times: int):
+def ends_after(times: int) -> Callable[[], bool]:
     calls = count()
     return lambda: next(calls) >= times
 
@@ -26,5 +29,6 @@ def test_what_is_no_daemon_is_left_alone() -> None:
     """It accepts connections and says nothing of a stream."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         said: list[str] = []
-        follow(*listener.getsockname(), seaway("T3"), time.monotonic(), said.append, ends_after(5))
+        host, port = listener.getsockname()
+        follow(host, port, seaway("T3"), time.monotonic(), said.append, ends_after(5))
     assert said == []

@@ -7,7 +7,6 @@ import contextlib
 import errno
 import itertools
 import logging
-import os
 import random
 import resource
 import socket
@@ -35,6 +34,7 @@ from modbus_slaves import (
 from heaved.daemon.supervise import cancelled
 from heaved.devices import bus as modbus
 from heaved.devices.bus import CONNECT_TIMEOUT_S, RETRY_S, Bus, PollResult
+from heaved.devices.frames import find_tcp_answer
 from heaved.devices.liveness import PROBE_S
 from heaved.devices.names import Name
 from heaved.devices.profile import Block, Field, Profile
@@ -123,7 +123,7 @@ async def test_sample_is_dated_by_the_block_with_the_vertical_acceleration() -> 
     asked: list[float] = []
     answer = slave.answer
 
-    def note(request: bytes) -> bytes:
+    def note(request: bytes) -> bytes | None:
         if request[9] == 0x34:
             asked.append(asyncio.get_running_loop().time())
         return answer(request)
@@ -144,7 +144,8 @@ async def test_sample_is_dated_by_the_block_with_the_vertical_acceleration() -> 
 
 class LateSlave:
     """Keeps the answer to one request back until it hears another, then sends both: the worst moment for it. Every
-    register carries the number of the request that it answers."""
+    register carries the number of the request that it answers.
+    """
 
     def __init__(self, keep_back: set[int]) -> None:
         self.keep_back = keep_back
@@ -438,7 +439,9 @@ RTU_FAULTS = [
 
 
 @pytest.mark.parametrize(("name", "bad", "fault", "words"), RTU_FAULTS, ids=[row[0] for row in RTU_FAULTS])
-async def test_rtu_fault_is_named_and_passes(name, bad, fault, words) -> None:  # type: ignore[no-untyped-def]
+async def test_rtu_fault_is_named_and_passes(
+    name: str, bad: Callable[[bytes], bytes], fault: Fault, words: str
+) -> None:
     broken = True
     count = CountingSlave()
     # While broken, short reads (that resynchronise) are answered well, so that the bad answer meets the data read.
@@ -524,7 +527,9 @@ MADE_ANEW = {"mute", "not Modbus", "a whole page", "half a frame", "half a heade
 
 
 @pytest.mark.parametrize(("name", "bad", "fault", "words"), TCP_FAULTS, ids=[row[0] for row in TCP_FAULTS])
-async def test_tcp_fault_is_named_and_passes(name, bad, fault, words) -> None:  # type: ignore[no-untyped-def]
+async def test_tcp_fault_is_named_and_passes(
+    name: str, bad: Callable[[bytes], bytes], fault: Fault, words: str
+) -> None:
     broken = True
     slave = TcpSlave(lambda request: bad(request) if broken else tcp_answer(request, [5] * 3))
     await slave.start()
@@ -772,7 +777,8 @@ async def test_port_is_opened_for_us_alone() -> None:
 
 async def test_nothing_floods_the_log(caplog: pytest.LogCaptureFixture) -> None:
     """Neither pymodbus, which logs every timeout, nor the loop, in which pymodbus raises for a frame that it does not
-    know: what is wrong stands in the results."""
+    know: what is wrong stands in the results.
+    """
     caplog.set_level(logging.INFO)
     serial_slave = RtuSlave(lambda request: b"\x50\x08\x00")
     bad = itertools.cycle((b"\x63\x06", b"\x03\x08" + bytes(6), b"\x03\x05" + bytes(5), b"\x03\x02", b"\x83\x02\x02"))
@@ -865,14 +871,18 @@ async def test_a_failing_consumer_is_a_bug_and_ends_the_task() -> None:
     assert isinstance(caught.value.exceptions[0], KeyError)
 
 
+def open_files() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
 async def test_cancelling_closes_the_line() -> None:
-    before = set(os.listdir("/proc/self/fd"))
+    before = open_files()
     slave = RtuSlave(CountingSlave())
     results = Results()
     async with running([device(f"rtu://{slave.path}")], results):
         await results.until(well)
     slave.close()
-    assert len(os.listdir("/proc/self/fd")) == len(before)
+    assert open_files() == before
 
 
 @pytest.mark.parametrize("order", ["before the answer", "after the answer"])
@@ -882,7 +892,7 @@ async def test_a_cancellation_in_the_same_round_as_the_answer_ends_the_task(
     """``asyncio.wait_for`` of Python 3.11 swallows such a one."""
     polls: list[asyncio.Task[None]] = []
     answered = asyncio.Event()
-    find = modbus.find_tcp_answer
+    find = find_tcp_answer
 
     def cancel_and_find(*arguments: Any) -> bytes:
         polls.extend(task for task in asyncio.all_tasks() if task.get_name().startswith("poll"))

@@ -12,7 +12,7 @@ import msgspec
 import pytest
 from modbus_slaves import Results, RtuSlave, crc, rtu, rtu_answer, running
 
-from heaved.devices.profile import DeviceSpec, Profile, decode, device_faults, encode, profile_faults
+from heaved.devices.profile import DeviceSpec, Profile, Quantity, Role, decode, device_faults, encode, profile_faults
 from heaved.samples import Fault, ImuSample
 
 FOLDER = Path(__file__).parents[2] / "config" / "devices"
@@ -112,7 +112,9 @@ def test_profile_is_sound_and_named_as_its_file(path: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "role", "request_text", "answer_text", "values"), FRAMES, ids=[f[0] for f in FRAMES])
-async def test_golden_frames(name, role, request_text, answer_text, values) -> None:  # type: ignore[no-untyped-def]
+async def test_golden_frames(
+    name: str, role: Role, request_text: str, answer_text: str, values: dict[Quantity, float]
+) -> None:
     request = frame(request_text, 8)
     answer = frame(answer_text, 5 + bytes.fromhex(answer_text)[2])
     words = [int.from_bytes(answer[at : at + 2]) for at in range(3, len(answer) - 2, 2)]
@@ -129,7 +131,7 @@ async def test_golden_frames(name, role, request_text, answer_text, values) -> N
         result = await results.until(lambda result: result.fault is Fault.NONE and request in slave.requests)
     slave.close()
     assert all(asked[:4] == request[:4] for asked in slave.requests)
-    heard = {**msgspec.structs.asdict(result.sample), **result.extra}
+    heard = msgspec.structs.asdict(result.sample) | {str(name): value for name, value in result.extra.items()}
     for quantity, value in values.items():
         assert heard[quantity] == pytest.approx(value, rel=1e-5), quantity
     assert isinstance(result.sample, ImuSample) == (role == "imu")

@@ -22,7 +22,7 @@ from heaved.devices.frames import (
 )
 from heaved.devices.link import RtuLink
 from heaved.devices.liveness import Contact, LivenessCheck
-from heaved.devices.profile import Block, Field, Profile
+from heaved.devices.profile import Block, Field, Profile, Quantity
 from heaved.devices.station import Reading, Station, cuts
 from heaved.samples import Fault
 
@@ -162,7 +162,7 @@ def test_exceptions_have_names() -> None:
 
 def test_stuck_only_after_its_time_and_gone_with_the_first_change() -> None:
     check = LivenessCheck(device("tcp://h:1", stuck_after_s=2.0))
-    values = {"az_mps2": 9.8, "ax_mps2": 0.1, "ay_mps2": 0.2}
+    values: dict[Quantity, float] = {"az_mps2": 9.8, "ax_mps2": 0.1, "ay_mps2": 0.2}
     faults = [check.judge(values, 100.0 + 0.5 * number)[0] for number in range(7)]
     # 0, 0.5, 1, 1.5, 2.0 s: not longer than two seconds yet.
     assert faults == [Fault.NONE] * 5 + [Fault.STUCK] * 2
@@ -173,7 +173,7 @@ def test_stuck_only_after_its_time_and_gone_with_the_first_change() -> None:
 def test_stuck_outlives_a_gap_in_the_answers() -> None:
     """A gateway that serves its memory after the sensor was unplugged."""
     check = LivenessCheck(device("tcp://h:1", stuck_after_s=2.0))
-    values = {"az_mps2": 9.8, "ax_mps2": 0.1, "ay_mps2": 0.2}
+    values: dict[Quantity, float] = {"az_mps2": 9.8, "ax_mps2": 0.1, "ay_mps2": 0.2}
     assert check.judge(values, 0.0)[0] is Fault.NONE
     fault, detail = check.judge(values, 60.0)
     assert fault is Fault.STUCK
@@ -183,7 +183,7 @@ def test_stuck_outlives_a_gap_in_the_answers() -> None:
 
 def test_stuck_is_never_judged_if_so_configured() -> None:
     check = LivenessCheck(device("tcp://h:1", stuck_after_s=0.0))
-    values = {"az_mps2": 9.8, "ax_mps2": 0.1, "ay_mps2": 0.2}
+    values: dict[Quantity, float] = {"az_mps2": 9.8, "ax_mps2": 0.1, "ay_mps2": 0.2}
     assert {check.judge(values, float(t_s))[0] for t_s in range(0, 10_000, 100)} == {Fault.NONE}
 
 

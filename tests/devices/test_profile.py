@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from typing import Any, Literal
 
 import msgspec
 import pytest
@@ -12,9 +13,13 @@ from hypothesis import strategies as st
 
 from heaved.devices.profile import (
     Block,
+    ByteOrder,
     DeviceSpec,
     Field,
     Profile,
+    Quantity,
+    RegisterType,
+    Unit,
     block_registers,
     decode,
     device_faults,
@@ -24,12 +29,17 @@ from heaved.devices.profile import (
 )
 from heaved.samples import Fault
 
-ORDERS = ("ABCD", "DCBA", "BADC", "CDAB")
-LIMITS = {"int16": (-32768, 32767), "uint16": (0, 65535), "int32": (-(2**31), 2**31 - 1), "uint32": (0, 2**32 - 1)}
+ORDERS: tuple[ByteOrder, ...] = ("ABCD", "DCBA", "BADC", "CDAB")
+LIMITS: dict[RegisterType, tuple[int, int]] = {
+    "int16": (-32768, 32767),
+    "uint16": (0, 65535),
+    "int32": (-(2**31), 2**31 - 1),
+    "uint32": (0, 2**32 - 1),
+}
 
 
-def one(quantity: str = "signal", **settings: object) -> Block:
-    return Block(start=0, fields=(Field(quantity=quantity, offset=0, **settings),))  # type: ignore[arg-type]
+def one(quantity: Quantity = "signal", **settings: Any) -> Block:
+    return Block(start=0, fields=(Field(quantity=quantity, offset=0, **settings),))
 
 
 # 305419896 = 0x12345678: the bytes A, B, C, D are 12, 34, 56, 78.
@@ -76,7 +86,7 @@ def test_byte_orders_of_16_bits(order: str, register: int) -> None:
         ("1", "signal", 42, 42.0),
     ],
 )
-def test_units(unit: str, quantity: str, raw: int, si: float) -> None:
+def test_units(unit: Unit, quantity: Quantity, raw: int, si: float) -> None:
     assert decode(one(quantity, unit=unit), [raw]).values == {quantity: pytest.approx(si, rel=1e-15)}
 
 
@@ -88,18 +98,22 @@ def test_scale_offset_and_sign() -> None:
 
 
 @st.composite
-def fields_and_values(draw: st.DrawFn) -> tuple[Block, dict[str, float]]:
+def fields_and_values(draw: st.DrawFn) -> tuple[Block, dict[Quantity, float]]:
     """A block of up to six fields of any type and order, with gaps, and values within the types' reach."""
-    names = draw(st.permutations(["ax_mps2", "ay_mps2", "az_mps2", "roll_rad", "laser_m", "signal"]))
-    units = {"ax_mps2": "g", "ay_mps2": "m/s2", "az_mps2": "g", "roll_rad": "deg", "laser_m": "mm", "signal": "1"}
-    to_si = {"g": 9.80665, "m/s2": 1.0, "deg": math.pi / 180, "mm": 1e-3, "1": 1.0}
-    fields, values, offset = [], {}, 0
+    units: dict[Quantity, Unit] = {
+        "ax_mps2": "g", "ay_mps2": "m/s2", "az_mps2": "g", "roll_rad": "deg", "laser_m": "mm", "signal": "1",
+    }  # fmt: skip
+    names = draw(st.permutations(list(units)))
+    to_si: dict[Unit, float] = {"g": 9.80665, "m/s2": 1.0, "deg": math.pi / 180, "mm": 1e-3, "1": 1.0}
+    fields: list[Field] = []
+    values: dict[Quantity, float] = {}
+    offset = 0
     for name in names[: draw(st.integers(1, 6))]:
         offset += draw(st.integers(0, 3))
-        kind = draw(st.sampled_from([*LIMITS, "float32"]))
+        kind: RegisterType = draw(st.sampled_from((*LIMITS, "float32")))
         scale = draw(st.floats(1e-4, 1e3)) * draw(st.sampled_from([1, -1]))
         shift = draw(st.floats(-100.0, 100.0))
-        sign = draw(st.sampled_from([1, -1]))
+        sign: Literal[1, -1] = draw(st.sampled_from((1, -1)))
         raw = draw(st.integers(*LIMITS[kind])) if kind in LIMITS else draw(st.floats(-(2.0**66), 2.0**66, width=32))
         fields.append(Field(
             quantity=name, offset=offset, type=kind, byte_order=draw(st.sampled_from(ORDERS)), scale=scale,
@@ -111,7 +125,7 @@ def fields_and_values(draw: st.DrawFn) -> tuple[Block, dict[str, float]]:
 
 
 @given(fields_and_values())
-def test_round_trip_up_to_quantisation(case: tuple[Block, dict[str, float]]) -> None:
+def test_round_trip_up_to_quantisation(case: tuple[Block, dict[Quantity, float]]) -> None:
     block, values = case
     registers = encode(block, values)
     assert len(registers) == block_registers(block)
@@ -129,7 +143,7 @@ def test_round_trip_up_to_quantisation(case: tuple[Block, dict[str, float]]) -> 
 
 
 @given(fields_and_values())
-def test_encoding_what_was_decoded_gives_the_same_registers(case: tuple[Block, dict[str, float]]) -> None:
+def test_encoding_what_was_decoded_gives_the_same_registers(case: tuple[Block, dict[Quantity, float]]) -> None:
     block, values = case
     registers = encode(block, values)
     again = encode(block, decode(block, registers).values)
@@ -140,7 +154,7 @@ def test_encoding_what_was_decoded_gives_the_same_registers(case: tuple[Block, d
 
 
 @pytest.mark.parametrize("kind", list(LIMITS))
-def test_integers_saturate(kind: str) -> None:
+def test_integers_saturate(kind: RegisterType) -> None:
     block = one(type=kind)
     low, high = LIMITS[kind]
     for value, limit in ((1e12, high), (-1e12, low), (math.inf, high), (-math.inf, low)):
@@ -162,7 +176,7 @@ def test_integers_cannot_say_nan() -> None:
 
 @pytest.mark.parametrize("words", [[0x7FC0, 0], [0x7F80, 0], [0xFF80, 0]], ids=["nan", "inf", "-inf"])
 @pytest.mark.parametrize("limits", [{}, {"min": -1e9, "max": 1e9}, {"min": -math.inf, "max": math.inf}])
-def test_not_finite_is_a_fault_whatever_the_limits(words: list[int], limits: dict[str, float]) -> None:
+def test_not_finite_is_a_fault_whatever_the_limits(words: list[int], limits: dict[str, Any]) -> None:
     decoded = decode(one(type="float32", **limits), words)
     assert decoded.fault is Fault.NOT_FINITE
     assert decoded.values == {}

@@ -64,7 +64,7 @@ async def test_deadlines_are_not_early() -> None:
 
 
 async def test_a_past_deadline_returns_but_lets_the_loop_run() -> None:
-    ran = []
+    ran: list[bool] = []
     with DeadlineTimer() as timer:
         asyncio.get_running_loop().call_soon(ran.append, True)
         assert await timer.wait_until(time.monotonic() - 5.0) >= 5.0

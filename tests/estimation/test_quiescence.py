@@ -7,24 +7,30 @@ from math import nan, pi
 import msgspec
 import numpy as np
 import pytest
-from evidence.quiescence import judge, report
+from evidence.rock.quiescence import judge, report
+from numpy.typing import NDArray
 
 from heaved.estimation.quiescence import MotionForecast, Params, Quiescence
+from heaved.samples import QuietWindow
+
+Array = NDArray[np.float64]
 
 LIMITS = Params(roll_limit_deg=2.0, pitch_limit_deg=1.0, heave_limit_m=0.5, duration_s=10.0, look_ahead_s=30.0)
 RATE_HZ = 5.0
 
 
-def grouped(t):
+def grouped(t: Array) -> Array:
     """Heave of 0 to 1 m in groups of 100 s: below 0.5 m for a third of each."""
     return 0.5 * (1.0 - np.cos(2 * pi * t / 100.0)) * np.sin(2 * pi * t / 8.0)
 
 
-def feed(quiescence, t, heave, roll=0.0, pitch=0.0):
+def feed(
+    quiescence: Quiescence, t: Array, heave: Array, roll: float = 0.0, pitch: float = 0.0
+) -> list[QuietWindow | None]:
     return [quiescence.step(a, roll, pitch, b) for a, b in zip(t.tolist(), np.asarray(heave).tolist(), strict=True)]
 
 
-def test_strictly_periodic_groups_are_foreseen():
+def test_strictly_periodic_groups_are_foreseen() -> None:
     """Envelope known: |h| <= 0.5 (1 - cos) < 0.5 m within 25 s of each full hundred seconds."""
     t = np.arange(0.0, 2500.0, 1 / RATE_HZ)
     quiescence = Quiescence(LIMITS)
@@ -41,7 +47,7 @@ def test_strictly_periodic_groups_are_foreseen():
     assert np.mean(quiet) > 0.9
 
 
-def test_a_still_ship_is_quiet_now_and_a_rolling_one_never():
+def test_a_still_ship_is_quiet_now_and_a_rolling_one_never() -> None:
     t = np.arange(0.0, 700.0, 1 / RATE_HZ)
     still = feed(Quiescence(LIMITS), t, 0.01 * np.sin(t))[-1]
     assert still is not None
@@ -54,14 +60,14 @@ def test_a_still_ship_is_quiet_now_and_a_rolling_one_never():
     assert np.all(rolling.probabilities < 0.1)
 
 
-def test_nothing_is_said_before_it_is_learned():
+def test_nothing_is_said_before_it_is_learned() -> None:
     t = np.arange(0.0, 180.0, 1 / RATE_HZ)
     quiescence = Quiescence(LIMITS)
     assert feed(quiescence, t, 0.01 * np.sin(t)) == [None] * len(t)
     assert np.isnan(quiescence.probabilities).all()
 
 
-def test_on_a_random_sea_it_beats_climate_and_is_calibrated():
+def test_on_a_random_sea_it_beats_climate_and_is_calibrated() -> None:
     """A good half hour of wind sea, windows that begin at once: hits outnumber false alarms, chances come true."""
     verdicts = judge("wind sea, moderate", LIMITS, 2400.0, seeds=(1,))
     first = verdicts[0]
@@ -77,7 +83,7 @@ def test_on_a_random_sea_it_beats_climate_and_is_calibrated():
 
 
 @pytest.mark.parametrize("disaster", ["nan", "gap", "backwards"])
-def test_bad_input_is_survived(disaster):
+def test_bad_input_is_survived(disaster: str) -> None:
     t = np.arange(0.0, 1400.0, 1 / RATE_HZ)
     heave = grouped(t)
     if disaster == "nan":
@@ -94,19 +100,19 @@ def test_bad_input_is_survived(disaster):
     assert np.all((chance >= 0.0) & (chance <= 1.0))
 
 
-def test_an_unknown_motion_is_not_quiet():
+def test_an_unknown_motion_is_not_quiet() -> None:
     t = np.arange(0.0, 400.0, 1 / RATE_HZ)
     assert feed(Quiescence(LIMITS), t, 0.01 * np.sin(t), roll=nan) == [None] * len(t)
 
 
-def test_a_forecast_that_tells_is_used():
+def test_a_forecast_that_tells_is_used() -> None:
     """Quiet and loud seconds at random: the past says nothing, a perfect forecast of 2 s says all."""
     params = Params(duration_s=2.0, look_ahead_s=2.0, roll_limit_deg=2.0, pitch_limit_deg=1.0, heave_limit_m=0.5)
     rng = np.random.default_rng(3)
     loud = np.repeat(rng.choice([0.1, 0.9], 400), 4)
     informed, blind = Quiescence(params), Quiescence(params)
     horizons = np.array([0.5, 1.5])
-    right = {informed: [], blind: []}
+    right: dict[Quiescence, list[float]] = {informed: [], blind: []}
     for second, size in enumerate(loud[:-8].tolist()):
         coming = loud[second : second + 2]
         mean = np.zeros((2, 3))
@@ -120,6 +126,6 @@ def test_a_forecast_that_tells_is_used():
 
 
 @pytest.mark.parametrize("table", [{"limit": 1}, {"duration_s": 0.0}, {"min_confidence": 1.0}, {"heave_limit_m": -1.0}])
-def test_wrong_settings_are_refused(table):
+def test_wrong_settings_are_refused(table: dict[str, object]) -> None:
     with pytest.raises(msgspec.ValidationError):
         msgspec.convert(table, Params)

@@ -15,9 +15,10 @@ from heaved.estimation.craft import fusion
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.hull import estimate as hull
 from heaved.estimation.hull.refit import refit
+from heaved.estimation.hull.stage import HullStage
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.rock import maximum_likelihood as rock
-from heaved.estimation.stages import HullStage, Stages
+from heaved.estimation.stages import Stages
 from heaved.pipeline import Pipeline, assemble
 from heaved.samples import CraftSample, Fault, ImuSample, MotionFrame, RatesSample, Sample
 from heaved.simulate.flexure import SCENES, Record, Scene, simulate
@@ -39,18 +40,18 @@ def pipeline(stages: Stages | None = None, *, point: tuple[Point, ...] = ()) -> 
     )
 
 
-def bent(record: Record) -> Iterator[Sample]:
+def bent(record: Record) -> Iterator[ImuSample | RatesSample]:
     """The readings of a record by time, the second IMU's before the first's, gravity on the latter."""
-    imus = [
+    samples: list[ImuSample | RatesSample] = [
+        RatesSample(t_s=t, gx_radps=x, gy_radps=y, gz_radps=z)
+        for t, (x, y, z) in zip(record.local_t_s.tolist(), record.local_radps.tolist(), strict=True)
+    ]
+    samples += [
         ImuSample(t_s=t, az_mps2=9.8 + 0.3 * math.sin(0.7 * t), roll_rad=0.02, pitch_rad=0.01, yaw_rad=1.0,
                   gx_radps=x, gy_radps=y, gz_radps=z)
         for t, (x, y, z) in zip(record.midships_t_s.tolist(), record.midships_radps.tolist(), strict=True)
     ]  # fmt: skip
-    rates = [
-        RatesSample(t_s=t, gx_radps=x, gy_radps=y, gz_radps=z)
-        for t, (x, y, z) in zip(record.local_t_s.tolist(), record.local_radps.tolist(), strict=True)
-    ]
-    yield from sorted([*rates, *imus], key=lambda sample: sample.t_s)
+    yield from sorted(samples, key=lambda sample: sample.t_s)
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +95,7 @@ def rotation(axis: int, angle: float) -> np.ndarray:
 
 def level_from_body(roll: float, pitch: float, yaw: float) -> np.ndarray:
     """Pitch is bow up and yaw clockwise, both against the right hand."""
-    return rotation(2, -yaw) @ rotation(1, -pitch) @ rotation(0, roll)
+    return np.asarray(rotation(2, -yaw) @ rotation(1, -pitch) @ rotation(0, roll))
 
 
 def test_the_attitude_of_the_crane_base_is_that_of_its_axes(frames: list[MotionFrame]) -> None:
@@ -191,7 +192,8 @@ def spoiled(record: Record, how: str) -> list[Sample]:
             ]
         case _:
             raise AssertionError(how)
-    return [*sorted([*rates, *others], key=lambda sample: imu_time(sample, how))]
+    together: list[Sample] = [*rates, *others]
+    return sorted(together, key=lambda sample: imu_time(sample, how))
 
 
 def imu_time(sample: Sample, how: str) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from heaved.outputs.access import checked_networks, is_allowed, is_loopback_host, parse_networks
+from heaved.outputs.listen import checked_networks, is_allowed, is_loopback_host, parse_networks
 
 
 @pytest.mark.parametrize(

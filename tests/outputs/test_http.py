@@ -18,8 +18,8 @@ from stream_peers import make_frame
 from structlog.testing import capture_logs
 
 from heaved.outputs import http as http_module
-from heaved.outputs.access import ListenError
 from heaved.outputs.http import HttpServer, Verdict, liveness, readiness
+from heaved.outputs.listen import ListenError
 from heaved.samples import HeaveState
 
 Get = Callable[..., Awaitable[tuple[int, str, str]]]

@@ -13,7 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from heaved.outputs import wire
-from heaved.outputs.records import DeviceStatus, ErrorRecord, HeaveStatus, QualityRecord, StatusRecord, VersionRecord
+from heaved.outputs.records import DeviceStatus, ErrorRecord, HeaveStatus, StatusRecord, VersionRecord
 from heaved.outputs.requests import (
     ACCEPTED,
     MAX_REQUEST_BYTES,
@@ -22,8 +22,8 @@ from heaved.outputs.requests import (
     LineSplitter,
     Request,
     StatusQuery,
+    Subscription,
     VersionQuery,
-    Watch,
     parse_request,
 )
 from heaved.samples import (
@@ -244,7 +244,7 @@ def test_records_that_are_not_known_are_left_out() -> None:
     device = DeviceStatus(name="imu", role="imu", up=False)
     status = StatusRecord(
         release="1", uptime_s=1.0, frames=0, heave=HeaveStatus(), devices=(device,), clients=0, dropped=0,
-        quality=QualityRecord(
+        quality=Quality(
             heave=HeaveState.INVALID, laser=LaserState.OFF, correction=CorrectionState.OFF, reasons=()
         ),
     )  # fmt: skip
@@ -262,10 +262,10 @@ def test_records_that_are_not_known_are_left_out() -> None:
 @pytest.mark.parametrize(
     ("line", "request_"),
     [
-        (b'?WATCH={"classes":["MOTION","SEA"],"rate_hz":10}', Watch(classes=("MOTION", "SEA"), rate_hz=10.0)),
-        (b'?WATCH={"rate_hz":0.5}\r', Watch(rate_hz=0.5)),
-        (b'?WATCH={"classes":[]}', Watch(classes=())),
-        (b"?WATCH={}", Watch(classes=("MOTION",), rate_hz=None)),
+        (b'?WATCH={"classes":["MOTION","SEA"],"rate_hz":10}', Subscription(classes=("MOTION", "SEA"), rate_hz=10.0)),
+        (b'?WATCH={"rate_hz":0.5}\r', Subscription(rate_hz=0.5)),
+        (b'?WATCH={"classes":[]}', Subscription(classes=())),
+        (b"?WATCH={}", Subscription(classes=("MOTION",), rate_hz=None)),
         (b"?STATUS", StatusQuery()),
         (b"?VERSION\r\n", VersionQuery()),
     ],
@@ -314,10 +314,10 @@ def test_anything_else_is_told_what_was_wrong_and_what_is_accepted(line: bytes, 
 )
 def test_no_line_raises(line: bytes) -> None:
     request = parse_request(line)
-    assert isinstance(request, Watch | StatusQuery | VersionQuery | BadRequest)
+    assert isinstance(request, Subscription | StatusQuery | VersionQuery | BadRequest)
     if isinstance(request, BadRequest):
         strict(wire.encode_record(ErrorRecord(message=request.message)))
-    if isinstance(request, Watch):
+    if isinstance(request, Subscription):
         assert set(request.classes) <= set(STREAM_CLASSES)
         assert request.rate_hz is None or 0.0 < request.rate_hz < math.inf
 

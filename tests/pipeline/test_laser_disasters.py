@@ -77,7 +77,7 @@ def before(name: str, role: str, begin_s: float) -> Pipeline:
     pipe = pipeline(
         has_laser=bool(role),
         heave_params=heave.Params(forecast_horizons_s=()),
-        laser_params=reference.Params(role=role or "reference"),
+        laser_params=msgspec.convert({"role": role or "reference"}, reference.Params),
         correction_params=correction.Params(enabled=False),
     )
     run(pipe, name, 0.0, begin_s)
@@ -150,7 +150,7 @@ def noisy(t: Array, m: Array, rng: np.random.Generator) -> Array:
 
 def short(t: Array, m: Array, rng: np.random.Generator) -> Array:
     """The end of its range lies within the waves."""
-    return np.clip(m, LASER_DISTANCE_M - 0.25, LASER_DISTANCE_M + 0.25)
+    return np.asarray(np.clip(m, LASER_DISTANCE_M - 0.25, LASER_DISTANCE_M + 0.25))
 
 
 def creeping(mps: float) -> Change:

@@ -14,22 +14,23 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from pipelines import pipeline, rms
 
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.estimator import Heave, HeaveEstimator
+from heaved.estimation.heave.observer import foretold
 from heaved.estimation.heave.quality import BEYOND_PHYSICS
 from heaved.estimation.heave.sea.refit import look
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.motion_frame import MotionFrames
 from heaved.pipeline import Pipeline
-from heaved.predictions import PlainForecasts
 from heaved.samples import GRAVITY_MPS2, HeaveState, ImuSample, MotionFrame
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import REGISTER_STEPS, measure
 from heaved.simulate.vessel import Motion
 
-Array = np.ndarray
+Array = NDArray[np.float64]
 COLUMNS = (
     *("ax_mps2", "ay_mps2", "az_mps2", "roll_rad", "pitch_rad", "yaw_rad"),
     *("gx_radps", "gy_radps", "gz_radps"),
@@ -135,7 +136,7 @@ def random_registers(rows: tuple[int, ...], share: float, seconds: float) -> Cha
     def change(t: Array, x: Array, rng: np.random.Generator) -> None:
         hit = np.flatnonzero((t < seconds) & (rng.random(t.size) < share))
         drawn = rng.integers(-32768, 32768, (len(rows), hit.size)) * REGISTER_STEPS[list(rows), None]
-        x[np.ix_(rows, hit)] = drawn
+        x[np.array(rows)[:, None], hit] = drawn
 
     return change
 
@@ -227,7 +228,7 @@ def polled(name: str, poll_hz: float, forces_hz: float, angles_hz: float, durati
     t = np.arange(round(duration_s * poll_hz)) / poll_hz
     readings = np.empty((9, t.size))
     for rate_hz, rows in ((forces_hz, (*FORCES, *RATES)), (angles_hz, ANGLES)):
-        ticks = (np.arange(-1, round(duration_s * rate_hz) + 1) + 0.3) / rate_hz
+        ticks = (np.arange(-1, round(duration_s * rate_hz) + 1, dtype=np.float64) + 0.3) / rate_hz
         own = measure(vessel.motion(ticks), imu_rate_hz=rate_hz, laser="off", seed=7)
         shown = np.searchsorted(ticks, t + 1e-9) - 1
         for row in rows:
@@ -258,7 +259,7 @@ def test_a_sensor_slower_than_its_polls_is_taken_at_its_own_rate(
     assert (found.lies, found.states) == (0, {HeaveState.VALID})
     assert says in found.reasons
     error = np.array([f.heave_m for f in last]) - made.truth.heave_m[late]
-    ticks = (np.arange(round(110.0 * forces_hz)) + 0.3) / forces_hz
+    ticks = (np.arange(round(110.0 * forces_hz), dtype=np.float64) + 0.3) / forces_hz
     truth = seaway("S6", SLOW_SEED).motion(ticks)
     own = measure(truth, imu_rate_hz=forces_hz, laser="off", seed=7)
     readings = np.array([getattr(own, column) for column in COLUMNS])
@@ -310,7 +311,7 @@ def test_what_no_vessel_does_is_not_published_and_counted_once(
         observer_m=usual.heave_m,
         correction_m=0.0,
         lead_s=0.0,
-        forecast=PlainForecasts((1.0, 2.0), [25.0, 0.5], [0.1, 0.1]),
+        forecast=(foretold(1.0, 25.0, 0.1), foretold(2.0, 0.5, 0.1)),
     )
     told_to = Told(pipe.heave, told)
     frames = MotionFrames(pipe.vertical, told_to, pipe.stages, point=(TIP,), rock_horizons_s=pipe.rock.horizons_s)

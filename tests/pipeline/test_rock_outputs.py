@@ -19,7 +19,7 @@ from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.outputs import wire
-from heaved.outputs.requests import Watch, parse_request
+from heaved.outputs.requests import Subscription, parse_request
 from heaved.pipeline import Pipeline, assemble
 from heaved.replay.table import Table
 from heaved.samples import (
@@ -96,6 +96,7 @@ def test_quiet_windows(limit_m: float, is_quiet: bool) -> None:
     assert last is not None
     assert (last.window is not None) is is_quiet
     assert (last.best > 0.8) is is_quiet
+    assert frames[100].quiet is not None
     assert not isfinite(frames[100].quiet.best)  # nothing has been learned
     assert build().coast(0.0).quiet is None
 
@@ -181,7 +182,7 @@ def test_quiet_on_the_wire() -> None:
     }  # fmt: skip
     none = json.loads(wire.encode_record(wire.quiet_record(QuietForecast(t_s=10.0), 100.0)))
     assert none == {"class": "QUIET", "time": "1970-01-01T00:01:40.000000Z", "mono_s": 10.0, "is_expected": False}
-    assert isinstance(parse_request(b'?WATCH={"classes":["QUIET"]}'), Watch)
+    assert isinstance(parse_request(b'?WATCH={"classes":["QUIET"]}'), Subscription)
 
 
 def test_what_a_person_reads() -> None:

@@ -9,6 +9,7 @@ import re
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -23,15 +24,15 @@ from heaved.config.rules import rate_faults, stage_faults
 from heaved.daemon.metrics import Metrics
 from heaved.devices.link import TcpLink
 from heaved.devices.liveness import Contact
-from heaved.devices.profile import encode, profile_faults
+from heaved.devices.profile import Quantity, encode, profile_faults
 from heaved.devices.recording import STAGE_COLUMNS, Recording, RecordingError
 from heaved.devices.station import Reading, Station
 from heaved.estimation.craft import fusion
 from heaved.estimation.hull import estimate as hull
 from heaved.estimation.hull.estimator import HullDeformation
 from heaved.estimation.hull.refit import refit
-from heaved.outputs import stage_wire, wire
-from heaved.outputs.records import AttitudeStatus, HeaveStatus, HullStatus, QualityRecord, StatusRecord
+from heaved.outputs import wire
+from heaved.outputs.records import AttitudeStatus, HeaveStatus, HullStatus, StatusRecord
 from heaved.replay.replay import replay
 from heaved.replay.table import Table
 from heaved.samples import (
@@ -254,7 +255,9 @@ def test_packaged_files_are_sound(name: str, roles: list[str]) -> None:
         (device("pitch_sensor", one("pitch_rad", "deg")), {"pitch_rad": -0.1}, {"pitch_rad": -0.1}),
     ],
 )
-def test_a_role_makes_samples_of_its_own_kind(text: str, values: dict, expected: dict) -> None:
+def test_a_role_makes_samples_of_its_own_kind(
+    text: str, values: dict[Quantity, float], expected: dict[str, float]
+) -> None:
     (spec,) = read(text).device
     contact = Contact(numbered=True, lengths=(), alone=True, timeout_s=0.05, opened_s=0.0)
     station = Station(spec, TcpLink("h", 1), contact, 0.0)
@@ -275,7 +278,7 @@ def test_a_role_makes_samples_of_its_own_kind(text: str, values: dict, expected:
 # ---- recordings ------------------------------------------------------------------------------------------------------
 
 
-def instants(tmp_path: Path, text: str) -> list:
+def instants(tmp_path: Path, text: str) -> list[Any]:
     path = tmp_path / "x.csv"
     path.write_text(text)
     with Recording(path) as recording:
@@ -289,10 +292,8 @@ def test_the_columns_of_the_stages_become_their_samples(tmp_path: Path) -> None:
     assert (imu.gx_radps, imu.gy_radps, imu.gz_radps) == (1.0, 2.0, 3.0)
     assert laser is None
     assert rates == RatesSample(t_s=1.0, gx_radps=4.0, gy_radps=5.0, gz_radps=6.0)
-    assert craft == CraftSample(
-        t_s=1.0, heave_m=0.5, pitch_rad=math.pi / 2, speed_mps=18.0,
-        flap_fore_rad=pytest.approx(-math.pi / 4), flap_aft_rad=pytest.approx(math.pi / 6),
-    )  # fmt: skip
+    assert (craft.t_s, craft.heave_m, craft.pitch_rad, craft.speed_mps) == (1.0, 0.5, math.pi / 2, 18.0)
+    assert (craft.flap_fore_rad, craft.flap_aft_rad) == pytest.approx((-math.pi / 4, math.pi / 6))
     assert bare[1:] == (None, None, None)
     assert math.isnan(bare[0].gx_radps)
 
@@ -410,7 +411,7 @@ ANGLES = HullAngles(
     total_rad=(math.radians(0.5), math.radians(-0.8), math.radians(30.0)),
     static_rad=(math.radians(0.4), math.radians(-0.7), math.radians(29.0)),
     dynamic_rad=(math.radians(1.0 / 3600.0), 0.0, math.nan),
-    std_rad=tuple(math.radians(n / 3600.0) for n in (10.0, 20.0, 30.0)),
+    std_rad=(math.radians(10.0 / 3600.0), math.radians(20.0 / 3600.0), math.radians(30.0 / 3600.0)),
     reachable_std_rad=(math.radians(5.0 / 3600.0), math.inf, math.nan),
     delay_s=0.004,
     delay_std_s=0.0005,
@@ -434,7 +435,7 @@ FRAME = MotionFrame(
 
 def test_hull_on_the_wire() -> None:
     """Degrees and arcseconds; what is not known, or infinite, is left out."""
-    assert json.loads(wire.encode_record(stage_wire.hull_record(ANGLES, 0.0))) == {
+    assert json.loads(wire.encode_record(wire.hull_record(ANGLES, 0.0))) == {
         "class": "HULL", "time": "1970-01-01T00:00:00.000000Z", "mono_s": 12.5, "state": "converging",
         "x_deg": 0.5, "y_deg": -0.8, "z_deg": 30.0, "static_x_deg": 0.4, "static_y_deg": -0.7, "static_z_deg": 29.0,
         "dynamic_x_deg": 0.000278, "dynamic_y_deg": 0.0, "x_std_arcsec": 10.0, "y_std_arcsec": 20.0,
@@ -444,12 +445,12 @@ def test_hull_on_the_wire() -> None:
 
 
 def test_a_hull_of_which_nothing_is_known_on_the_wire() -> None:
-    bare = json.loads(wire.encode_record(stage_wire.hull_record(HullAngles(t_s=1.0, state="starting"), 0.0)))
+    bare = json.loads(wire.encode_record(wire.hull_record(HullAngles(t_s=1.0, state="starting"), 0.0)))
     assert set(bare) == {"class", "time", "mono_s", "state", "refits", "resets"}
 
 
 def test_attitude_on_the_wire() -> None:
-    assert json.loads(wire.encode_record(stage_wire.attitude_record(MOTION, 0.0))) == {
+    assert json.loads(wire.encode_record(wire.attitude_record(MOTION, 0.0))) == {
         "class": "ATTITUDE", "time": "1970-01-01T00:00:00.000000Z", "mono_s": 12.5, "heave_m": 0.25,
         "heave_std_m": 0.02, "heave_velocity_mps": -1.5, "heave_velocity_std_mps": 0.1, "pitch_deg": 2.0,
         "pitch_std_deg": 0.25, "pitch_rate_degps": -3.0, "pitch_rate_std_degps": 0.5, "probabilities": [0.75, 0.25],
@@ -478,7 +479,7 @@ def test_metrics_of_the_stages() -> None:
 
 
 def test_status_says_a_line_of_each() -> None:
-    quality = QualityRecord(heave=HeaveState.VALID, laser=LaserState.OFF, correction=CorrectionState.OFF)
+    quality = Quality(heave=HeaveState.VALID, laser=LaserState.OFF, correction=CorrectionState.OFF)
     status = StatusRecord(
         release="1", uptime_s=1.0, frames=1, heave=HeaveStatus(), quality=quality, devices=(), clients=0,
         dropped=0, hull=HullStatus(state="weak", z_deg=30.0, std_arcsec=45.0, warnings=("delay",), resets=2),

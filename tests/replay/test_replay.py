@@ -6,6 +6,7 @@ import contextlib
 import csv
 import math
 import stat
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from heaved.devices.recording import COLUMNS, RecordingError
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, lead
 from heaved.estimation.rock import maximum_likelihood as rock
-from heaved.replay.replay import OutputError, Summary, _Run, replay
+from heaved.replay.replay import OutputError, Summary, Tally, replay
 from heaved.replay.table import MAX_STEP_S, Table
 from heaved.samples import (
     CorrectionState,
@@ -150,7 +151,7 @@ def test_the_columns_hold_what_their_names_say() -> None:
         "yaw_0.05s_deg,yaw_0.05s_std_deg,yaw_0.1s_deg,yaw_0.1s_std_deg,"
         "yaw_0.15s_deg,yaw_0.15s_std_deg,yaw_1s_deg,yaw_1s_std_deg\n"
     )
-    table.put([frame])
+    table.push(frame)
     table.flush()
     assert "".join(written) == (
         "12.500000,1.000000,0.100000,-0.500000,0.900000,0.100000,-0.250000,degraded,,"
@@ -168,16 +169,16 @@ def delayed(t_s: float, heave_m: float) -> DelayedHeave:
     return DelayedHeave(t_s=t_s, heave_m=heave_m, std_m=0.01)
 
 
-def merged(arrivals: list[tuple[float, DelayedHeave | None]], at_once: int = 1) -> tuple[list[str], list[int]]:
-    """Cells in the order of writing, and how many rows were out after each block of frames."""
+def merged(arrivals: Sequence[tuple[float, DelayedHeave | None]]) -> tuple[list[str], list[int]]:
+    """Cells in the order of writing, and how many rows were out after each frame."""
     written: list[str] = []
     table = Table(Config(), written.append)
     place = written.pop().split(",").index("delayed_heave_m")
     quality = Quality(heave=HeaveState.VALID, laser=LaserState.OFF, correction=CorrectionState.OFF)
     frames = [MotionFrame(t_s=t_s, quality=quality, heave_m=9.0, delayed=newest) for t_s, newest in arrivals]
     out = []
-    for i in range(0, len(frames), at_once):
-        table.put(frames[i : i + at_once])
+    for frame in frames:
+        table.push(frame)
         out.append("".join(written).count("\n"))
     table.flush()
     rows = list(csv.reader("".join(written).splitlines()))
@@ -186,31 +187,28 @@ def merged(arrivals: list[tuple[float, DelayedHeave | None]], at_once: int = 1) 
     return [row[place] for row in rows], out
 
 
-@pytest.mark.parametrize("at_once", [1, 3, 8])
-def test_a_delayed_heave_goes_into_the_row_of_its_own_time(at_once: int) -> None:
+def test_a_delayed_heave_goes_into_the_row_of_its_own_time() -> None:
     """Rows every 0.1 s, delayed heaves 0.3 s old from 0.5 s on: at the very times, so as they are."""
     values = {0.2: 1.0, 0.3: -2.0, 0.4: 3.5}
-    arrivals = [(round(0.1 * k, 1), None) for k in range(5)]
+    arrivals: list[tuple[float, DelayedHeave | None]] = [(round(0.1 * k, 1), None) for k in range(5)]
     arrivals += [(0.5, delayed(0.2, 1.0)), (0.6, delayed(0.3, -2.0)), (0.7, delayed(0.4, 3.5))]
-    cells, out = merged(arrivals, at_once)
+    cells, out = merged(arrivals)
     assert cells == [f"{values[t_s]:.6f}" if t_s in values else "" for t_s, _ in arrivals]
-    # As soon as it is known for a whole block, and in order.
-    assert out == {1: [0, 0, 0, 0, 0, 3, 4, 5], 3: [0, 3, 3], 8: [0]}[at_once]
+    # As soon as it is known, and in order.
+    assert out == [0, 0, 0, 0, 0, 3, 4, 5]
 
 
-@pytest.mark.parametrize("at_once", [1, 2, 6])
-def test_between_two_delayed_heaves_it_is_linear(at_once: int) -> None:
+def test_between_two_delayed_heaves_it_is_linear() -> None:
     """Four rows to one of them; the same one is offered with each of its rows."""
     first, second = delayed(0.0, 1.0), delayed(0.4, 2.0)
-    cells, _ = merged([(0.0, None), (0.1, first), (0.2, first), (0.3, first), (0.4, first), (0.5, second)], at_once)
+    cells, _ = merged([(0.0, None), (0.1, first), (0.2, first), (0.3, first), (0.4, first), (0.5, second)])
     assert cells == ["1.000000", "1.250000", "1.500000", "1.750000", "2.000000", ""]
 
 
-@pytest.mark.parametrize("at_once", [1, 4])
-def test_a_hole_in_the_delayed_heaves_stays_blank(at_once: int) -> None:
+def test_a_hole_in_the_delayed_heaves_stays_blank() -> None:
     """Linear over MAX_STEP_S at most, whose two ends are known all the same."""
     before, after = delayed(0.0, 1.0), delayed(MAX_STEP_S + 0.1, 2.0)
-    cells, _ = merged([(0.0, before), (0.3, before), (MAX_STEP_S + 0.1, after), (0.7, after)], at_once)
+    cells, _ = merged([(0.0, before), (0.3, before), (MAX_STEP_S + 0.1, after), (0.7, after)])
     assert cells == ["1.000000", "", "2.000000", ""]
 
 
@@ -228,7 +226,8 @@ def test_without_any_delayed_heave_all_rows_come_out_with_a_blank() -> None:
 
 def test_the_column_is_the_delayed_heave(tmp_path: Path) -> None:
     """Of a whole replay: known from the end of the first minute, over which the filter starts, up to the smoother's lag
-    before the end, near the truth there; blank elsewhere."""
+    before the end, near the truth there; blank elsewhere.
+    """
     sea = record(seaway("T3", seed=3), 150.0, imu_rate_hz=20.0, laser="off", seed=3)
     path, out = tmp_path / "in.csv", tmp_path / "out.csv"
     write_recording(path, sea)
@@ -252,9 +251,9 @@ def test_rows_that_wait_for_a_delayed_heave_are_not_kept_for_ever(times: str) ->
     quality = Quality(heave=HeaveState.SETTLING, laser=LaserState.OFF, correction=CorrectionState.OFF)
     step_s = 1e-7 if times == "at one moment" else 86400.0
     most = 2 * 10 * 250
-    for k in range(0, 2 * most, 1000):
-        table.put([MotionFrame(t_s=step_s * (k + i), quality=quality) for i in range(1000)])
-        assert table._waiting_rows <= most
+    for k in range(2 * most):
+        table.push(MotionFrame(t_s=step_s * k, quality=quality))
+        assert k + 1 - (len(written) - 1) <= most
     table.flush()
     assert "".join(written).count("\n") == 1 + 2 * most
 
@@ -263,12 +262,12 @@ def test_rows_that_wait_for_a_delayed_heave_are_not_kept_for_ever(times: str) ->
 
 
 def summary(reasons: list[tuple[float, tuple[str, ...]]]) -> Summary:
-    run = _Run(pipeline=None, trainer=None)  # type: ignore[arg-type]  # It is only told.
+    tally = Tally()
     for t_s, texts in reasons:
-        run._quality[HeaveState.DEGRADED] += 1
-        for text in texts:
-            run._given(text, t_s)
-    return run.summary(1.0)
+        tally.count(
+            t_s, Quality(heave=HeaveState.DEGRADED, laser=LaserState.OFF, correction=CorrectionState.OFF, reasons=texts)
+        )
+    return tally.summary(1.0)
 
 
 def test_reasons_are_counted_and_dated_the_most_frequent_first() -> None:

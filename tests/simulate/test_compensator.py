@@ -1,12 +1,16 @@
 """The compensator in a closed loop with the winch: on a stream that knows the truth, and on one that fails."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 import pytest
+from numpy.typing import NDArray
 
 from heaved.demo.hook import HookMotion, Lift
 from heaved.outputs.wire import encode_motion
@@ -14,6 +18,8 @@ from heaved.samples import CorrectionState, HeaveForecast, HeaveState, LaserStat
 from heaved.simulate.compensator import Ahead, CompensatorParams, Source, Trust, Update, curve
 from heaved.simulate.seaway import seaway
 from heaved.simulate.winch import WinchParams
+
+Array = NDArray[np.float64]
 
 HORIZONS_S = (0.05, 0.1, 0.15, 0.5, 1.0, 2.0, 5.0)
 PERIOD_S, LATENCY_S = 0.01, 0.005
@@ -40,37 +46,42 @@ class Run(NamedTuple):
 
     @property
     def hook(self) -> np.ndarray:
-        return self.heave + self.rope
+        return np.asarray(self.heave + self.rope)
+
+
+def raised(heave_m: float | None, by_m: float) -> float:
+    assert heave_m is not None
+    return heave_m + by_m
 
 
 class Wave:
     """A regular wave of 1 m."""
 
-    def __init__(self, period_s):
+    def __init__(self, period_s: float) -> None:
         self.w = 2.0 * np.pi / period_s
 
-    def heave(self, t):
-        return np.cos(self.w * t)
+    def heave(self, t: npt.ArrayLike) -> Array:
+        return np.asarray(np.cos(self.w * np.asarray(t)))
 
-    def speed(self, t):
-        return -self.w * np.sin(self.w * t)
+    def speed(self, t: npt.ArrayLike) -> Array:
+        return np.asarray(-self.w * np.sin(self.w * np.asarray(t)))
 
 
 class Sea:
     """An irregular sea or a wave train."""
 
-    def __init__(self, name):
+    def __init__(self, name: str) -> None:
         self._sea = seaway(name, 1)
 
-    def heave(self, t):
+    def heave(self, t: npt.ArrayLike) -> Array:
         return self._sea.motion(np.asarray(t)).heave_m
 
-    def speed(self, t):
+    def speed(self, t: npt.ArrayLike) -> Array:
         return self._sea.motion(np.asarray(t)).heave_velocity_mps
 
 
 @cache
-def lines(sea, end_s: float, lead_s: float = 0.0) -> tuple[Arrival, ...]:
+def lines(sea: Wave | Sea, end_s: float, lead_s: float = 0.0) -> tuple[Arrival, ...]:
     """A stream that knows the truth, at 100 Hz, as it arrives."""
     t = np.arange(round(end_s / PERIOD_S)) * PERIOD_S
     ahead = np.array([sea.heave(t + h) for h in HORIZONS_S])
@@ -97,7 +108,14 @@ def sea_of(name: str) -> Sea:
     return Sea(name)
 
 
-def run(sea, arrivals: Sequence[Arrival], *, source=Source.FORECAST, pause=(0.0, 0.0), reconnect=()) -> Run:
+def run(
+    sea: Wave | Sea,
+    arrivals: Sequence[Arrival],
+    *,
+    source: Source = Source.FORECAST,
+    pause: tuple[float, float] = (0.0, 0.0),
+    reconnect: Sequence[float] = (),
+) -> Run:
     """The loop at 100 Hz, each line when it arrives; without a controller during ``pause``."""
     lift = Lift(source)
     ticks = np.arange(1, round(arrivals[-1].at_s / PERIOD_S) + 1) * PERIOD_S
@@ -115,7 +133,7 @@ def run(sea, arrivals: Sequence[Arrival], *, source=Source.FORECAST, pause=(0.0,
     return Run(ticks, sea.heave(ticks), *np.array(rows).T)
 
 
-def rms(values) -> float:
+def rms(values: npt.ArrayLike) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
@@ -127,7 +145,7 @@ def share(result: Run, from_s: float = SETTLED_S) -> float:
 # --- the curve -------------------------------------------------------------------------------------------------------
 
 
-def test_the_curve_is_the_polynomial_through_the_points():
+def test_the_curve_is_the_polynomial_through_the_points() -> None:
     polynomial = np.polynomial.Polynomial([0.3, -1.0, 2.0, 0.7, -0.4, 0.05])
     points = [(h, float(polynomial(h))) for h in HORIZONS_S[:6]]
     for at in (0.0, 0.16, 0.5, 1.7):
@@ -135,7 +153,7 @@ def test_the_curve_is_the_polynomial_through_the_points():
         assert curve(points, at) == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
-def test_far_points_do_not_matter():
+def test_far_points_do_not_matter() -> None:
     near = [(h, h**3) for h in HORIZONS_S[:6]]
     assert curve([*near, (30.0, 1e6)], 0.2) == pytest.approx((0.008, 0.12, 1.2), rel=1e-9)
 
@@ -144,21 +162,21 @@ def test_far_points_do_not_matter():
 
 
 @pytest.mark.parametrize("name", ["S6", "T3"])
-def test_with_a_perfect_forecast_the_winch_leaves_nothing(name):
+def test_with_a_perfect_forecast_the_winch_leaves_nothing(name: str) -> None:
     """What is left is the polynomial's and the hold of a set-point over 10 ms: below a thousandth."""
     sea = sea_of(name)
     assert share(run(sea, lines(sea, 80.0))) < 1e-3
 
 
 @pytest.mark.parametrize("name", ["S6", "T3"])
-def test_a_stream_shifted_by_the_actuators_delay_serves_as_well(name):
+def test_a_stream_shifted_by_the_actuators_delay_serves_as_well(name: str) -> None:
     """Left is what moving by the lag is not of inverting it: (w lag)^2 / 2, 1 % at 4.5 s, less at the peak."""
     sea = sea_of(name)
     assert share(run(sea, lines(sea, 80.0, PERFECT_LEAD_S), source=Source.SHIFTED)) < 0.01
 
 
 @pytest.mark.parametrize("period_s", [5.0, 9.0])
-def test_without_lead_the_hook_keeps_what_the_delay_leaves(period_s):
+def test_without_lead_the_hook_keeps_what_the_delay_leaves(period_s: float) -> None:
     """The loop in the frequency domain: trim 1/T and feed-forward of a heave that is D old, through the lag.
 
     The position that is asked for, p = -h (s + 1/T) / (s (1 + lag s) + 1/T), comes D later, D the dead time, the age of
@@ -175,7 +193,7 @@ def test_without_lead_the_hook_keeps_what_the_delay_leaves(period_s):
 
 
 @pytest.mark.parametrize("drift", [-90e-6, 90e-6], ids=["slow", "fast"])
-def test_lines_that_come_late_and_a_clock_of_another_machine_cost_nothing(drift):
+def test_lines_that_come_late_and_a_clock_of_another_machine_cost_nothing(drift: float) -> None:
     """For two thirds of the time lines are 5 to 150 ms old when read; the daemon's clock is that of another machine."""
     sea = sea_of("S6")
     rng = np.random.default_rng(5)
@@ -191,18 +209,19 @@ def test_lines_that_come_late_and_a_clock_of_another_machine_cost_nothing(drift)
     assert share(run(sea, fresh)) > 0.05
 
 
-def test_what_the_published_heave_has_beyond_the_forecasts_is_held():
+def test_what_the_published_heave_has_beyond_the_forecasts_is_held() -> None:
     """A correction of 0.2 m, which no forecast has: the rope goes by it, and so 0.2 m beyond the truth."""
     sea = sea_of("S4")
     corrected = [
-        Arrival(a.at_s, msgspec.structs.replace(a.update, heave_m=a.update.heave_m + 0.2)) for a in lines(sea, 40.0)
+        Arrival(a.at_s, msgspec.structs.replace(a.update, heave_m=raised(a.update.heave_m, 0.2)))
+        for a in lines(sea, 40.0)
     ]
     result = run(sea, corrected)
     settled = result.t_s >= SETTLED_S
     assert result.hook[settled] == pytest.approx(-0.2, abs=1e-3)
 
 
-def test_it_reads_the_lines_of_the_daemon():
+def test_it_reads_the_lines_of_the_daemon() -> None:
     frame = MotionFrame(
         t_s=12.5,
         quality=Quality(heave=HeaveState.DEGRADED, laser=LaserState.OFF, correction=CorrectionState.OFF),
@@ -274,8 +293,10 @@ def leap(offset_m: float) -> Callable[[Stream], Iterator[Arrival]]:
     def change(stream: Stream) -> Iterator[Arrival]:
         for a in stream:
             off = offset_m if BEGIN_S <= a.at_s < BEGIN_S + 10.0 else 0.0
-            ahead = tuple(Ahead(horizon_s=f.horizon_s, heave_m=f.heave_m + off) for f in a.update.forecast)
-            yield Arrival(a.at_s, msgspec.structs.replace(a.update, heave_m=a.update.heave_m + off, forecast=ahead))
+            ahead = tuple(Ahead(horizon_s=f.horizon_s, heave_m=raised(f.heave_m, off)) for f in a.update.forecast)
+            yield Arrival(
+                a.at_s, msgspec.structs.replace(a.update, heave_m=raised(a.update.heave_m, off), forecast=ahead)
+            )
 
     return change
 
@@ -302,7 +323,7 @@ REACTS_WITHIN_S = PARAMS.stale_s + PARAMS.fade_out_s + WINCH.dead_time_s + 5.0 *
 
 @pytest.mark.parametrize("source", [Source.FORECAST, Source.SHIFTED], ids=lambda source: source.value)
 @pytest.mark.parametrize("disaster", DISASTERS)
-def test_the_hook_does_not_jump(disaster, source):
+def test_the_hook_does_not_jump(disaster: str, source: Source) -> None:
     if source is Source.SHIFTED and "forecast" in disaster:
         pytest.skip("it needs none")
     sea = sea_of("S4")  # Gentle enough for the bounds to be well within what the winch could do.
@@ -325,7 +346,7 @@ def test_the_hook_does_not_jump(disaster, source):
 
 
 @pytest.mark.parametrize("disaster", ["nothing for 15 s", "the daemon restarts", "invalid for 5 s", "settling for 5 s"])
-def test_the_rope_rests_while_there_is_nothing_to_go_by(disaster):
+def test_the_rope_rests_while_there_is_nothing_to_go_by(disaster: str) -> None:
     sea = sea_of("S5")
     stream = list(DISASTERS[disaster](lines(sea, BEGIN_S + 20.0)))
     result = run(sea, stream, reconnect=(BEGIN_S + 3.0,) if DISASTERS[disaster] is restart else ())
@@ -335,13 +356,13 @@ def test_the_rope_rests_while_there_is_nothing_to_go_by(disaster):
     assert np.all(result.authority[rests] == 0.0)
 
 
-def test_what_is_short_is_bridged_by_the_forecast():
+def test_what_is_short_is_bridged_by_the_forecast() -> None:
     sea = sea_of("S5")
     result = run(sea, list(silence(0.3)(lines(sea, BEGIN_S + 5.0))))
     assert np.max(np.abs(result.hook[result.t_s > BEGIN_S])) < 0.01 * np.max(np.abs(result.heave))
 
 
-def test_a_controller_that_stops_leaves_a_rope_at_rest_and_begins_again_gently():
+def test_a_controller_that_stops_leaves_a_rope_at_rest_and_begins_again_gently() -> None:
     sea = sea_of("S4")
     end_s = BEGIN_S + 5.0
     result = run(sea, lines(sea, END_S), pause=(BEGIN_S, end_s))
@@ -357,7 +378,7 @@ def test_a_controller_that_stops_leaves_a_rope_at_rest_and_begins_again_gently()
     assert share(result, END_S - 10.0) < 0.01
 
 
-def test_a_heave_that_is_never_usable_moves_nothing():
+def test_a_heave_that_is_never_usable_moves_nothing() -> None:
     sea = sea_of("S6")
     stream = [Arrival(a.at_s, msgspec.structs.replace(a.update, **INVALID)) for a in lines(sea, 10.0)]
     result = run(sea, stream)
@@ -375,7 +396,7 @@ def noted(motion: HookMotion, start_s: float, end_s: float, heave_m: float, hook
         motion.note(float(t), float(heave_m * sine), float(hook_m * sine), authority)
 
 
-def test_the_line_says_what_the_last_minute_was():
+def test_the_line_says_what_the_last_minute_was() -> None:
     motion = HookMotion()
     assert motion.news() == "hook motion: settling"
     noted(motion, 0.0, 30.0, 2.0, 2.0, 0.0)
@@ -392,7 +413,7 @@ def test_the_line_says_what_the_last_minute_was():
     assert motion.news() is None
 
 
-def test_of_a_still_sea_it_gives_no_percentage():
+def test_of_a_still_sea_it_gives_no_percentage() -> None:
     motion = HookMotion()
     noted(motion, 0.0, 40.0, 0.0, 0.0, 1.0)
     assert motion.news() == "hook motion, last 30 s: 0.0000 m uncompensated, 0.0000 m compensated"

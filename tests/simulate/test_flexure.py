@@ -18,13 +18,13 @@ def varied(scene: Scene, **changes: object) -> Scene:
     return msgspec.structs.replace(scene, **changes)
 
 
-def test_the_same_seed_gives_the_same_record_and_another_another():
+def test_the_same_seed_gives_the_same_record_and_another_another() -> None:
     a, b, c = (simulate(SCENES["A4"], seed, duration_s=20.0) for seed in (1, 1, 2))
     assert np.array_equal(a.local_radps, b.local_radps)
     assert not np.array_equal(a.local_radps, c.local_radps)
 
 
-def test_a_stiff_hull_without_errors_gives_two_views_of_one_rate():
+def test_a_stiff_hull_without_errors_gives_two_views_of_one_rate() -> None:
     record = simulate(varied(QUIET, random_mount=True), 3, duration_s=30.0)
     C = record.static
     assert np.max(np.abs(C @ C.T - np.eye(3))) < 1e-12
@@ -32,7 +32,7 @@ def test_a_stiff_hull_without_errors_gives_two_views_of_one_rate():
     assert record.local_radps == pytest.approx(record.midships_radps @ C.T, abs=1e-12)
 
 
-def test_the_static_rotation_is_r3_r2_r1():
+def test_the_static_rotation_is_r3_r2_r1() -> None:
     C = static_rotation((0.0, 0.0, 90.0))
     assert C @ np.array([0.0, 1.0, 0.0]) == pytest.approx([1.0, 0.0, 0.0], abs=1e-12)
     assert static_rotation((0.0, 90.0, 0.0)) @ np.array([0.0, 0.0, 1.0]) == pytest.approx([-1.0, 0.0, 0.0], abs=1e-12)
@@ -42,7 +42,7 @@ def test_the_static_rotation_is_r3_r2_r1():
     )
 
 
-def test_local_rates_turn_the_frame_by_the_deformation():
+def test_local_rates_turn_the_frame_by_the_deformation() -> None:
     """Integrated rates of both IMUs, as rotations, differ by C at the start and at the end: C2 A1 C1' = A2.
 
     At 1 kHz, midpoint rule; flexure of a quarter of a degree, so that its second order shows; the third is left out.
@@ -66,7 +66,7 @@ def test_local_rates_turn_the_frame_by_the_deformation():
     assert np.max(np.abs(alone - expected)) > 1e-3  # without the flexure it is another rotation
 
 
-def test_flexure_has_the_variance_and_correlation_of_its_process():
+def test_flexure_has_the_variance_and_correlation_of_its_process() -> None:
     """sigma^2 exp(-mu t) (cos(lambda t) + mu / lambda sin(lambda t)) over 40 records."""
     scene = varied(QUIET, flexure_std_arcsec=5.0)
     theta = np.array([simulate(scene, seed, duration_s=60.0).flexure_rad for seed in range(40)]) / ARCSEC_RAD
@@ -79,7 +79,7 @@ def test_flexure_has_the_variance_and_correlation_of_its_process():
 
 
 @pytest.mark.parametrize("sea", ["tones", "irregular"])
-def test_motion_has_the_size_of_the_seed(sea):
+def test_motion_has_the_size_of_the_seed(sea: str) -> None:
     """The RMS of angle rates: amplitude times frequency over root two; of the band, between its ends."""
     scene = varied(QUIET, sea=sea)
     rates = np.concatenate([simulate(scene, seed, duration_s=300.0).midships_radps for seed in range(4)])
@@ -93,14 +93,14 @@ def test_motion_has_the_size_of_the_seed(sea):
         assert rms == pytest.approx(angle * np.sqrt(mean_square), rel=0.2)
 
 
-def test_still_water_leaves_the_rate_of_the_earth():
+def test_still_water_leaves_the_rate_of_the_earth() -> None:
     record = simulate(varied(QUIET, sea="still", speed_mps=0.0), 1, duration_s=5.0)
     assert np.linalg.norm(record.midships_radps, axis=1) == pytest.approx(np.full(50, EARTH_RADPS), rel=1e-9)
     latitude = np.radians(QUIET.latitude_deg)
     assert record.midships_radps[0] == pytest.approx(EARTH_RADPS * np.array([np.cos(latitude), 0.0, np.sin(latitude)]))
 
 
-def test_delay_clock_scale_bias_and_noise_are_as_stated():
+def test_delay_clock_scale_bias_and_noise_are_as_stated() -> None:
     still = varied(QUIET, static_deg=(0.0, 0.0, 0.0))
     late = simulate(varied(still, delay_s=0.2), 1, duration_s=20.0)
     assert late.local_radps[2:] == pytest.approx(late.midships_radps[:-2], abs=1e-9)
@@ -118,7 +118,7 @@ def test_delay_clock_scale_bias_and_noise_are_as_stated():
     assert np.std(noisy.local_radps - noisy.midships_radps) == pytest.approx(np.radians(0.0447), rel=0.05)
 
 
-def test_stamps_may_be_any():
+def test_stamps_may_be_any() -> None:
     rng = np.random.default_rng(1)
     t1, t2 = np.cumsum(rng.uniform(0.01, 0.1, 200)), np.cumsum(rng.uniform(0.03, 0.2, 90))
     record = simulate(SCENES["A1"], 1, t1, t2)

@@ -11,7 +11,7 @@ T = np.arange(1, 12_001) / 20.0
 
 
 @pytest.mark.parametrize("name", GYRO_SHAKES)
-def test_a_realisation_is_known_at_any_instant_and_by_its_seed(name) -> None:
+def test_a_realisation_is_known_at_any_instant_and_by_its_seed(name: str) -> None:
     once, again, other = (GyroShaking(name, seed, local=True) for seed in (1, 1, 2))
     assert np.array_equal(once.rates(T)[::2], again.rates(T[::2]))
     vibrates = bool(gyro_shake(name).vibration)
@@ -19,7 +19,7 @@ def test_a_realisation_is_known_at_any_instant_and_by_its_seed(name) -> None:
 
 
 @pytest.mark.parametrize(("local", "amplitude"), [(False, 2e-3), (True, 4e-3)])
-def test_a_line_has_its_frequency_and_its_amplitude_at_either_foot(local, amplitude) -> None:
+def test_a_line_has_its_frequency_and_its_amplitude_at_either_foot(local: bool, amplitude: float) -> None:
     rates = GyroShaking("line-3.1", 1, local=local).rates(T)
     assert np.sqrt(2.0 * np.mean(rates**2)) == pytest.approx(amplitude, rel=0.01)
     f = np.fft.rfftfreq(len(T), 1.0 / 20.0)

@@ -1,5 +1,7 @@
 """Seaways against numerical differentiation, their own target spectrum, and the arithmetic of JONSWAP."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -25,7 +27,7 @@ def test_velocities_and_accelerations_are_derivatives_also_while_the_sea_grows(n
     sea = seaway(name, seed=3)
     for t0 in (12.0, 615.0, 1290.0):  # calm, growing and falling part of SX
         h = 4e-4
-        t = t0 + np.arange(-50, 51) * h
+        t = t0 + np.arange(-50.0, 51.0) * h
         m = sea.motion(t)
         pairs = [
             (m.heave_m, m.heave_velocity_mps),
@@ -42,7 +44,7 @@ def test_velocities_and_accelerations_are_derivatives_also_while_the_sea_grows(n
 @pytest.mark.parametrize("name", NAMES)
 def test_one_instant_and_many_agree_on_grids_and_off_them(name: str) -> None:
     sea = seaway(name, seed=5)
-    grid = np.arange(3000) * 0.5
+    grid = np.arange(3000, dtype=np.float64) * 0.5
     ragged = np.sort(np.random.default_rng(1).uniform(0.0, 1500.0, 300))
     for t in (grid, ragged):
         many = sea.motion(t)
@@ -169,13 +171,13 @@ def test_still_is_still_and_unknown_names_are_refused() -> None:
 
 
 @pytest.mark.parametrize("name", ["S4", "T2"])
-def test_a_later_start_is_the_same_sea_further_on(name):
+def test_a_later_start_is_the_same_sea_further_on(name: str) -> None:
     t = np.arange(0.0, 30.0, 0.1)
     later, first = seaway(name, 3, start_s=500.0).motion(t), seaway(name, 3).motion(t + 500.0)
     for field in ("heave_m", "heave_acceleration_mps2", "roll_rad"):
         assert getattr(later, field) == pytest.approx(getattr(first, field), abs=1e-9)
 
 
-def test_a_later_start_does_not_move_the_growth_of_the_sea():
+def test_a_later_start_does_not_move_the_growth_of_the_sea() -> None:
     t = np.linspace(0.0, 1500.0, 301)
     assert np.array_equal(seaway("SX", 1, start_s=900.0).envelope(t), seaway("SX", 1).envelope(t))

@@ -1,5 +1,7 @@
 """Sensors against rotation matrices, noise densities and the two forms (recorded, polled) against each other."""
 
+from __future__ import annotations
+
 import math
 
 import msgspec
@@ -10,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.signal import butter, csd, freqs, welch
 from scipy.spatial.transform import Rotation
 
-from heaved.devices.profile import Block, DeviceSpec, Field, Profile
+from heaved.devices.profile import Block, DeviceSpec, Field, Profile, Role
 from heaved.samples import GRAVITY_MPS2, Fault, ImuSample, LaserSample
 from heaved.simulate.instruments import Imu, Instruments, Laser, LowPass
 from heaved.simulate.seaway import seaway
@@ -31,7 +33,9 @@ def hull_from_ship(roll: float, pitch: float, yaw: float) -> Rotation:
 
 
 @given(roll=angles, pitch=angles, heave=small, surge=small, sway=small)
-def test_tilt_removal_gives_heave_back_for_any_angles(roll, pitch, heave, surge, sway) -> None:
+def test_tilt_removal_gives_heave_back_for_any_angles(
+    roll: float, pitch: float, heave: float, surge: float, sway: float
+) -> None:
     force = specific_force(
         motion_at(
             roll_rad=roll,
@@ -58,7 +62,9 @@ def test_signs_at_rest_and_tilted() -> None:
 @given(
     roll=angles, pitch=st.floats(-1.5, 1.5), yaw=angles, rates=st.tuples(*[st.floats(-1.0, 1.0)] * 3)
 )  # fmt: skip
-def test_body_rates_are_those_of_the_turning_hull(roll, pitch, yaw, rates) -> None:
+def test_body_rates_are_those_of_the_turning_hull(
+    roll: float, pitch: float, yaw: float, rates: tuple[float, float, float]
+) -> None:
     h = 1e-5
     start, end = (hull_from_ship(*(np.array([roll, pitch, yaw]) + s * h * np.array(rates))) for s in (-1, 1))
     expected = (start.inv() * end).as_rotvec() / (2 * h)
@@ -227,9 +233,9 @@ def test_measure_takes_any_motion_that_is_known_on_a_grid() -> None:
 def test_instruments_keep_one_sensor_for_each_device() -> None:
     block = Block(start=0, fields=(Field(quantity="az_mps2", offset=0, unit="m/s2", scale=0.01),))
     profile = Profile(name="p", blocks=(block,))
+    roles: tuple[tuple[str, Role], ...] = (("imu", "imu"), ("imu2", "imu"), ("laser", "laser"))
     imu, second, laser = (
-        DeviceSpec(name=name, role=role, link="tcp://h:1", profile=profile, rate_hz=20.0)
-        for name, role in (("imu", "imu"), ("imu2", "imu"), ("laser", "laser"))
+        DeviceSpec(name=name, role=role, link="tcp://h:1", profile=profile, rate_hz=20.0) for name, role in roles
     )
     sea = seaway("S4")
     instruments = Instruments(sea, sensor="A", seed=1)

@@ -13,7 +13,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
 from heaved.devices.bus import Bus, PollResult
-from heaved.devices.profile import Block, DeviceSpec, Field, Profile
+from heaved.devices.profile import Block, DeviceSpec, Field, Profile, Quantity
 
 PATIENCE_S = 20.0
 """No test measures time: this only ends one that hangs."""
@@ -182,8 +182,10 @@ async def running(devices: list[DeviceSpec], results: Results) -> AsyncIterator[
 
 def counter_profile(registers: int = 3) -> Profile:
     """Every register is an acceleration in m/s2, unscaled: a slave that counts is seen to count."""
-    names = ("az_mps2", "ax_mps2", "ay_mps2")[:registers]
-    fields = tuple(Field(quantity=name, offset=i, type="uint16", unit="m/s2") for i, name in enumerate(names))
+    quantities: tuple[Quantity, ...] = ("az_mps2", "ax_mps2", "ay_mps2")
+    fields = tuple(
+        Field(quantity=name, offset=i, type="uint16", unit="m/s2") for i, name in enumerate(quantities[:registers])
+    )
     return Profile(name="counter", blocks=(Block(start=0x34, fields=fields),))
 
 

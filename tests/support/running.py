@@ -1,13 +1,18 @@
 """A daemon and its simulated plant within one test, on ephemeral loopback ports."""
 
+from __future__ import annotations
+
 import asyncio
 import itertools
 import statistics
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
 
 import msgspec
 
-from heaved.config import HttpParams, StateParams, StreamParams
+from heaved.config import Config, HttpParams, StateParams, StreamParams
 from heaved.config.read import data_directory, load
 from heaved.daemon.daemon import Daemon
 from heaved.estimation.heave import params as heave
@@ -18,6 +23,10 @@ from heaved.pipeline import PipelineState
 from heaved.simulate.instruments import Instruments
 from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.seaway import seaway
+from heaved.simulate.vessel import MotionSource
+
+Record = dict[str, Any]
+"""One record of the stream."""
 
 SWELL = SeaModel(stages=7, frequency_hz=(0.2,), damping=(0.3,), level_m2phz=(4.0,), noise_psd=4e-6, bias_walk_psd=9e-10)
 """Broad about 5 s, of the size that the default sea observer takes: what an earlier run may have left behind."""
@@ -30,7 +39,7 @@ HARMONIC = heave.Params(observer="harmonic"), PipelineState(frequencies_hz=(0.09
 SEA = heave.Params(), PipelineState(sea=SWELL), {"sea": SeaParams(stages=4)}
 
 
-def demo_config(directory, **changes):
+def demo_config(directory: Path, **changes: Any) -> Config:
     """The demo's devices; ephemeral ports; the state in ``directory``; no trainer unless ``changes`` say so."""
     config = load(data_directory() / "demo.toml")
     defaults = {
@@ -43,10 +52,13 @@ def demo_config(directory, **changes):
 
 
 @asynccontextmanager
-async def plant_of(config, *, sea="T2", seed=1):
+async def plant_of(
+    config: Config, *, sea: str | MotionSource = "T2", seed: int = 1
+) -> AsyncIterator[tuple[SimulatedPlant, Config]]:
     """Simulated slaves for the devices of ``config``: (plant, ``config`` with the links where they are).
 
-    ``sea``: a name, or what moves the ship."""
+    ``sea``: a name, or what moves the ship.
+    """
     moves = seaway(sea, seed) if isinstance(sea, str) else sea
     plant = SimulatedPlant(config.device, Instruments(moves, seed=seed), any_port=True, seed=seed)
     await plant.start()
@@ -57,7 +69,7 @@ async def plant_of(config, *, sea="T2", seed=1):
 
 
 @asynccontextmanager
-async def running(config, *args, **kwargs):
+async def running(config: Config, *args: Any, **kwargs: Any) -> AsyncIterator[Daemon]:
     daemon = Daemon(config, *args, **kwargs)
     await daemon.start()
     try:
@@ -67,11 +79,11 @@ async def running(config, *args, **kwargs):
 
 
 @asynccontextmanager
-async def stream_of(daemon):
+async def stream_of(daemon: Daemon) -> AsyncIterator[AsyncIterator[Record]]:
     """The records of the daemon's stream, VERSION first."""
     reader, writer = await asyncio.open_connection(*daemon.addresses["stream"])
 
-    async def records():
+    async def records() -> AsyncIterator[Record]:
         while line := await reader.readline():
             yield wire.decode(line)
 
@@ -81,7 +93,7 @@ async def stream_of(daemon):
         writer.close()
 
 
-async def frames_of(daemon, count):
+async def frames_of(daemon: Daemon, count: int) -> list[Record]:
     """The next ``count`` MOTION records."""
     frames = []
     async with asyncio.timeout(PATIENCE_S), stream_of(daemon) as records:
@@ -93,12 +105,13 @@ async def frames_of(daemon, count):
     raise AssertionError("the stream has ended")
 
 
-def median_period_s(frames):
+def median_period_s(frames: list[Record]) -> float:
     """Between times of validity. Half of them must be right: a busy machine makes some frames late or skips them."""
-    return statistics.median(after["mono_s"] - before["mono_s"] for before, after in itertools.pairwise(frames))
+    times_s = [float(frame["mono_s"]) for frame in frames]
+    return statistics.median(after - before for before, after in itertools.pairwise(times_s))
 
 
-async def until(daemon, condition):
+async def until(daemon: Daemon, condition: Callable[[Record], object]) -> Record:
     """Follow the stream until ``condition(MOTION record)`` holds; returns that record."""
     async with asyncio.timeout(PATIENCE_S), stream_of(daemon) as records:
         async for record in records:
@@ -107,7 +120,7 @@ async def until(daemon, condition):
     raise AssertionError("the stream has ended")
 
 
-async def get(daemon, path):
+async def get(daemon: Daemon, path: str) -> tuple[int, str]:
     """(status, body) of a GET on the HTTP server."""
     reader, writer = await asyncio.open_connection(*daemon.addresses["http"])
     writer.write(f"GET {path} HTTP/1.1\r\nHost: test\r\nConnection: close\r\n\r\n".encode())
@@ -117,7 +130,7 @@ async def get(daemon, path):
     return int(head.split()[1]), body.decode()
 
 
-def metric(daemon, name):
+def metric(daemon: Daemon, name: str) -> float:
     """Sum over the samples whose name and labels begin with ``name``."""
     lines = daemon.metrics.render().decode().splitlines()
     return sum(float(line.split()[-1]) for line in lines if line.startswith(name))

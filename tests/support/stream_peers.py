@@ -5,10 +5,12 @@ from __future__ import annotations
 import asyncio
 import json
 from collections import Counter
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any
 
-from heaved.outputs.records import DeviceStatus, HeaveStatus, QualityRecord, StatusRecord
+import pytest
+
+from heaved.outputs.records import DeviceStatus, HeaveStatus, StatusRecord
 from heaved.outputs.stream import Publisher
 from heaved.samples import (
     CorrectionState,
@@ -78,7 +80,7 @@ def make_status(**changes: Any) -> StatusRecord:
         "frames": 6000,
         "rate_hz": 100.0,
         "heave": HeaveStatus(heave_m=1.25, heave_std_m=0.02, age_s=0.002),
-        "quality": QualityRecord(
+        "quality": Quality(
             heave=HeaveState.VALID, laser=LaserState.VALID, correction=CorrectionState.ACTIVE, reasons=()
         ),
         "devices": (DeviceStatus(name="imu", role="imu", up=True, rate_hz=99.5, results={"none": 6000, "crc": 2}),),
@@ -98,7 +100,7 @@ class Served:
         """Publish frames whose times follow the clock, which goes on with them."""
         for _ in range(count):
             self.clock.now_s += period_s
-            self.publisher.publish(make_frame(self.clock.now_s), utc_s=1.7e9 + self.clock.now_s)
+            self.publisher.publish(make_frame(self.clock.now_s))
 
 
 class Peer:
@@ -137,3 +139,47 @@ class Peer:
 
 Serve = Callable[..., Awaitable[Served]]
 Connect = Callable[[Served], Awaitable[Peer]]
+
+
+@pytest.fixture
+async def serve() -> AsyncIterator[Serve]:
+    """Starts publishers: ``await serve(max_clients=2)``; closes them at the end."""
+    started: list[Publisher] = []
+
+    async def start(**changes: Any) -> Served:
+        counts, clock = Counts(), Clock()
+        options: dict[str, Any] = {
+            "host": "127.0.0.1",
+            "port": 0,
+            "max_clients": 64,
+            "queue_frames": 256,
+            "allow": (),
+            "version": "1.2.3",
+            "status": make_status,
+            "metrics": counts,
+            "utc_s": lambda t_s: 1.7e9 + t_s,
+            "clock": clock,
+        }
+        publisher = Publisher(**{**options, **changes})
+        started.append(publisher)
+        return Served(publisher, counts, publisher.clock, *await publisher.start())  # type: ignore[arg-type]
+
+    yield start
+    for publisher in started:
+        await publisher.close(drain_s=0.0)
+
+
+@pytest.fixture
+async def connect() -> AsyncIterator[Connect]:
+    """Connects peers that have read their VERSION."""
+    peers: list[Peer] = []
+
+    async def open_peer(served: Served) -> Peer:
+        peer = Peer(*await asyncio.open_connection(served.host, served.port, limit=1 << 22))
+        peers.append(peer)
+        assert (await peer.record())["class"] in ("VERSION", "ERROR")
+        return peer
+
+    yield open_peer
+    for peer in peers:
+        await peer.close()

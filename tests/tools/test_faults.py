@@ -1,22 +1,26 @@
 """tools/accuracy.py faults: the judge finds the lies that were put there by hand, and nothing else; disasters are what
-their names say."""
+their names say.
+"""
 
 from __future__ import annotations
 
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
 from math import cos, inf, isnan, nan, radians, sin
 from pathlib import Path
 
+import accuracy
 import msgspec
 import numpy as np
 import pytest
-from evidence import fault_table, faults
-from evidence.disasters import DISASTERS, HONEST_OF, IMU, Disaster, Span, spoiled
-from evidence.faults import Outcome, Plan, Published, Task
+from evidence.faults import judge as faults
+from evidence.faults import table as fault_table
+from evidence.faults.disasters import DISASTERS, HONEST_OF, IMU, Disaster, Span, spoiled
+from evidence.faults.judge import Outcome, Plan, Published, Task
+from numpy.typing import NDArray
 
 from heaved.pipeline import Pipeline
 from heaved.samples import (
@@ -66,7 +70,7 @@ def point(t: float) -> float:
     return heave(t) + 30.0 * sin(p) + 10.0 * sin(r) * cos(p) + 20.0 * (cos(r) * cos(p) - 1.0)
 
 
-def true_motion() -> Motion:
+def true_motion() -> Motion[NDArray[np.float64]]:
     t = np.arange(round((PLAN.duration_s + 5.0) * RATE_HZ)) / RATE_HZ
     nothing = np.zeros(t.size)
     return Motion(
@@ -132,7 +136,8 @@ def judged(
 ) -> Outcome:
     """Frames that are right but from ``from_s`` to ``to_s``, a hundred of them, where they are changed."""
     motion, published = true_motion(), Published()
-    for made in right_frames():
+    for right in right_frames():
+        made = right
         if from_s - 1e-9 <= made.t_s < to_s - 1e-9:
             for change in changes:
                 made = change(made)
@@ -160,7 +165,7 @@ def test_what_is_right_is_not_blamed() -> None:
 
 def off(**fields: float) -> Callable[[MotionFrame], MotionFrame]:
     """These numbers of the frame, so much too large."""
-    return changed(**{name: lambda made, n=name, by=by: getattr(made, n) + by for name, by in fields.items()})  # type: ignore[misc]
+    return changed(**{name: lambda made, n=name, by=by: getattr(made, n) + by for name, by in fields.items()})
 
 
 def forecast_off(horizon_s: float, by_m: float) -> Callable[[MotionFrame], MotionFrame]:
@@ -311,12 +316,12 @@ def test_the_last_minute_is_the_last_minute() -> None:
 
 
 def test_an_exception_is_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    def burst(self: Pipeline, samples: Sequence[ImuSample]) -> object:
+    def burst(self: Pipeline, sample: ImuSample) -> object:
         raise IndexError("index 3 is out of bounds")
 
-    monkeypatch.setattr(Pipeline, "run", burst)
+    monkeypatch.setattr(Pipeline, "step", burst)
     found = faults.run(Task(name="clean", sea="S4", rate_hz=5.0, seed=1, plan=Plan(at_s=10.0, duration_s=30.0)))
-    assert found.crash.startswith("IndexError: index 3 is out of bounds (test_fault_evidence.py:")
+    assert found.crash.startswith("IndexError: index 3 is out of bounds (test_faults.py:")
     assert fault_table.missed(found, None) == ["IndexError"]
 
 
@@ -341,9 +346,8 @@ class Listening:
     def __init__(self) -> None:
         self.samples: list[Sample] = []
 
-    def run(self, samples: Sequence[Sample]) -> list[None]:
-        self.samples += samples
-        return [None] * len(samples)
+    def step(self, sample: Sample) -> None:
+        self.samples.append(sample)
 
     def fit_due(self) -> None:
         return None
@@ -362,7 +366,7 @@ def test_a_poll_that_failed_is_a_sample_that_says_so() -> None:
 
 
 def test_lines_and_tables_can_be_read(tmp_path: Path) -> None:
-    command = [sys.executable, str(Path(faults.__file__).parents[1] / "accuracy.py"), "faults", "roll_sign"]
+    command = [sys.executable, str(Path(accuracy.__file__)), "faults", "roll_sign"]
     options = ["--seas", "S4", "--rates", "5", "--at", "20", "--duration", "140", "--detail", "--out", str(tmp_path)]
     done = subprocess.run([*command, *options], capture_output=True, text=True, check=True)
     lines = [json.loads(line) for line in (tmp_path / "results.jsonl").read_text().splitlines()]
@@ -390,7 +394,7 @@ def test_a_run_is_held_against_the_honest_one_of_its_own_record() -> None:
     run = outcome("gap_1", last_heave_m=0.012, last_rock_deg=0.21, valid_after_s=7.0, lies={"heave": 3})
     found = fault_table.honest_beside([elsewhere, honest, run], run)
     assert found is not None
-    assert (found.heave, found.rock) == (pytest.approx(1.2), pytest.approx(1.05))
+    assert (found.heave, found.rock) == pytest.approx((1.2, 1.05))
     assert fault_table.missed(run, found) == ["3 heave lies", "valid after 7 s > 5 s", "heave 1.20 > 1.1"]
     again = outcome("holes_again", last_heave_m=0.0105, last_rock_deg=nan, valid_after_s=79.0)
     later = fault_table.honest_beside([honest, again], again)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -88,11 +88,11 @@ def test_limits_of_the_standard_seas_are_what_was_found_elsewhere() -> None:
     f = np.linspace(0.0, 2.0, 4001)
     for sea, causal, delayed in (("S4", 0.017, 0.0018), ("S6", 0.008, 0.0006)):
         sigma = np.sqrt(np.trapezoid(scenarios.simulated_spectrum(sea, f), f))
-        shown = scenarios.limits_of(lambda grid, sea=sea: scenarios.simulated_spectrum(sea, grid), "A", 20.0)
+        shown = scenarios.limits_of(partial(scenarios.simulated_spectrum, sea), "A", 20.0)
         assert shown.causal_m / sigma == pytest.approx(causal, rel=0.15)
         assert shown.noncausal_m / sigma == pytest.approx(delayed, rel=0.15)
         assert list(shown.forecast_m.values()) == sorted(shown.forecast_m.values())
-        worse = scenarios.limits_of(lambda grid, sea=sea: scenarios.simulated_spectrum(sea, grid), "B", 20.0)
+        worse = scenarios.limits_of(partial(scenarios.simulated_spectrum, sea), "B", 20.0)
         assert 1.3 * shown.causal_m < worse.causal_m < 4.0 * shown.causal_m
 
 
@@ -102,7 +102,7 @@ def test_the_noise_of_a_sensor_is_what_its_records_have() -> None:
     noise = still.az_mps2 - np.mean(still.az_mps2)
     n = noise.size
     periodogram = 2.0 * np.abs(np.fft.rfft(noise)) ** 2 / (n * 10.0)
-    f = np.fft.rfftfreq(n, 0.1)
+    f = np.asarray(np.fft.rfftfreq(n, 0.1), dtype=np.float64)
     expected = scenarios.accelerometer_noise(f, SENSORS["B"], 10.0)
     model = SENSORS["B"]
     undone = model.scale**2 / (1.0 + (f / model.bandwidth_hz) ** 4)  # noise is added behind scale and low-pass

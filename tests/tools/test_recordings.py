@@ -14,7 +14,7 @@ needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the real recordings a
 
 
 def inside(t: np.ndarray, fade_s: float = recordings.FADE_S) -> np.ndarray:
-    return (t > fade_s + 5.0) & (t < t[-1] - fade_s - 5.0)
+    return np.asarray((t > fade_s + 5.0) & (t < t[-1] - fade_s - 5.0))
 
 
 def test_a_buoy_on_a_sine_becomes_an_imu_on_that_sine(tmp_path: Path) -> None:

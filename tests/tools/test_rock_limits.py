@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from evidence.limits import autocovariance, causal_heave_limit, holed_prediction_limit, prediction_limit
+from numpy.typing import NDArray
 from scipy.linalg import expm, solve_continuous_are, solve_discrete_are
 
+Array = NDArray[np.float64]
 
-def test_autocovariance_of_an_exponentially_correlated_process():
+
+def test_autocovariance_of_an_exponentially_correlated_process() -> None:
     f = np.arange(0.0, 400.0, 1 / 200)
     rate = 2.0
     spectrum = 4 * rate / (rate**2 + (2 * np.pi * f) ** 2)  # variance 1
@@ -16,11 +21,11 @@ def test_autocovariance_of_an_exponentially_correlated_process():
     assert autocovariance(f, spectrum, lags) == pytest.approx(np.exp(-rate * lags), abs=2e-3)
 
 
-def resonator(omega, damping):
+def resonator(omega: float, damping: float) -> tuple[Array, Callable[[Array], Array]]:
     """x'' = -w^2 x - 2 z w x' + unit white noise: transition matrix and displacement spectrum (one-sided)."""
     a = np.array([[0.0, 1.0], [-(omega**2), -2 * damping * omega]])
 
-    def spectrum(f):
+    def spectrum(f: Array) -> Array:
         w = 2 * np.pi * f
         return 2 / ((omega**2 - w**2) ** 2 + (2 * damping * omega * w) ** 2)
 
@@ -28,12 +33,12 @@ def resonator(omega, damping):
 
 
 @pytest.mark.parametrize("noise_std", [0.02, 0.3])
-def test_prediction_limit_is_the_kalman_predictor_of_a_resonator(noise_std):
+def test_prediction_limit_is_the_kalman_predictor_of_a_resonator(noise_std: float) -> None:
     omega, damping, rate = 2 * np.pi / 5, 0.1, 20.0
     a, spectrum = resonator(omega, damping)
     horizons = np.array([0.05, 0.15, 1.0])
 
-    def noise_over(dt):
+    def noise_over(dt: float) -> Array:
         block = expm(np.block([[-a, np.diag([0.0, 1.0])], [np.zeros((2, 2)), a.T]]) * dt)
         return block[2:, 2:].T @ block[:2, 2:]
 
@@ -48,13 +53,13 @@ def test_prediction_limit_is_the_kalman_predictor_of_a_resonator(noise_std):
     assert found == pytest.approx(expected, rel=2e-3)
 
 
-def test_prediction_limit_needs_noise():
+def test_prediction_limit_needs_noise() -> None:
     f = np.arange(0.0, 1.0, 0.01)
     with pytest.raises(ValueError, match="noise_std"):
         prediction_limit(f, np.ones_like(f), 0.0, 20.0, np.array([0.05]))
 
 
-def test_the_limit_in_holes_is_that_of_whole_records_where_there_are_none_and_grows_with_the_age_of_the_last_sample():
+def test_the_limit_in_holes_is_that_of_whole_records_without_any_and_grows_with_the_age_of_the_last_sample() -> None:
     _, spectrum = resonator(2 * np.pi / 8.0, 0.1)
     f = np.arange(0.0, 20.0, 1 / 400)
     density, horizons = spectrum(f), np.array([0.1, 0.5, 1.0])
@@ -73,7 +78,7 @@ def test_the_limit_in_holes_is_that_of_whole_records_where_there_are_none_and_gr
 
 
 @pytest.mark.parametrize("noise_psd", [1e-4, 1e-2])
-def test_causal_heave_limit_is_the_kalman_bucy_filter(noise_psd):
+def test_causal_heave_limit_is_the_kalman_bucy_filter(noise_psd: float) -> None:
     """A resonator driven by a slowly forgetting force: its acceleration holds no white noise of its own."""
     omega, damping, forget = 2 * np.pi / 8, 0.2, 1.0
     a = np.array([[0.0, 1.0, 0.0], [-(omega**2), -2 * damping * omega, 1.0], [0.0, 0.0, -forget]])
@@ -87,7 +92,7 @@ def test_causal_heave_limit_is_the_kalman_bucy_filter(noise_psd):
     assert causal_heave_limit(f, heave, noise_psd) == pytest.approx(np.sqrt(p[0, 0]), rel=5e-3)
 
 
-def test_waiting_lowers_the_limit_down_to_the_two_sided_wiener_filter():
+def test_waiting_lowers_the_limit_down_to_the_two_sided_wiener_filter() -> None:
     f = np.arange(0.0, 10.0, 1 / 800)
     ratio = f * 8.0
     heave = 1e-2 / ((1 - ratio**2) ** 2 + (0.4 * ratio) ** 2)
@@ -106,6 +111,6 @@ def test_waiting_lowers_the_limit_down_to_the_two_sided_wiener_filter():
         (np.array([0.0, 0.1, 0.2]), 0.0, "positive"),
     ],
 )
-def test_bad_grids_are_refused(f, noise, message):
+def test_bad_grids_are_refused(f: Array, noise: float, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         causal_heave_limit(f, np.ones(3), noise)

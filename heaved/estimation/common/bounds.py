@@ -8,9 +8,7 @@ from __future__ import annotations
 from math import radians
 from typing import Final
 
-from heaved.predictions import MOST_HEAVE_M
-
-HEAVE_M: Final = MOST_HEAVE_M
+HEAVE_M: Final = 20.0
 """Half of the highest wave ever measured by a buoy or a platform (19 m) and as much again."""
 HEAVE_VELOCITY_MPS: Final = 15.0
 HEAVE_ACCELERATION_MPS2: Final = 8.0

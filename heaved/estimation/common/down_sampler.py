@@ -1,9 +1,9 @@
-"""Samples of any rate averaged into beats of about 50 ms, far below the waves, for a filter that runs once per beat.
+"""Samples of any rate averaged into means of about 50 ms, far below the waves, for a filter that runs once for each.
 
 Whatever shakes the sensor near 20 or 40 Hz, a generator of 1200 revolutions, would fold into the waves. A plain mean of
-each beat lets a share |f - 20| / 20 of it through, a tenth of a m/s2 too much. So each beat is a triangular mean over
-itself and the one before (two plain means, one after the other), which leaves the square of that share. The time of a
-beat is the weighed mean of its samples': what the mean costs is the age of the beat, no phase.
+50 ms lets a share |f - 20| / 20 of it through, a tenth of a m/s2 too much. So each is a triangular mean over its own
+samples and those of the one before (two plain means, one after the other), which leaves the square of that share. The
+time of a mean is the weighed mean of its samples': what averaging costs is the age of the mean, no phase.
 """
 
 from __future__ import annotations
@@ -11,38 +11,52 @@ from __future__ import annotations
 from math import inf, isfinite, nan
 from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-BEAT_S: Final = 0.05
-BREAK_S: Final = 0.075
-"""A gap within a beat that is longer than this, and than 2.5 intervals, ends it: it is the mean of fewer."""
-BEAT_MIN_S: Final = 0.04
-"""Rings are sized for beats this short."""
-APART_S: Final = 0.02
-"""Stamps that come in bursts make one beat, and never one closer than this to the last: what is sized by time has a
-bound whatever the stamps are."""
-BEAT_INTERVALS: Final = 101
-BEAT_FIRST_INTERVALS: Final = 7
-"""Intervals from which the usual one is taken, and the first time."""
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """Of a :class:`DownSampler`; s."""
+
+    length_s: float = 0.05
+    """Of a mean: waves of 1 Hz lose nothing in it."""
+    least_s: float = 0.04
+    """What keeps means is sized for ones this short."""
+    apart_s: float = 0.02
+    """Stamps that come in bursts make one mean, and never one closer than this to the last: what is sized by time has a
+    bound whatever the stamps are."""
+    break_s: float = 0.075
+    """A gap within a mean that is longer than this, and than ..."""
+    break_intervals: float = 2.5
+    """... so many intervals, ends it: it is one of fewer."""
+    intervals: int = 101
+    """Intervals from which the usual one is taken,"""
+    first_intervals: int = 7
+    """and the first time."""
+
+
+TUNING: Final = Tuning()
 
 
 def passed(f_hz: Array, period_s: float, averaged: int) -> Array:
-    """What beats of ``averaged`` samples every ``period_s`` let through of the power at ``f_hz`` (n,) > 0."""
+    """What means of ``averaged`` samples every ``period_s`` let through of the power at ``f_hz`` (n,) > 0."""
     if averaged == 1:
         return np.ones_like(f_hz)
     half = np.pi * f_hz * period_s
     return np.asarray((np.sin(averaged * half) / (averaged * np.sin(half))) ** 4)
 
 
-class Beat:
+class DownSampler:
     """Averages a handful of samples into one; their mean time with them. Lost ones make it a mean of fewer.
 
-    What follows a gap is the plain mean of its own samples.
+    What follows a gap is the plain mean of its own samples. Nothing is dropped once the interval is known: what a gap
+    has cut short is given with the first sample after it.
 
-    Nothing is dropped once the interval is known: what a gap has cut short is given with the first sample after it.
+    Attributes:
+        period_s: usual interval of the samples; nan: not known yet.
     """
 
     def __init__(self, period_s: float = nan) -> None:
@@ -50,26 +64,25 @@ class Beat:
         self._given_s = -inf
         self._set(period_s)
         self._before: list[tuple[float, float]] = []
-        """Time and value of the samples of the beat before, when this one follows it."""
+        """Time and value of the samples of the mean before, when this one follows it."""
         self._samples: list[tuple[float, float]] = []
         self._previous_s = nan
         self._intervals: list[float] = []
 
-    def take(self, t_s: float, a_mps2: float) -> tuple[float, float] | None:
-        """The beat that this sample completes, or None."""
-        interval = t_s - self._previous_s
-        self._previous_s = t_s
+    def step(self, t_s: float, value: float) -> tuple[float, float] | None:
+        """Time and value of the mean that this sample completes, or None."""
+        interval_s, self._previous_s = t_s - self._previous_s, t_s
         done = None
-        if isfinite(interval):
-            was_whole_s = self._whole_s
-            self._learn(interval)
-            if was_whole_s == inf != self._whole_s:
-                self._samples.clear()  # What was begun before the interval was known is no beat.
-            elif interval > self._break_s and self._samples:
+        if isfinite(interval_s):
+            was_known = isfinite(self.period_s)
+            self._learn(interval_s)
+            if isfinite(self.period_s) and not was_known:
+                self._samples.clear()  # What was begun before the interval was known is no mean.
+            elif interval_s > self._break_s and self._samples:
                 done = self._mean()
                 self._before = []
-        self._samples.append((t_s, a_mps2))
-        if t_s - self._samples[0][0] < self._whole_s or t_s - self._given_s < APART_S or done is not None:
+        self._samples.append((t_s, value))
+        if t_s - self._samples[0][0] < self._whole_s or t_s - self._given_s < TUNING.apart_s or done is not None:
             return done
         return self._mean()
 
@@ -91,22 +104,22 @@ class Beat:
 
     @property
     def averaged(self) -> int:
-        """Samples in a beat."""
-        return max(1, int(BEAT_S / self.period_s + 0.25)) if isfinite(self.period_s) else 1
+        """Samples in a mean."""
+        return max(1, int(TUNING.length_s / self.period_s + 0.25)) if isfinite(self.period_s) else 1
 
     def _learn(self, interval_s: float) -> None:
         """The usual interval: a median, because a machine that was held up gives a long one and several short ones."""
         self._intervals.append(interval_s)
-        wanted = BEAT_INTERVALS if isfinite(self.period_s) else BEAT_FIRST_INTERVALS
+        wanted = TUNING.intervals if isfinite(self.period_s) else TUNING.first_intervals
         if len(self._intervals) >= wanted:
             self._set(sorted(self._intervals)[wanted // 2])
             self._intervals.clear()
 
     def _set(self, period_s: float) -> None:
-        """From its first sample on, a beat is whole after ``_whole_s``, and broken by a gap of ``_break_s``."""
+        """From its first sample on, a mean is whole after ``_whole_s``, and broken by a gap of ``_break_s``."""
         self.period_s = period_s
         if isfinite(period_s):
             self._whole_s = (self.averaged - 1.5) * period_s
-            self._break_s = max(2.5 * period_s, BREAK_S)
+            self._break_s = max(TUNING.break_intervals * period_s, TUNING.break_s)
         else:
             self._whole_s, self._break_s = inf, inf

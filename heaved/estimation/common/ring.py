@@ -1,10 +1,12 @@
-"""The recent past of a stream in a fixed block of memory, readable as one contiguous array without copying."""
+"""The recent past of a stream, column 0 or the first number its time: as an array, or as what is seldom asked for."""
 
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections import deque
 from collections.abc import Sequence
 from math import inf, nan
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +14,12 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-class Ring:
-    """The last ``capacity`` rows; column 0 is time (s), strictly increasing.
+class RingBuffer:
+    """The last ``capacity`` rows in a fixed block of memory; column 0 is time (s), strictly increasing.
 
-    Each row is written twice, ``capacity`` rows apart, so that any run of recent rows lies in one piece somewhere in
-    the doubled buffer. Searches take log2(capacity) looks at the time column and copy nothing.
+    Any run of recent rows is one contiguous array, without a copy: each row is written twice, ``capacity`` rows apart,
+    so that the run lies in one piece somewhere in the doubled buffer. Searches take log2(capacity) looks at the time
+    column.
     """
 
     def __init__(self, capacity: int, columns: int) -> None:
@@ -75,7 +78,7 @@ class Ring:
         recent: Array = view[bisect_left(view[:, 0], t) :]
         return recent
 
-    def interpolate(self, t: float) -> Array:
+    def at(self, t: float) -> Array:
         """The row (columns,) at time t, linear between its neighbours; all nan outside the stored span."""
         view = self.last(self._count)
         times = view[:, 0]
@@ -100,3 +103,29 @@ class Ring:
         """Forget every row; the memory stays."""
         self._next = self._count = 0
         self._latest = -inf
+
+
+class History:
+    """The last rows (time, values...), in order of time. Keeping one costs next to nothing: no array is written to,
+    and none can be had; where the past is read as one, :class:`RingBuffer` is the place.
+    """
+
+    def __init__(self, capacity: int) -> None:
+        self._rows: deque[tuple[float, ...]] = deque(maxlen=capacity)
+
+    def push(self, row: tuple[float, ...]) -> None:
+        """Append a row, whose time is later than that of the last one, dropping the oldest when full."""
+        self._rows.append(row)
+
+    def at(self, t_s: float) -> tuple[float, ...] | None:
+        """The row at ``t_s``, linear between its neighbours; None outside of what is kept."""
+        rows = self._rows
+        if not rows or not rows[0][0] <= t_s <= rows[-1][0]:
+            return None
+        place = bisect_left(rows, t_s, key=itemgetter(0))
+        after = rows[place]
+        if after[0] == t_s:
+            return after
+        before = rows[place - 1]
+        share = (t_s - before[0]) / (after[0] - before[0])
+        return (t_s, *[(1.0 - share) * a + share * b for a, b in zip(before[1:], after[1:], strict=True)])

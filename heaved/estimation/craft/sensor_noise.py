@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotrs
 
-from heaved.estimation.common.ring import Ring
+from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.craft.tuning import TUNING
 
 Array = NDArray[np.float64]
@@ -66,7 +66,7 @@ class CraftNoise:
         """All that was learned, and the record."""
         self._step_s = nan
         self._t_s = self._learned_s = -inf
-        self._ring: Ring | None = None
+        self._ring: RingBuffer | None = None
         self._learned: list[_Learned | None] = [None, None]
 
     def step(self, t_s: float, readings: tuple[float, float]) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -79,7 +79,7 @@ class CraftNoise:
         if self._ring is None or not 0.3 < since_s / self._step_s < 50.0:
             # The rate is that of the first interval, and another one when it changes.
             self._step_s = max(since_s, TUNING.shortest_step_s)
-            self._ring = Ring(int(TUNING.record_s / self._step_s) + 1, 3)
+            self._ring = RingBuffer(int(TUNING.record_s / self._step_s) + 1, 3)
             self._learned, self._learned_s = [None, None], t_s - TUNING.learn_every_s + TUNING.first_s
         steps = max(1, round(since_s / self._step_s))
         if steps == 1:

@@ -8,6 +8,7 @@ sample. What is fitted to the past is fitted beside the event loop: :meth:`Heave
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from enum import StrEnum
 from math import nan
 from typing import Final, Protocol
@@ -16,10 +17,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.estimation.common.bounds import HEAVE_M
 from heaved.estimation.heave.sea.model import SeaModel
 from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
-from heaved.predictions import HeaveForecasts
-from heaved.samples import DelayedHeave, SeaState
+from heaved.samples import DelayedHeave, HeaveForecast, SeaState
 
 Array = NDArray[np.float64]
 
@@ -32,6 +33,18 @@ class Motion(msgspec.Struct, frozen=True, gc=False):
 
 
 UNKNOWN: Final = Motion(nan, nan)
+
+
+def foretold(horizon_s: float, heave_m: float, std_m: float) -> HeaveForecast:
+    """A forecast, of which nothing is known where the heave is what no vessel does."""
+    if abs(heave_m) > HEAVE_M:
+        heave_m = std_m = nan
+    return HeaveForecast(horizon_s=horizon_s, heave_m=heave_m, std_m=std_m)
+
+
+def nothing_foretold(horizons_s: Sequence[float]) -> tuple[HeaveForecast, ...]:
+    """Nothing is known for any of the horizons."""
+    return tuple([HeaveForecast(horizon_s=h) for h in horizons_s])
 
 
 class Verdict(StrEnum):
@@ -109,7 +122,7 @@ class HeaveObserver(Protocol):
 
     def forecast(
         self, shift_s: float, learned_lead_s: float = 0.0, scale: float = 1.0, gain: float = 1.0
-    ) -> HeaveForecasts:
+    ) -> tuple[HeaveForecast, ...]:
         """Heave and :meth:`error_std_m` for each of the configured horizons after a moment ``shift_s`` after the last
         sample, both times ``gain``: what the laser has shown of the sensor's scale."""
 

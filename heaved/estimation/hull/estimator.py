@@ -25,7 +25,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.common.ring import Ring
+from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.common.rotations import ARCSEC, to_euler
 from heaved.estimation.hull.consistency import Consistency
 from heaved.estimation.hull.estimate import HullEstimate, HullState, Method, Params, ResetReason, Start
@@ -91,10 +91,10 @@ class HullDeformation:
         """Pairs come at this rate: begin."""
         p, self._rate_hz = self._params, rate_hz
         record_s = max(p.refit_after_s, TUNING.forecast_window_s) + 2.0 * TUNING.longest_start_s
-        self._ring = Ring(int(record_s * rate_hz), 9)
+        self._ring = RingBuffer(int(record_s * rate_hz), 9)
         self._out_hz = self._new_pair().out_hz
         self._least_noise = sqrt(2.0 * self._out_hz) * p.gyro_noise_deg_rth * DEG_RTH
-        self._slow = Ring(int(TUNING.forecast_window_s * self._out_hz), 4)
+        self._slow = RingBuffer(int(TUNING.forecast_window_s * self._out_hz), 4)
         """Slow rates midships."""
         self._start_over()
 

@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.common.ring import Ring
+from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.hull.tuning import TUNING
 from heaved.unchanged import Unchanged
 
@@ -46,7 +46,7 @@ class Stream:
 
     def __init__(self, max_rate_hz: float) -> None:
         self._max_rate_hz = max_rate_hz
-        self._ring = Ring(int(TUNING.kept_s * max_rate_hz), 4)
+        self._ring = RingBuffer(int(TUNING.kept_s * max_rate_hz), 4)
         self._unchanged = Unchanged()
         self.clear()
 

@@ -30,7 +30,6 @@ Where nothing shows them they stay nothing, which they may well be; how far they
 
 from __future__ import annotations
 
-from collections import deque
 from math import inf, nan
 from typing import Final
 
@@ -38,19 +37,19 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.imu import attitude_fit
-from heaved.estimation.imu.attitude_fit import HOLE_S, ROW_S, USUAL, Noise, Run
+from heaved.estimation.imu.attitude_fit import MEANS, TUNING, Noise, Run
 from heaved.samples import GRAVITY_MPS2
 
 Array = NDArray[np.float64]
 
-RECORD_S: Final = 600.0
-"""What an attitude sensor does in other seas, where it weighs its accelerometers otherwise, is forgotten."""
-EVERY_S: Final = 10.0
-"""Time between two looks."""
-FIRST_S: Final = 20.0
-"""Record before the first."""
-NO_SUMS: Final = (0.0,) * 10
+LEAN: Final = slice(MEANS, MEANS + 2)
+"""Columns of the record beside those of :func:`attitude_fit.runs`: the integrals as they stood,"""
+TAKEN: Final = MEANS + 2
+"""what has been taken out of the vertical acceleration,"""
+TURNED: Final = MEANS + 3
+"""and 1 where gyroscopes have measured all rates, else 0."""
 
 
 class Amendment(msgspec.Struct, frozen=True, eq=False):
@@ -71,25 +70,27 @@ class AttitudeError:
         covariance: (2, 2) of the two.
         noise: what not knowing them better leaves in the vertical acceleration, as of the last look; take it away.
         amendment: what has been found out that is worth amending the past for; take it away.
+        record: means over the last minutes, a row every quarter of a second.
     """
 
     def __init__(self) -> None:
         self.lean_per_s = self.late_s = 0.0
-        self.covariance: Array = 0.5 * np.diag(np.square(USUAL))
+        self.covariance: Array = 0.5 * np.diag(np.square(TUNING.usual))
         self.noise: Noise | None = None
         self.amendment: Amendment | None = None
+        self.record = RingBuffer(round(TUNING.record_s / TUNING.row_s), TURNED + 1)
         self._t_s = self._off_x = self._off_y = nan
         self._along = self._across = 0.0
         """Integrals of the apparent vertical against the measured one, less a straight line, rad s,"""
         self._rise_x = self._rise_y = 0.0
         """and how that rises, rad."""
-        self._rows: deque[tuple[float, ...]] = deque(maxlen=round(RECORD_S / ROW_S))
-        self._taken: deque[float] = deque(maxlen=round(RECORD_S / ROW_S))
-        """Of each row, what of its vertical acceleration has been taken out."""
         self._row, self._until_s, self._look_s = nan, -inf, nan
-        self._count, self._sums, self._are_rates_measured = 0, list(NO_SUMS), True
+        self._samples: list[tuple[float, ...]] = []
+        """Of the row that has begun."""
+        self._are_rates_measured = True
+        """In all of them."""
 
-    def corrected(
+    def step(
         self, t_s: float, x_mps2: float, y_mps2: float, up_mps2: float, roll_rad: float, pitch_rad: float,
         roll_radps: float, pitch_radps: float, *, are_rates_measured: bool,
     ) -> float:  # fmt: skip
@@ -98,68 +99,58 @@ class AttitudeError:
         """
         if t_s >= self._until_s:
             self._close(t_s)
-        elapsed_s = t_s - self._t_s
-        self._t_s = t_s
+        elapsed_s, self._t_s = t_s - self._t_s, t_s
         weight = GRAVITY_MPS2 + up_mps2
         x, y = x_mps2 / weight, y_mps2 / weight
-        if elapsed_s <= HOLE_S:
+        if elapsed_s <= TUNING.hole_s:
             self._along += elapsed_s * (0.5 * (x + self._off_x) - self._rise_x)
             self._across += elapsed_s * (0.5 * (y + self._off_y) - self._rise_y)
         else:
             self._along = self._across = 0.0
         self._off_x, self._off_y = x, y
-        along, across, sums = self._along, self._across, self._sums
-        sums[0] += up_mps2
-        sums[1] += y_mps2
-        sums[2] += x_mps2
-        sums[3] += roll_rad
-        sums[4] += pitch_rad
-        sums[5] += roll_radps
-        sums[6] += pitch_radps
-        sums[7] += across
-        sums[8] += along
-        self._count += 1
-        if not are_rates_measured:
-            self._are_rates_measured = False
-        k, late_s = self.lean_per_s, self.late_s
+        k, late_s, along, across = self.lean_per_s, self.late_s, self._along, self._across
         # The sensor has compared angle and apparent vertical of one moment.
         roll = k * (across - late_s * (roll_rad + y)) - late_s * roll_radps
         pitch = k * (along - late_s * (pitch_rad + x)) - late_s * pitch_radps
         error = y_mps2 * roll + x_mps2 * pitch + 0.5 * weight * (roll * roll + pitch * pitch)
-        sums[9] += error
+        self._samples.append(
+            (up_mps2, y_mps2, x_mps2, roll_rad, pitch_rad, roll_radps, pitch_radps, across, along, error)
+        )
+        if not are_rates_measured:
+            self._are_rates_measured = False
         return up_mps2 - error
 
     def _close(self, t_s: float) -> None:
         """Keep the row that has ended, and look at them all when it is time to."""
-        if self._count:
-            share = 1.0 / self._count
-            *row, taken = [share * value for value in self._sums]
-            self._rows.append((self._row, *row, float(self._are_rates_measured)))
-            self._taken.append(taken)
-            self._count, self._sums, self._are_rates_measured = 0, list(NO_SUMS), True
+        if self._samples:
+            means = [sum(column) / len(self._samples) for column in zip(*self._samples, strict=True)]
+            self.record.push((self._row, *means, float(self._are_rates_measured)))
+            self._samples, self._are_rates_measured = [], True
             if t_s >= self._look_s:
-                self._look_s = t_s + EVERY_S
+                self._look_s = t_s + TUNING.every_s
                 self._look()
         else:
-            self._look_s = t_s + FIRST_S
-        self._row = t_s // ROW_S
-        self._until_s = ROW_S * (self._row + 1.0)
+            self._look_s = t_s + TUNING.first_s
+        self._row = t_s // TUNING.row_s
+        self._until_s = TUNING.row_s * (self._row + 1.0)
 
     def _look(self) -> None:
-        rows = np.array(self._rows)
-        record = attitude_fit.runs(rows[:, :8])
-        if not record or record[-1].number[-1] != rows[-1, 0]:
+        rows = self.record.last(len(self.record))
+        runs = attitude_fit.runs(rows)
+        if not runs or runs[-1].number[-1] != rows[-1, 0]:
             return
-        last = record[-1]
-        self._across += float(last.lean[-1, 0] - rows[-1, 8])
-        self._along += float(last.lean[-1, 1] - rows[-1, 9])
+        last = runs[-1]
+        across, along = (last.lean[-1] - rows[-1, LEAN]).tolist()
+        self._across += across
+        self._along += along
         self._rise_y, self._rise_x = last.rise.tolist()
-        turned = rows[:, 10] == 1.0
-        solution = self._learn(record, record if turned.all() else attitude_fit.runs(rows[turned, :8]))
-        error = np.concatenate([attitude_fit.error(run.made, solution) for run in record])
-        error = np.interp(rows[:, 0], np.concatenate([run.number for run in record]), error)
-        self.amendment = Amendment(ROW_S * (rows[:, 0] + 0.5), np.array(self._taken) - error)
-        self._taken = deque(error.tolist(), maxlen=self._taken.maxlen)
+        turned = rows[:, TURNED] == 1.0
+        solution = self._learn(runs, runs if turned.all() else attitude_fit.runs(rows[turned]))
+        error = np.concatenate([attitude_fit.error(run.made, solution) for run in runs])
+        error = np.interp(rows[:, 0], np.concatenate([run.number for run in runs]), error)
+        more = rows[:, TAKEN] - error
+        self.amendment = Amendment(TUNING.row_s * (rows[:, 0] + 0.5), more)
+        self.record.add(TAKEN, rows[:, 0], -more)
 
     def _learn(self, record: list[Run], turned: list[Run]) -> Array:
         """The two, as the record shows them; ``turned``: that part of it whose rates gyroscopes have measured."""

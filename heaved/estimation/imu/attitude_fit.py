@@ -20,37 +20,56 @@ from heaved.samples import GRAVITY_MPS2
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-USUAL: Final = (0.15, 0.1)
-"""Standard deviations of the two before anything is known, where they are not nothing: most that lean do within 5 to
-20 s; solutions take tens of milliseconds, accelerometers with a low-pass of 2 Hz a tenth of a second."""
-LOW_PASS_S: Final = 0.02
-"""The same of how late accelerometers are against gyroscopes, where their low-passes are not the same."""
-ROW_S: Final = 0.25
-"""The record is of means over this: waves lose nothing in them, vibration is averaged out."""
-HOLE_S: Final = 1.0
-"""Longer without a sample the vessel may have done anything; the record is in runs between such holes."""
-LINE_S: Final = 20.0
-"""How the integral of a shorter run rises is not known: a level bias makes some hundredths of a radian second of it."""
-PIECE_S: Final = 128.0
-"""Length of the pieces of which spectra are made: 8 mHz, by which waves of 12 s are told from what is below them."""
-OVERLAP: Final = 4
-"""Pieces begin so many times as often as they are long."""
-PIECES: Final = 3
-"""Before anything is concluded: of fewer, noise is not known well enough to weigh by it."""
-LOWEST: Final = 2
-"""First frequency of a piece that is free of its mean: its window has the width of two."""
-WAVES_HZ: Final = (0.03, 0.8)
-"""Where the peak of the acceleration is looked for, above which nothing is: noise of the angles is in both sides of the
-equation there."""
-CORRELATED: Final = 3.7
-"""Pieces that overlap by three quarters, and neighbouring frequencies under a Hann window, tell by so much less than
-independent ones: the sums of the squares of their correlations, 1 + 2 (0.66^2 + 0.17^2) and 1 + 2 (0.67^2 + 0.17^2)."""
-ROUNDS: Final = 3
-"""The products are not quite linear in the two, and noise is what the last solution leaves."""
-TURNS: Final = 80
-"""Rows in which gyroscopes say what the two are, at least: two waves or three."""
-TURNED_PER_S: Final = 0.003
-"""Standard deviation of the k that they show, for what they do not fit otherwise."""
+NUMBER, UP, LEVEL, ANGLE, RATE, MEANS = 0, 1, slice(2, 4), slice(4, 6), slice(6, 8), 8
+"""Columns of a record: number of a row (its time over that between rows), and its means: acceleration up, to port and
+forward in the measured level frame, roll, pitch and their rates; and how many that are."""
+
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """What is held of attitude sensors, and how the record is made and looked at."""
+
+    usual: tuple[float, float] = (0.15, 0.1)
+    """Standard deviations of the two (1/s, s) before anything is known, where they are not nothing: most that lean do
+    within 5 to 20 s; solutions take tens of milliseconds, accelerometers with a low-pass of 2 Hz a tenth
+    of a second."""
+    low_pass_s: float = 0.02
+    """The same of how late accelerometers are against gyroscopes, where their low-passes are not the same."""
+    record_s: float = 600.0
+    """What an attitude sensor does in other seas, where it weighs its accelerometers otherwise, is forgotten."""
+    every_s: float = 10.0
+    """Time between two looks."""
+    first_s: float = 20.0
+    """Record before the first."""
+    row_s: float = 0.25
+    """The record is of means over this: waves lose nothing in them, vibration is averaged out."""
+    hole_s: float = 1.0
+    """Longer without a sample the vessel may have done anything; the record is in runs between such holes."""
+    line_s: float = 20.0
+    """How the integral of a shorter run rises is not known: a level bias makes some hundredths of a radian second."""
+    piece_s: float = 128.0
+    """Length of the pieces of which spectra are made: 8 mHz, by which waves of 12 s are told from what is below."""
+    overlap: int = 4
+    """Pieces begin so many times as often as they are long."""
+    pieces: int = 3
+    """Before anything is concluded: of fewer, noise is not known well enough to weigh by it."""
+    lowest: int = 2
+    """First frequency of a piece that is free of its mean: its window has the width of two."""
+    waves_hz: tuple[float, float] = (0.03, 0.8)
+    """Where the peak of the acceleration is looked for, above which nothing is: noise of the angles is in both sides of
+    the equation there."""
+    correlated: float = 3.7
+    """Pieces that overlap by three quarters, and neighbouring frequencies under a Hann window, tell by so much less
+    than independent ones: the sums of the squares of their correlations, 1 + 2 (0.66^2 + 0.17^2) and
+    1 + 2 (0.67^2 + 0.17^2)."""
+    rounds: int = 3
+    """The products are not quite linear in the two, and noise is what the last solution leaves."""
+    turns: int = 80
+    """Rows in which gyroscopes say what the two are, at least: two waves or three."""
+    turned_per_s: float = 0.003
+    """Standard deviation of the k that they show, for what they do not fit otherwise."""
+
+
+TUNING: Final = Tuning()
 
 
 class Belief(msgspec.Struct, frozen=True, eq=False):
@@ -62,7 +81,7 @@ class Belief(msgspec.Struct, frozen=True, eq=False):
     """(2,) that times the mean of what it comes from."""
     null: tuple[float, float] = (0.0, 0.0)
     """What they may as well be, and by which standard deviations they are else off that."""
-    spread: tuple[float, float] = USUAL
+    spread: tuple[float, float] = TUNING.usual
 
 
 NOTHING: Final = Belief(np.zeros((2, 2)), np.zeros(2))
@@ -70,7 +89,7 @@ NOTHING: Final = Belief(np.zeros((2, 2)), np.zeros(2))
 
 
 class Run(msgspec.Struct, frozen=True, eq=False, kw_only=True):
-    """A stretch of the record without a hole, a row every ROW_S; arrays (n,), rad, of roll and of pitch (n, 2)."""
+    """A stretch of the record without a hole, evenly spaced; arrays (n,), rad, of roll and of pitch (n, 2)."""
 
     number: Array
     made: Array
@@ -95,24 +114,22 @@ class Noise(msgspec.Struct, frozen=True, eq=False):
 
 
 def runs(rows: Array) -> list[Run]:
-    """The record in runs. ``rows`` (n, 8): number of a row (time over ROW_S) and its means: acceleration up, to port
-    and forward in the measured level frame, roll, pitch and their rates.
-    """
-    ends = np.flatnonzero(np.diff(rows[:, 0]) > HOLE_S / ROW_S) + 1
-    return [_run(part) for part in np.split(rows, ends) if len(part) > 1]
+    """The record, rows (n, MEANS) of columns as named above and any more, in runs."""
+    ends = np.flatnonzero(np.diff(rows[:, NUMBER]) > TUNING.hole_s / TUNING.row_s) + 1
+    return [_run(part) for part in np.split(rows[:, :MEANS], ends) if len(part) > 1]
 
 
 def _run(part: Array) -> Run:
-    number = np.arange(part[0, 0], part[-1, 0] + 0.5)
+    number = np.arange(part[0, NUMBER], part[-1, NUMBER] + 0.5)
     if len(number) > len(part):
-        part = np.column_stack([number] + [np.interp(number, part[:, 0], column) for column in part[:, 1:].T])
-    up, level, angle, rate = part[:, 1], part[:, 2:4], part[:, 4:6], part[:, 6:8]
+        part = np.column_stack([number] + [np.interp(number, part[:, NUMBER], column) for column in part[:, UP:].T])
+    up, level, angle, rate = part[:, UP], part[:, LEVEL], part[:, ANGLE], part[:, RATE]
     weight = GRAVITY_MPS2 + up
     off = level / weight[:, None]
     apart = np.zeros_like(off)
-    np.cumsum(0.5 * ROW_S * (off[1:] + off[:-1]), axis=0, out=apart[1:])
-    middle_s, rise = ROW_S * (number - number.mean()), np.zeros(2)
-    if len(part) * ROW_S > LINE_S:
+    np.cumsum(0.5 * TUNING.row_s * (off[1:] + off[:-1]), axis=0, out=apart[1:])
+    middle_s, rise = TUNING.row_s * (number - number.mean()), np.zeros(2)
+    if len(part) * TUNING.row_s > TUNING.line_s:
         rise = middle_s @ apart / float(middle_s @ middle_s)
     lean = apart - apart.mean(axis=0) - middle_s[:, None] * rise
     made = np.column_stack((
@@ -126,14 +143,14 @@ def _run(part: Array) -> Run:
     return Run(number=number, made=made, lean=lean, rise=rise, apart=apart, angle=angle, rate=rate)
 
 
-def spectra(record: Sequence[Run], size: int = round(PIECE_S / ROW_S)) -> Complex | None:
-    """(pieces, frequencies, 6) of what is made in every piece of ``size`` rows, a frequency for each 1 / (size ROW_S);
-    None: there is no run that long.
+def spectra(record: Sequence[Run], size: int = round(TUNING.piece_s / TUNING.row_s)) -> Complex | None:
+    """(pieces, frequencies, 6) of what is made in every piece of ``size`` rows, a frequency for each of their
+    length; None: there is no run that long.
     """
     window = np.hanning(size + 1)[:-1, None]
     pieces = []
     for run in record:
-        for first in range(len(run.made) - size, -1, -max(size // OVERLAP, 1)):
+        for first in range(len(run.made) - size, -1, -max(size // TUNING.overlap, 1)):
             piece = run.made[first : first + size]
             pieces.append(window * (piece - piece.mean(axis=0)))
     # Waves and all that matters here are below an eighth of the rate of the rows.
@@ -145,16 +162,16 @@ def below_waves(found: Complex, belief: Belief) -> tuple[Array, Array]:
     times its mean. The products are made linear about what it comes to with the ``belief``.
     """
     information, right = np.zeros((2, 2)), np.zeros(2)
-    if len(found) < PIECES:
+    if len(found) < TUNING.pieces:
         return information, right
-    low, high = (round(f * PIECE_S) for f in WAVES_HZ)
+    low, high = (round(f * TUNING.piece_s) for f in TUNING.waves_hz)
     peak = low + int(np.argmax(np.mean(np.abs(found[:, low:high, 0]) ** 2, axis=0)))
-    below, solution = found[:, LOWEST : peak + 1], np.array(belief.null)
+    below, solution = found[:, TUNING.lowest : peak + 1], np.array(belief.null)
     usual = np.diag(np.array(belief.spread) ** -2.0)
-    for _ in range(ROUNDS):
+    for _ in range(TUNING.rounds):
         left = below[..., 0] - error(below, solution)
         slopes = sensitivity(below, solution)
-        weighed = slopes.conj() * (2.0 / (CORRELATED * _smoothed(np.mean(np.abs(left) ** 2, axis=0))))[:, None]
+        weighed = slopes.conj() * (2.0 / (TUNING.correlated * _smoothed(np.mean(np.abs(left) ** 2, axis=0))))[:, None]
         information = np.einsum("pfi,pfj->ij", weighed, slopes).real
         right = np.einsum("pfi,pf->i", weighed, left + slopes @ solution).real
         all_right = right + belief.right + usual @ belief.null
@@ -177,14 +194,16 @@ def sensitivity(made: Complex, solution: Array) -> Complex:
 
 def noise(record: Sequence[Run], solution: Array, covariance: Array) -> Noise | None:
     """What the ``covariance`` of the two leaves open in the vertical acceleration, from whatever record there is."""
-    size = min(round(PIECE_S / ROW_S), max((len(run.made) for run in record), default=0))
+    size = min(round(TUNING.piece_s / TUNING.row_s), max((len(run.made) for run in record), default=0))
     found = spectra(record, size) if size else None
-    if found is None or found.shape[1] < LOWEST + 2:
+    if found is None or found.shape[1] < TUNING.lowest + 2:
         return None
-    slopes = sensitivity(found[:, LOWEST:], solution)
+    slopes = sensitivity(found[:, TUNING.lowest :], solution)
     power = np.einsum("pfi,ij,pfj->f", slopes.conj(), covariance, slopes).real / len(found)
     # Of a Hann window the mean square is 3/8.
-    return Noise(np.arange(LOWEST, found.shape[1]) / (size * ROW_S), 2.0 * ROW_S / (0.375 * size) * power)
+    return Noise(
+        np.arange(TUNING.lowest, found.shape[1]) / (size * TUNING.row_s), 2.0 * TUNING.row_s / (0.375 * size) * power
+    )
 
 
 def turned(record: Sequence[Run]) -> Belief:
@@ -195,7 +214,7 @@ def turned(record: Sequence[Run]) -> Belief:
     both angles, and a bias, are left open. The lateness is that against the gyroscopes: it is the one against the
     accelerometers, too, unless these have another low-pass.
     """
-    if sum(len(run.angle) for run in record) < TURNS:
+    if sum(len(run.angle) for run in record) < TUNING.turns:
         return NOTHING
     angle, rate, apart = (
         np.concatenate([np.diff(values, axis=0) for values in one])
@@ -208,16 +227,17 @@ def turned(record: Sequence[Run]) -> Belief:
         [apart[:, :1], -rate[:, :1], open_, none],
         [apart[:, 1:], -rate[:, 1:], none, open_],
     ])  # fmt: skip
-    left = (angle - 0.5 * ROW_S * twice).T.ravel()
-    inverse = np.linalg.pinv(terms.T @ terms, hermitian=True)
-    solution = inverse @ (terms.T @ left)
+    left = (angle - 0.5 * TUNING.row_s * twice).T.ravel()
+    # The normal equations, singular where the vessel lies still, for the solution and for the scatter of k.
+    sides = np.column_stack((terms.T @ left, np.eye(len(terms.T))[0]))
+    solution, of_k = np.linalg.lstsq(terms.T @ terms, sides)[0].T
     variance = float(np.mean((left - terms @ solution) ** 2))
-    k = 1.0 / (variance * inverse[0, 0] + TURNED_PER_S**2)
+    k = 1.0 / (variance * float(of_k[0]) + TUNING.turned_per_s**2)
     return Belief(
         np.diag([k, 0.0]),
         np.array([k * solution[0], 0.0]),
         null=(0.0, float(solution[1])),
-        spread=(USUAL[0], LOW_PASS_S),
+        spread=(TUNING.usual[0], TUNING.low_pass_s),
     )
 
 
@@ -230,10 +250,10 @@ def averaged(belief: Belief, information: Array, right: Array) -> tuple[Array, A
     right = belief.right + right - information @ null
     means, covariances, logs = np.zeros((4, 2)), np.zeros((4, 2, 2)), np.zeros(4)
     for i, case in enumerate(([0], [1], [0, 1]), start=1):
-        usual, told = np.diag(np.square(belief.spread)[case]), information[np.ix_(case, case)]
-        covariances[i][np.ix_(case, case)] = np.linalg.inv(told + np.linalg.inv(usual))
+        usual, told = np.square(belief.spread)[case], information[np.ix_(case, case)]
+        covariances[i][np.ix_(case, case)] = np.linalg.solve(told + np.diag(1.0 / usual), np.eye(len(case)))
         means[i] = covariances[i] @ right
-        logs[i] = 0.5 * right @ means[i] - 0.5 * np.linalg.slogdet(np.eye(len(case)) + usual @ told)[1]
+        logs[i] = 0.5 * right @ means[i] - 0.5 * np.linalg.slogdet(np.eye(len(case)) + usual[:, None] * told)[1]
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
     mean = weights @ means

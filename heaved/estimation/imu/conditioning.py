@@ -174,16 +174,15 @@ class Conditioner:
         gx, gy, gz = self._judge_rates(sample)
         attitude = None
         if isfinite(roll + pitch):
-            of_roll, of_pitch = self._roll_gate, self._pitch_gate
             attitude = Attitude(
                 t_s=attitude_t_s,
                 roll_rad=roll,
                 pitch_rad=pitch,
                 yaw_rad=yaw,
-                roll_rate_radps=of_roll.rate_radps,
-                pitch_rate_radps=of_pitch.rate_radps,
-                roll_std_rad=of_roll.std_rad,
-                pitch_std_rad=of_pitch.std_rad,
+                roll_rate_radps=self._roll_gate.rate_radps,
+                pitch_rate_radps=self._pitch_gate.rate_radps,
+                roll_std_rad=self._roll_gate.std_rad,
+                pitch_std_rad=self._pitch_gate.std_rad,
                 measured_s=attitude_t_s,
             )
         if t_s - self._noted_s >= TUNING.notes_every_s:

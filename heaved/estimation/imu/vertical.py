@@ -13,7 +13,7 @@ from typing import Final
 
 import msgspec
 
-from heaved.estimation.common.history import Trail
+from heaved.estimation.common.ring import History
 from heaved.estimation.common.sample_rate import Arrivals
 from heaved.estimation.imu.attitude import Attitude, AttitudePropagator, level_acceleration
 from heaved.estimation.imu.attitude_error import Amendment, AttitudeError
@@ -78,7 +78,7 @@ class Vertical:
         self.withheld = ""
         self.force_std_s = 0.0
         self._propagator = AttitudePropagator()
-        self._attitudes = Trail(int(max_rate_hz))
+        self._attitudes = History(int(max_rate_hz))
         self._t_s = nan
         self._tilt_removed, self._tilt_since_s = False, nan
         self._tilted_s = nan
@@ -117,7 +117,7 @@ class Vertical:
         x, y, up = level_acceleration(ax - level_bias.x_mps2, ay - level_bias.y_mps2, az, roll, pitch)
         # Angles moved back to where the accelerometers are would seem late against the gyroscopes.
         are_of_gyros = propagator.are_rates_measured and lag_s == 0.0
-        up = error.corrected(t_s, x, y, up, roll, pitch, *propagator.rates, are_rates_measured=are_of_gyros)
+        up = error.step(t_s, x, y, up, roll, pitch, *propagator.rates, are_rates_measured=are_of_gyros)
         # A bias across the deck is not all vertical on a vessel that rolls; what is left of it is the observer's.
         up += bias_mps2 * (1.0 - cos(roll) * cos(pitch))
         self._note_tilt(t_s, up - (az - GRAVITY_MPS2))
@@ -156,6 +156,10 @@ class Vertical:
     def attitude(self) -> Attitude:
         """Roll, pitch and yaw of the last sample, or of when they were last known."""
         return self._propagator.latest
+
+    def serves(self, t_s: float) -> bool:
+        """Whether that attitude may be published for a moment, on a straight line."""
+        return self._propagator.serves(t_s)
 
     def is_tilt_removed(self, t_s: float) -> bool:
         """Whether the vertical acceleration is free of the tilt, and the attitude known at ``t_s``."""

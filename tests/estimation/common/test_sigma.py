@@ -129,9 +129,9 @@ def test_linear_consistency(make: Callable[[int], PointSet]) -> None:
             x, P = result.x, result.P
             nees[k] += (truth - x) @ np.linalg.solve(P, truth - x)
             nis += result.nis
-    low, high = chi2.ppf([0.025, 0.975], runs * n)
+    low, high = (chi2.ppf(level, runs * n) for level in (0.025, 0.975))
     assert np.mean((nees > low) & (nees < high)) >= 0.85
-    low, high = chi2.ppf([0.025, 0.975], runs * steps * m)
+    low, high = (chi2.ppf(level, runs * steps * m) for level in (0.025, 0.975))
     assert low < nis < high
 
 

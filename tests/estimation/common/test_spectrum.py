@@ -13,7 +13,9 @@ BIN_HZ = 1.0 / WINDOW_S
 
 def acceleration(t: np.ndarray, *tones: tuple[float, float, float]) -> np.ndarray:
     """Of heave made of (amplitude m, frequency Hz, phase rad)."""
-    return -sum(A * (2 * np.pi * f) ** 2 * np.sin(2 * np.pi * f * t + phase) for A, f, phase in tones)
+    return np.asarray(
+        -np.sum([A * (2 * np.pi * f) ** 2 * np.sin(2 * np.pi * f * t + phase) for A, f, phase in tones], axis=0)
+    )
 
 
 def found(t: np.ndarray, a: np.ndarray, count: int = 1, band: tuple[float, float] = BAND_HZ) -> np.ndarray:
@@ -119,5 +121,5 @@ def test_the_rounding_of_a_straight_line_has_a_spectrum_of_zero(constant: float)
 
 
 def test_too_short_a_record_has_no_spectrum() -> None:
-    f, S = heave_spectrum(np.arange(5) * 0.1, np.ones(5), BAND_HZ, 60.0)
+    f, S = heave_spectrum(np.arange(5.0) * 0.1, np.ones(5), BAND_HZ, 60.0)
     assert len(f) == len(S) == 0

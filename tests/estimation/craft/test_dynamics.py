@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import exp, tanh
 
 import msgspec
@@ -30,7 +30,12 @@ NEUTRAL_PAIR = (0.0, 0.0)
 
 
 def written_out(
-    v: Vessel, state, speed, flaps=(0.0, 0.0), water=(0.0, 0.0), elevation=(0.0, 0.0)
+    v: Vessel,
+    state: Sequence[float] | Array,
+    speed: float,
+    flaps: Sequence[float] | Array = (0.0, 0.0),
+    water: Sequence[float] | Array = (0.0, 0.0),
+    elevation: Sequence[float] | Array = (0.0, 0.0),
 ) -> tuple[float, float]:
     """z'' and q' of one state: the equations of the module's head, one by one, in plain Python."""
     z, w, theta, q = state
@@ -51,7 +56,7 @@ def written_out(
     return force / v.mass_kg, moment / v.pitch_inertia_kgm2
 
 
-def jacobian(v: Vessel, at: Array, speed: float, flaps=NEUTRAL_PAIR) -> Array:
+def jacobian(v: Vessel, at: Array, speed: float, flaps: tuple[float, float] = NEUTRAL_PAIR) -> Array:
     """(4, 4) of the equations written out, by central differences."""
 
     def rate(state: Array) -> Array:
@@ -87,7 +92,9 @@ def zeros(f: Callable[[float], float], grid: Array) -> list[float]:
     ("speed", "flaps"),
     [(speed, NEUTRAL_PAIR) for speed in (0.0, 6.0, 14.0, 18.0, 30.0)] + [(9.0, (-0.1, 0.15)), (18.0, (0.05, -0.02))],
 )
-def test_the_trim_is_where_a_search_by_bisection_finds_it(vessel: Vessel, speed: float, flaps) -> None:
+def test_the_trim_is_where_a_search_by_bisection_finds_it(
+    vessel: Vessel, speed: float, flaps: tuple[float, float]
+) -> None:
     """For each heave the pitch without moment that is nearest to level, and among those the heave without force.
 
     There may be others (fast and far nose down, the aft foil in the air): the one that is taken must be stable.

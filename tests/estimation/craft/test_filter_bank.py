@@ -91,7 +91,9 @@ class LinearModes:
         self.H = np.eye(N)[list(OBSERVED)]
 
 
-def textbook_imm(model: LinearModes, x, P, mu, Pi, z) -> tuple[list[Array], list[Array], Array]:
+def textbook_imm(
+    model: LinearModes, x: list[Array], P: list[Array], mu: Array, Pi: Array, z: Array
+) -> tuple[list[Array], list[Array], Array]:
     """Bar-Shalom, Li & Kirubarajan 2001, 11.6.6, loop by loop, with inverses and a density from scipy."""
     predicted = [sum(Pi[i, j] * mu[i] for i in range(3)) for j in range(3)]
     new_x, new_P, weight = [], [], []
@@ -114,7 +116,9 @@ def test_on_a_linear_model_the_bank_is_the_textbook_imm() -> None:
     Pi = np.full((3, 3), move) + (keep - move) * np.eye(3)
     points = bank.stack([sigma.cubature(N)] * 3)
     ours, mu = Bank(np.zeros((3, N)), np.tile(np.eye(N), (3, 1, 1))), np.full(3, 1 / 3)
-    x, P, oracle_mu = [np.zeros(N)] * 3, [np.eye(N)] * 3, mu
+    x: list[Array] = [np.zeros(N)] * 3
+    P: list[Array] = [np.eye(N)] * 3
+    oracle_mu = mu
     for _ in range(100):
         z = 2.0 * rng.normal(size=2)
         mixed, mu = bank.mix(ours, mu, keep, move)

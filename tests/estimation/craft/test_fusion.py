@@ -5,21 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import deepcopy
 from math import inf, nan
+from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
-from evidence.attitude import VESSEL, Passage, follow, hull, voyage
+from evidence.craft import VESSEL, follow, voyage
 from numpy.typing import NDArray
 
+from heaved.demo.craft_at_sea import hull
 from heaved.estimation.craft.dynamics import FOILLESS, Craft
 from heaved.estimation.craft.fusion import AttitudeFusion, Mode, Params
 from heaved.estimation.craft.inputs import Caution
 from heaved.samples import CraftMotion
-from heaved.simulate.hydrofoil import Voyage, sail
+from heaved.simulate.hydrofoil import Passage, Voyage, sail
 
 Array = NDArray[np.float64]
 MODES = tuple(Mode)
+Moderate = tuple[Voyage, Array, Array]
+"""A voyage, its samples (n, 6) and its truth (n, 4) about the trim."""
 MODERATE = Passage(stages=((0.0, 1.0),), duration_s=24.0)
 T, HEAVE, PITCH, SPEED, FORE, AFT = range(6)
 AT_S, RECOVERED_S = 8.0, 17.0
@@ -148,7 +152,7 @@ DISASTERS = {
 
 
 @pytest.mark.parametrize("disaster", DISASTERS.values(), ids=DISASTERS.keys())
-def test_disasters_are_survived_said_and_got_over(moderate, disaster: Disaster) -> None:
+def test_disasters_are_survived_said_and_got_over(moderate: Moderate, disaster: Disaster) -> None:
     _, rows, truth = moderate
     fusion = AttitudeFusion()
     struck = disaster.strike(rows.copy())
@@ -171,7 +175,7 @@ def test_disasters_are_survived_said_and_got_over(moderate, disaster: Disaster) 
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_no_input_breaks_it(mode) -> None:
+def test_no_input_breaks_it(mode: Mode) -> None:
     """Garbage of every size in any field at any time: never an exception, but a number with its doubt, or nothing."""
     rng = np.random.default_rng(7)
     garbage = np.array([nan, inf, -inf, 0.0, 1e-300, 0.3, -0.3, 19.0, -19.0, 1e3, -1e9, 1e300])
@@ -190,7 +194,7 @@ def test_no_input_breaks_it(mode) -> None:
     assert given > 200
 
 
-def test_an_undisturbed_voyage_is_not_cautioned_about(moderate) -> None:
+def test_an_undisturbed_voyage_is_not_cautioned_about(moderate: Moderate) -> None:
     _, rows, _ = moderate
     fusion = AttitudeFusion()
     given = run(fusion, rows)
@@ -202,7 +206,7 @@ def test_an_undisturbed_voyage_is_not_cautioned_about(moderate) -> None:
     assert sum(fusion.gated) < 0.03 * 2 * len(rows)
 
 
-def test_while_nothing_is_measured_the_doubt_grows_to_that_of_the_sea_and_no_further(moderate) -> None:
+def test_while_nothing_is_measured_the_doubt_grows_to_that_of_the_sea_and_no_further(moderate: Moderate) -> None:
     _, rows, truth = moderate
     fusion = AttitudeFusion()
     blind = rows.copy()
@@ -215,7 +219,7 @@ def test_while_nothing_is_measured_the_doubt_grows_to_that_of_the_sea_and_no_fur
     assert abs(given[-1].heave_m) < 0.2 * heave_std[-1]
 
 
-def test_a_lost_factorisation_is_a_counted_reset(moderate) -> None:
+def test_a_lost_factorisation_is_a_counted_reset(moderate: Moderate) -> None:
     _, rows, _ = moderate
     for mode in MODES:
         fusion = AttitudeFusion(Params(mode=mode))
@@ -232,7 +236,7 @@ def test_a_lost_factorisation_is_a_counted_reset(moderate) -> None:
         assert fusion.resets == {"covariance": 1}
 
 
-def test_without_a_first_reading_there_is_no_estimate(moderate) -> None:
+def test_without_a_first_reading_there_is_no_estimate(moderate: Moderate) -> None:
     _, rows, _ = moderate
     fusion = AttitudeFusion()
     assert fusion.step(0.0, nan, nan, 18.0, 0.0, 0.0) is None
@@ -264,13 +268,13 @@ def test_the_interval_may_be_anything() -> None:
         assert np.all(squares < 3.0)
 
 
-def test_the_same_samples_give_the_same_estimates(moderate) -> None:
+def test_the_same_samples_give_the_same_estimates(moderate: Moderate) -> None:
     _, rows, _ = moderate
     first, second = (run(AttitudeFusion(), rows[:200]) for _ in range(2))
     assert first == second
 
 
-def test_equal_seas_are_one_filter(moderate) -> None:
+def test_equal_seas_are_one_filter(moderate: Moderate) -> None:
     """Three copies of one sea: whatever the mode, nothing can be gained or lost, and each sea stays as likely."""
     _, rows, _ = moderate
     rough = Params().seas[-1]
@@ -280,12 +284,13 @@ def test_equal_seas_are_one_filter(moderate) -> None:
         for one, other in zip(alone, among, strict=True):
             assert one is not None
             assert other is not None
+            last = other
             assert state(other) == pytest.approx(state(one), rel=1e-9, abs=1e-12)
             assert stds(other) == pytest.approx(stds(one), rel=1e-9)
-    assert other.probabilities == pytest.approx((1 / 3,) * 3)
+        assert last.probabilities == pytest.approx((1 / 3,) * 3)
 
 
-def test_instant_takes_per_channel_the_filter_with_the_smaller_innovation(moderate) -> None:
+def test_instant_takes_per_channel_the_filter_with_the_smaller_innovation(moderate: Moderate) -> None:
     """The patent's rule, replayed from outside: the prediction of each filter against the reading, squared."""
     _, rows, _ = moderate
     params = Params(mode=Mode.INSTANT, gate_sigma=20.0)
@@ -355,7 +360,7 @@ def test_a_vessel_without_foils() -> None:
         {"unknown": 1},
     ],
 )
-def test_impossible_settings_are_refused(bad) -> None:
+def test_impossible_settings_are_refused(bad: dict[str, Any]) -> None:
     with pytest.raises(msgspec.ValidationError):
         msgspec.convert(bad, Params)
 

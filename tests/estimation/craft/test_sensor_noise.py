@@ -43,7 +43,7 @@ def test_without_vibration_nothing_changes() -> None:
 
 @pytest.mark.parametrize("rate_hz", [20.0, 100.0])
 @pytest.mark.parametrize("shake", ["line-3.1", "line-3.1-strong", "lines", "line-8.7", "line-3.1, spikes, losses"])
-def test_lines_are_taken_out_and_what_is_left_of_them_is_said(shake, rate_hz) -> None:
+def test_lines_are_taken_out_and_what_is_left_of_them_is_said(shake: str, rate_hz: float) -> None:
     """From 30 s on: an error below 1.35 times the white noise of a reading, where the line has 1.7 to 3."""
     found = through(shake, rate_hz)[round(30.0 * rate_hz) :]
     error, said = found[:, 0], found[:, 1]

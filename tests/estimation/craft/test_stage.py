@@ -7,30 +7,30 @@ import math
 import msgspec
 import numpy as np
 import pytest
-from evidence.attitude import hull
 
+from heaved.demo.craft_at_sea import hull as craft_hull
 from heaved.estimation.craft.dynamics import Craft
 from heaved.estimation.craft.fusion import AttitudeFusion, Params
 from heaved.estimation.craft.stage import AttitudeStage
 from heaved.samples import CraftSample
-from heaved.simulate.hydrofoil import Passage, sail
+from heaved.simulate.hydrofoil import Passage, Voyage, sail
 
 ATTITUDE = Params(enabled=True)
 
 
 @pytest.fixture(scope="module")
-def voyage():
+def voyage() -> Voyage:
     """Heave from the trim."""
     craft = Craft(ATTITUDE.vessel)
     passage = Passage(stages=((0.0, 1.0),), duration_s=30.0)
     trim = craft.trim(passage.speed_mps)
-    made = sail(craft.accelerations, trim, [4], passage, hull(ATTITUDE.vessel))[0]
+    made = sail(craft.accelerations, trim, [4], passage, craft_hull(ATTITUDE.vessel))[0]
     return msgspec.structs.replace(
         made, heave_m=made.heave_m - trim[0], measured_heave_m=made.measured_heave_m - trim[0]
     )
 
 
-def craft_samples(voyage, fields: tuple[str, ...], delay_s: float = 0.0) -> list[CraftSample]:
+def craft_samples(voyage: Voyage, fields: tuple[str, ...], delay_s: float = 0.0) -> list[CraftSample]:
     columns = {
         "heave_m": voyage.measured_heave_m,
         "pitch_rad": voyage.measured_pitch_rad,
@@ -39,7 +39,7 @@ def craft_samples(voyage, fields: tuple[str, ...], delay_s: float = 0.0) -> list
         "flap_aft_rad": voyage.flap_aft_rad,
     }
     return [
-        CraftSample(t_s=t + delay_s, **{name: float(columns[name][i]) for name in fields})
+        msgspec.structs.replace(CraftSample(t_s=t + delay_s), **{name: float(columns[name][i]) for name in fields})
         for i, t in enumerate(voyage.t_s.tolist())
     ]
 
@@ -47,7 +47,7 @@ def craft_samples(voyage, fields: tuple[str, ...], delay_s: float = 0.0) -> list
 ALL = ("heave_m", "pitch_rad", "speed_mps", "flap_fore_rad", "flap_aft_rad")
 
 
-def test_one_device_of_all_is_the_estimator_itself(voyage) -> None:
+def test_one_device_of_all_is_the_estimator_itself(voyage: Voyage) -> None:
     stage, plain = AttitudeStage(ATTITUDE), AttitudeFusion(ATTITUDE)
     for sample in craft_samples(voyage, ALL):
         stage.push(sample)
@@ -61,7 +61,7 @@ def test_one_device_of_all_is_the_estimator_itself(voyage) -> None:
         assert stage.motion.probabilities == estimate.probabilities
 
 
-def test_three_devices_that_take_turns_are_nearly_as_good_as_one(voyage) -> None:
+def test_three_devices_that_take_turns_are_nearly_as_good_as_one(voyage: Voyage) -> None:
     """Pitch comes 10 ms before heave and half as often; speed and flaps between them."""
     parts = [
         *craft_samples(voyage, ("heave_m",)),
@@ -86,7 +86,7 @@ def test_three_devices_that_take_turns_are_nearly_as_good_as_one(voyage) -> None
     assert three[1] < 1.5 * one[1] + 0.001
 
 
-def test_pitch_alone_goes_on_when_heave_is_gone(voyage) -> None:
+def test_pitch_alone_goes_on_when_heave_is_gone(voyage: Voyage) -> None:
     stage = AttitudeStage(ATTITUDE)
     for sample in craft_samples(voyage, ALL):
         gone = sample.t_s > 15.0

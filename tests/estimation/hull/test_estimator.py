@@ -6,6 +6,7 @@ The Monte-Carlo with fifty runs is ``python tools/accuracy.py hull``; these are 
 from __future__ import annotations
 
 from math import pi, sqrt
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -38,7 +39,7 @@ def error_arcsec(record: Record, estimate: HullEstimate) -> np.ndarray:
 
 
 @pytest.mark.parametrize("scene", ["A1", "A2", "A4"])
-def test_the_default_method_reaches_the_bound(scene) -> None:
+def test_the_default_method_reaches_the_bound(scene: str) -> None:
     """150 s, refit after 120 s, 9 errors: their mean square exceeds 2.4 times its expectation once in a hundred."""
     method = Method(name="", params=Params(refit_after_s=120.0))
     row = summary(scene, "", [run(SCENE[scene], method, seed, 150.0) for seed in (1, 2, 3)])
@@ -49,7 +50,7 @@ def test_the_default_method_reaches_the_bound(scene) -> None:
 
 
 @pytest.mark.parametrize("method", [CKF, UKF], ids=lambda m: m.name)
-def test_with_a_proper_start_all_methods_coincide(method) -> None:
+def test_with_a_proper_start_all_methods_coincide(method: Any) -> None:
     """The filters of the source and the default one, told the flexure alike: the same errors to half the bound."""
     found, default = (run(SCENES["A1"], m, 4, 60.0) for m in (method, TOLD))
     assert np.abs(found.error_arcsec[-1] - default.error_arcsec[-1]) == pytest.approx(
@@ -64,7 +65,7 @@ def test_from_zero_the_filter_of_the_source_does_not_come_back() -> None:
 
 
 @pytest.mark.parametrize("scene", ["A3 heading", "A3 pitch", "A3 random"])
-def test_no_mounting_is_special(scene) -> None:
+def test_no_mounting_is_special(scene: str) -> None:
     """The errors of A2 at any mounting, but for the gyro noise, which is drawn anew: within 3 % of the bound."""
     turned, straight = (run(SCENE[name], Method(name="", params=SHORT), 7, 60.0) for name in (scene, "A2"))
     assert turned.error_arcsec[-1] == pytest.approx(straight.error_arcsec[-1], abs=0.03 * max(straight.bound_arcsec))
@@ -96,7 +97,7 @@ def clean() -> Row:
 
 
 @pytest.mark.parametrize("shake", ["line-3.1 in phase", "line-1.3", "spikes", "line-3.1, spikes, losses"])
-def test_a_hull_that_shakes_is_known_nearly_as_well(clean, shake) -> None:
+def test_a_hull_that_shakes_is_known_nearly_as_well(clean: Any, shake: str) -> None:
     """150 s, refit after 120 s, 9 errors: 1.5 times the clean ones and 5 arcsec, and true deviations."""
     shaken = shaken_row(shake)
     assert np.mean(shaken.rms_arcsec) < 1.5 * np.mean(clean.rms_arcsec) + 5.0
@@ -114,7 +115,9 @@ def test_a_hull_that_shakes_is_known_nearly_as_well(clean, shake) -> None:
         (10.0, 3.1, 0.0, 0.02),
     ],
 )
-def test_polls_of_any_rate_tell_what_vibrates_from_the_waves(rate_hz, line_hz, lost_share, jitter) -> None:
+def test_polls_of_any_rate_tell_what_vibrates_from_the_waves(
+    rate_hz: float, line_hz: float, lost_share: float, jitter: float
+) -> None:
     """4 mrad/s of a line that folds into the waves, or that is interpolated, would be some arc-minutes."""
     line = GyroLine(hz=line_hz, midships_radps=2e-3, local_radps=4e-3)
     rng, n = np.random.default_rng(7), round(60.0 * rate_hz)
@@ -272,7 +275,7 @@ def test_parameters_are_checked() -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [4.0, 20.0])
-def test_other_rates(rate_hz) -> None:
+def test_other_rates(rate_hz: float) -> None:
     t = np.arange(1, round(90.0 * rate_hz) + 1) / rate_hz
     record = simulate(SCENES["A1"], 8, t, t)
     last = estimates(record, HullDeformation(msgspec.structs.replace(SHORT, rate_hz=rate_hz)))[-1]

@@ -111,7 +111,7 @@ def test_an_impossible_reading_is_gated_and_a_broken_covariance_is_said() -> Non
 
 
 @pytest.mark.parametrize("kind", [Method.CKF, Method.UKF])
-def test_the_euler_filter_measures_what_the_kinematics_say(kind) -> None:
+def test_the_euler_filter_measures_what_the_kinematics_say(kind: Method) -> None:
     """C(eta) w1 + the local rate of the frame, the latter by differencing C: [w x] = -dC/dt C'."""
     filter = EulerFilter(kind, (0.3, -0.5, 2.0), FLEXURE, NOISE)
     eta, rate, h = np.array([0.3, -0.5, 2.0]), np.array([0.02, -0.03, 0.05]), 1e-6
@@ -128,7 +128,7 @@ def test_the_euler_filter_measures_what_the_kinematics_say(kind) -> None:
 
 
 @pytest.mark.parametrize("kind", [Method.CKF, Method.UKF])
-def test_near_the_truth_the_euler_filter_is_the_default_one(kind) -> None:
+def test_near_the_truth_the_euler_filter_is_the_default_one(kind: Method) -> None:
     """The same linear problem in two coordinates: the deviations about the hull's axes agree."""
     noise = Noise(
         alignment_rad=1e-3, bias_radps=1e-7, scale=1e-9, delay_s=1e-9, static_walk_rad_rts=0.0,
@@ -161,7 +161,7 @@ T = np.arange(50) / 10.0
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.005, -0.05, 0.12])
-def test_alignment_finds_the_rotation_and_the_delay(delay) -> None:
+def test_alignment_finds_the_rotation_and_the_delay(delay: float) -> None:
     known = motions(T, np.ones(3))
     late = motions(T - delay, np.ones(3))[:, 0]
     found = align(known, late @ MOUNT.T, 10.0, 0.15)

@@ -16,7 +16,7 @@ PRIOR = Flexure(np.full(3, 10 * ARCSEC), np.full(3, 0.3), np.full(3, 2 * np.pi *
 
 
 @pytest.mark.parametrize("dt", [1e-5, 1e-3, 0.1, 7.0, 3600.0])
-def test_the_discretisation_is_exact(dt):
+def test_the_discretisation_is_exact(dt: float) -> None:
     """F by the matrix exponential; Q by the integral of exp(As) G exp(A's), from the Lyapunov equation."""
     F, Q = TRUE.transition(dt)
     for i in range(3):
@@ -37,7 +37,7 @@ def test_the_discretisation_is_exact(dt):
     assert not off.any()
 
 
-def test_the_spectrum_holds_the_variance_of_the_rate():
+def test_the_spectrum_holds_the_variance_of_the_rate() -> None:
     """The integral over all frequencies is b^2 sigma^2."""
     for i in range(3):
         std, mu, lam = TRUE.std_rad[i] / ARCSEC, TRUE.mu_radps[i], TRUE.lambda_radps[i]
@@ -59,7 +59,7 @@ def process(seed: int, seconds: float, noise: float) -> np.ndarray:
     return np.array(rows)
 
 
-def test_the_fit_finds_the_parameters():
+def test_the_fit_finds_the_parameters() -> None:
     """300 s hold some 300 mu / pi independent periods: sigma to a fifth, mu to a half, the frequency to a few per cent.
 
     Nine records, so that the mean is three times as sharp.
@@ -75,7 +75,7 @@ def test_the_fit_finds_the_parameters():
     assert np.array([f.noise_radps for f in found]).mean(axis=0) == pytest.approx(np.full(3, noise), rel=0.05)
 
 
-def test_a_fit_of_nothing_stays_within_its_bounds():
+def test_a_fit_of_nothing_stays_within_its_bounds() -> None:
     for residual in (np.zeros((3000, 3)), np.full((3000, 3), 0.01)):
         result = fit(residual, 10.0, PRIOR, 1e-8)
         values = np.concatenate([result.flexure.std_rad, result.flexure.mu_radps, result.noise_radps])
@@ -83,7 +83,7 @@ def test_a_fit_of_nothing_stays_within_its_bounds():
         assert (values > 0.0).all()
 
 
-def test_information_of_tones_is_their_power_over_the_spectrum():
+def test_information_of_tones_is_their_power_over_the_spectrum() -> None:
     """A tone of rate amplitude A about x, a record of T: A^2 T / (2 S) about y (seen by z) and about z (seen by y)."""
     T, rate, f, A = 400.0, 10.0, 0.125, 0.05
     t = np.arange(round(T * rate)) / rate
@@ -99,7 +99,7 @@ def test_information_of_tones_is_their_power_over_the_spectrum():
     assert abs(J[0, 0]) < 1e-6 * J[1, 1]
 
 
-def test_the_forecast_is_the_bound_that_monte_carlo_reaches():
+def test_the_forecast_is_the_bound_that_monte_carlo_reaches() -> None:
     """Seed conditions: square root of the inverse information beside the covariance recursion of ``evidence.hull``."""
     from evidence.hull import bound
 

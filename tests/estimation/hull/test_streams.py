@@ -41,7 +41,9 @@ def merged(*streams: np.ndarray) -> list[tuple[int, int]]:
         (50.0, 50.0, 25.0),
     ],
 )
-def test_the_grid_follows_the_slower_stream_and_says_when_each_rate_was(midships_hz, local_hz, grid_hz) -> None:
+def test_the_grid_follows_the_slower_stream_and_says_when_each_rate_was(
+    midships_hz: float, local_hz: float, grid_hz: float
+) -> None:
     """A reading of a stream that is not averaged is what it was, when it was; what is averaged is flat to 1e-5."""
     rng = np.random.default_rng(1)
     times = stamps(rng, midships_hz, 30.0), stamps(rng, local_hz, 30.0)

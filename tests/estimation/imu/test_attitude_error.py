@@ -36,7 +36,8 @@ def recorded(lean_s: float, late_s: float, seed: int = 1) -> Recording:
 
 def run(recording: Recording, *, has_gyros: bool, hole: range = range(0)) -> tuple[AttitudeError, Array, Array]:
     """After the record, and the vertical acceleration as measured and corrected, less the true one; no samples in
-    ``hole``."""
+    ``hole``.
+    """
     one, found = AttitudeError(), []
     slope = [np.gradient(angle, 1.0 / RATE_HZ) for angle in (recording.roll_rad, recording.pitch_rad)]
     samples = [sample for sample in recording.samples() if isinstance(sample, ImuSample)]
@@ -47,7 +48,7 @@ def run(recording: Recording, *, has_gyros: bool, hole: range = range(0)) -> tup
         roll, pitch = sample.roll_rad, sample.pitch_rad
         rates = angle_rates(sample, roll, pitch)[:2] if has_gyros else (slope[0][i], slope[1][i])
         x, y, up = level_acceleration(sample.ax_mps2, sample.ay_mps2, sample.az_mps2, roll, pitch)
-        corrected = one.corrected(sample.t_s, x, y, up, roll, pitch, *rates, are_rates_measured=has_gyros)
+        corrected = one.step(sample.t_s, x, y, up, roll, pitch, *rates, are_rates_measured=has_gyros)
         found.append((up - true[i], corrected - true[i]))
     off = np.array(found)
     return one, off[:, 0], off[:, 1]
@@ -106,7 +107,7 @@ def test_gyroscopes_show_both_within_half_a_minute() -> None:
         roll, pitch = sample.roll_rad, sample.pitch_rad
         x, y, up = level_acceleration(sample.ax_mps2, sample.ay_mps2, sample.az_mps2, roll, pitch)
         rates = angle_rates(sample, roll, pitch)[:2]
-        one.corrected(sample.t_s, x, y, up, roll, pitch, *rates, are_rates_measured=True)
+        one.step(sample.t_s, x, y, up, roll, pitch, *rates, are_rates_measured=True)
         found.append((sample.t_s, one.lean_per_s, one.late_s))
         if sample.t_s > 35.0:
             break
@@ -129,7 +130,7 @@ def test_the_amendments_add_up_to_what_was_found_late() -> None:
         assert isinstance(sample, ImuSample)
         roll, pitch = sample.roll_rad, sample.pitch_rad
         x, y, up = level_acceleration(sample.ax_mps2, sample.ay_mps2, sample.az_mps2, roll, pitch)
-        up = one.corrected(sample.t_s, x, y, up, roll, pitch, slope[0][i], slope[1][i], are_rates_measured=False)
+        up = one.step(sample.t_s, x, y, up, roll, pitch, slope[0][i], slope[1][i], are_rates_measured=False)
         past.append((sample.t_s, up))
         if one.amendment is not None:
             t_s = np.array(past)[:, 0]
@@ -148,15 +149,16 @@ def test_the_amendments_add_up_to_what_was_found_late() -> None:
 def test_noise_is_what_the_covariance_leaves_open() -> None:
     """Against errors drawn from it: their variance is the area under the density."""
     one, _, _ = run(recorded(8.0, 0.04), has_gyros=False)
-    rows = np.array(one._rows)
-    record_ = attitude_fit.runs(rows[:, :8])
+    record_ = attitude_fit.runs(one.record.last(len(one.record)))
     solution, covariance = np.array([0.125, 0.04]), np.diag([1e-4, 1e-4])
     noise = attitude_fit.noise(record_, solution, covariance)
     assert noise is not None
     made = record_[0].made
     drawn = np.random.default_rng(1).multivariate_normal(np.zeros(2), covariance, 400)
     off = [attitude_fit.error(made, solution + one_off) - attitude_fit.error(made, solution) for one_off in drawn]
-    band = butter(4, (noise.f_hz[0], noise.f_hz[-1]), btype="bandpass", fs=1.0 / attitude_fit.ROW_S, output="sos")
+    band = butter(
+        4, (noise.f_hz[0], noise.f_hz[-1]), btype="bandpass", fs=1.0 / attitude_fit.TUNING.row_s, output="sos"
+    )
     variance = np.mean([np.var(sosfiltfilt(band, values)) for values in off])
     assert np.sum(noise.psd) * (noise.f_hz[1] - noise.f_hz[0]) == pytest.approx(variance, rel=0.35)
 
@@ -188,4 +190,4 @@ def test_bayes_average_against_a_grid() -> None:
 def test_nothing_is_concluded_from_nothing() -> None:
     mean, covariance = averaged(NOTHING, np.zeros((2, 2)), np.zeros(2))
     np.testing.assert_allclose(mean, 0.0)
-    np.testing.assert_allclose(np.sqrt(2.0 * np.diag(covariance)), attitude_fit.USUAL)
+    np.testing.assert_allclose(np.sqrt(2.0 * np.diag(covariance)), attitude_fit.TUNING.usual)

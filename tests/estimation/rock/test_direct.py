@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from math import nan, pi
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 import pytest
 from evidence.limits import prediction_limit
-from evidence.rock import ARCSEC, SCENES, motion, spectrum
+from evidence.rock.paper import ARCSEC, SCENES, motion, spectrum
+from numpy.typing import NDArray
 
 from heaved.estimation.rock.direct import DirectPredictor, Params
 from heaved.estimation.rock.estimator import DirectRockPredictor
@@ -19,18 +22,24 @@ from heaved.estimation.rock.normal_equations import NormalEquations, moments_of
 from heaved.estimation.rock.paced import PacedPredictor
 from heaved.estimation.rock.sample_clock import SampleClock
 
+Array = NDArray[np.float64]
+
 TURN = 2 * pi
 HORIZONS = Params().horizons_s
 
 
-def waves(t, seed=3, periods=(11.0, 12.3, 9.4), size=0.05):
+def waves(t: npt.ArrayLike, seed: int = 3, periods: Sequence[float] = (11.0, 12.3, 9.4), size: float = 0.05) -> Array:
     """A few incommensurate harmonics; exact at any time."""
     rng = np.random.default_rng(seed)
     phases = rng.uniform(0, TURN, len(periods))
-    return size * sum(np.sin(TURN * np.asarray(t) / p + f) for p, f in zip(periods, phases, strict=True)) / len(periods)
+    return np.asarray(
+        size * sum(np.sin(TURN * np.asarray(t) / p + f) for p, f in zip(periods, phases, strict=True)) / len(periods)
+    )
 
 
-def predict(t, x, params=None, rates=None):
+def predict(
+    t: npt.ArrayLike, x: npt.ArrayLike, params: Params | None = None, rates: npt.ArrayLike | None = None
+) -> tuple[Array, DirectPredictor]:
     """Feed (n,) or (n, channels); predictions (n, H, channels) and the predictor."""
     x = np.asarray(x, dtype=float)
     x = x[:, None] if x.ndim == 1 else x
@@ -40,7 +49,7 @@ def predict(t, x, params=None, rates=None):
     return np.array(out), predictor
 
 
-def rms(error):
+def rms(error: npt.ArrayLike) -> float:
     return float(np.sqrt(np.mean(np.square(error))))
 
 
@@ -48,7 +57,7 @@ def rms(error):
 
 
 @pytest.mark.parametrize("interval_s", [0.005, 0.05, 0.2])
-def test_lag_means_are_the_weighted_means_they_are_said_to_be(interval_s):
+def test_lag_means_are_the_weighted_means_they_are_said_to_be(interval_s: float) -> None:
     knots = lag_knots(interval_s, 10.0)
     count = int(knots[-1])
     window = SampleWindow(knots, 2, count + 3)
@@ -61,7 +70,7 @@ def test_lag_means_are_the_weighted_means_they_are_said_to_be(interval_s):
     np.testing.assert_allclose(window.means(), expected, atol=1e-8)
 
 
-def test_replacing_samples_leaves_what_had_been_given_so_at_once():
+def test_replacing_samples_leaves_what_had_been_given_so_at_once() -> None:
     knots = lag_knots(0.05, 5.0)
     x = np.random.default_rng(2).standard_normal((500, 1))
     right, wrong = (SampleWindow(knots, 1, 120) for _ in range(2))
@@ -74,7 +83,7 @@ def test_replacing_samples_leaves_what_had_been_given_so_at_once():
 
 
 @pytest.mark.parametrize("interval_s", [0.01, 0.05, 0.2])
-def test_the_extrapolation_is_exact_for_cubics(interval_s):
+def test_the_extrapolation_is_exact_for_cubics(interval_s: float) -> None:
     ahead = np.array([0.05, 0.5])
     taps = fading_taps(interval_s, ahead)
     t = np.arange(-taps.shape[1] + 1, 1) * interval_s
@@ -82,7 +91,7 @@ def test_the_extrapolation_is_exact_for_cubics(interval_s):
     assert taps @ cubic(t) == pytest.approx(cubic(ahead), abs=1e-8)
 
 
-def test_interpolation_between_samples_is_exact_for_cubics():
+def test_interpolation_between_samples_is_exact_for_cubics() -> None:
     ahead = np.array([1.0, 2.5, 3.3])
     found = between(ahead)
     cubic = np.polynomial.Polynomial([0.3, -0.2, 0.05, 0.01])
@@ -91,7 +100,7 @@ def test_interpolation_between_samples_is_exact_for_cubics():
     assert found.weights[0].tolist() == [0.0, 1.0, 0.0, 0.0]
 
 
-def test_the_equations_are_weighted_ridge_least_squares():
+def test_the_equations_are_weighted_ridge_least_squares() -> None:
     rng = np.random.default_rng(4)
     features, memory, ridge = 5, 200.0, 0.3
     x = rng.standard_normal((400, features))
@@ -110,7 +119,7 @@ def test_the_equations_are_weighted_ridge_least_squares():
     np.testing.assert_allclose(found.T, expected, rtol=1e-6)
 
 
-def test_equations_that_are_not_used_change_nothing():
+def test_equations_that_are_not_used_change_nothing() -> None:
     rng = np.random.default_rng(5)
     rows = rng.standard_normal((2, 40, 4))
     used = rng.random((40, 2)) < 0.5
@@ -127,7 +136,7 @@ def test_equations_that_are_not_used_change_nothing():
     assert NormalEquations(1, 1, 3, 100.0).solve(0, 0.1) is None
 
 
-def test_the_switch_finds_the_better_expert_and_a_calibrated_interval():
+def test_the_switch_finds_the_better_expert_and_a_calibrated_interval() -> None:
     """Errors of a heavy-tailed law: the Gaussian 1.96 would cover too much or too little, the adapted one 95 %."""
     rng = np.random.default_rng(6)
     switch = Switch(np.array([0.05]), 3, 1, np.array([2]))
@@ -146,7 +155,7 @@ def test_the_switch_finds_the_better_expert_and_a_calibrated_interval():
     assert switch.best[0, 0] == 0
 
 
-def test_a_young_expert_says_how_little_is_known_of_it():
+def test_a_young_expert_says_how_little_is_known_of_it() -> None:
     """4 deviations are exceeded once in ten thousand, however few errors there have been."""
     rng = np.random.default_rng(9)
     channels, horizon_s = 4000, 0.8
@@ -161,7 +170,7 @@ def test_a_young_expert_says_how_little_is_known_of_it():
     assert np.median(switch.std) == pytest.approx(np.sqrt(1.0 + (12.5 / 39.0) ** 1.5), rel=0.05)
 
 
-def test_a_lucky_expert_is_not_believed_at_once():
+def test_a_lucky_expert_is_not_believed_at_once() -> None:
     """One that has been right for a second, by chance, does not replace one that is known."""
     switch = Switch(np.array([0.5]), 2, 1, np.array([0]))
     for k in range(300):
@@ -177,7 +186,7 @@ def test_a_lucky_expert_is_not_believed_at_once():
     assert switch.best[0, 0] == 1
 
 
-def test_a_list_that_comes_about_opens_the_deviations():
+def test_a_list_that_comes_about_opens_the_deviations() -> None:
     """As soon as it shows, for all that it will do meanwhile."""
     t = np.arange(0.0, 200.0, 0.05)
     rng = np.random.default_rng(4)
@@ -198,7 +207,7 @@ def test_a_list_that_comes_about_opens_the_deviations():
     assert np.mean(np.abs(error[calm]) < 1.96 * std[:-20][calm]) > 0.9
 
 
-def test_a_steady_channel_takes_what_any_channel_takes():
+def test_a_steady_channel_takes_what_any_channel_takes() -> None:
     """With spikes, gaps, a stuck reading, a step of the level and a manoeuvre, against one never taken for steady."""
     rng = np.random.default_rng(11)
     n = 9000
@@ -233,7 +242,7 @@ def test_a_steady_channel_takes_what_any_channel_takes():
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.1])
-def test_the_clock_finds_interval_and_phase(jitter):
+def test_the_clock_finds_interval_and_phase(jitter: float) -> None:
     rng = np.random.default_rng(7)
     interval, n = 0.0503, 3000
     index = np.arange(n)[rng.random(n) > 0.1]
@@ -247,7 +256,7 @@ def test_the_clock_finds_interval_and_phase(jitter):
     assert not clock.changed()
 
 
-def test_the_clock_notices_another_rate():
+def test_the_clock_notices_another_rate() -> None:
     clock = SampleClock()
     clock.start((np.arange(11) / 20).tolist())
     for moment in (0.5 + np.arange(1, 60) / 25).tolist():
@@ -258,7 +267,7 @@ def test_the_clock_notices_another_rate():
 # -- against the optimal linear predictor ------------------------------------------------------------------------
 
 
-def test_error_over_the_optimal_linear_predictor():
+def test_error_over_the_optimal_linear_predictor() -> None:
     """All horizons, scored from 120 to 400 s, on a lightly damped roll and a well damped pitch."""
     scene, rate, duration = SCENES[0], 20.0, 400.0
     noise = scene.noise_arcsec * ARCSEC
@@ -278,7 +287,7 @@ def test_error_over_the_optimal_linear_predictor():
 
 
 @pytest.mark.parametrize(("rate_hz", "jitter_s"), [(5.0, 0.0), (12.8, 0.002), (30.0, 0.002), (100.0, 0.001)])
-def test_horizons_are_exact_at_any_rate(rate_hz, jitter_s):
+def test_horizons_are_exact_at_any_rate(rate_hz: float, jitter_s: float) -> None:
     """Noise of 1e-6: an error of 1 ms in time would show as 1 ms of slope, 3e-5 rad."""
     rng = np.random.default_rng(8)
     t = np.arange(int(90 * rate_hz)) / rate_hz
@@ -289,7 +298,7 @@ def test_horizons_are_exact_at_any_rate(rate_hz, jitter_s):
         assert rms(out[late, k, 0] - waves(t[late] + h)) < 1.5e-5, (h, rate_hz)
 
 
-def test_rates_help_where_the_angle_is_noisy():
+def test_rates_help_where_the_angle_is_noisy() -> None:
     """Attitude noise of 0.02 degrees, a gyroscope of 0.01 degrees/s per sample: errors against the truth."""
     scene = SCENES[-1]
     rng = np.random.default_rng(9)
@@ -307,7 +316,7 @@ def test_rates_help_where_the_angle_is_noisy():
 # -- the start ----------------------------------------------------------------------------------------------------
 
 
-def test_the_start_is_good_from_the_fifth_second_on():
+def test_the_start_is_good_from_the_fifth_second_on() -> None:
     scene, rate = SCENES[0], 20.0
     early, steady = [], []
     for seed in range(3):
@@ -326,41 +335,41 @@ def test_the_start_is_good_from_the_fifth_second_on():
 # -- disasters ----------------------------------------------------------------------------------------------------
 
 
-def calm_sea(rng, t):
+def calm_sea(rng: np.random.Generator, t: Array) -> Array:
     return np.stack([waves(t, seed) + 2e-5 * rng.standard_normal(len(t)) for seed in (1, 2)], axis=1)
 
 
-def nan_runs(t, x, rng):
+def nan_runs(t: Array, x: Array, rng: np.random.Generator) -> None:
     x[(t > 150) & (t < 151.5), 0] = nan
 
 
-def tenth_missing(t, x, rng):
+def tenth_missing(t: Array, x: Array, rng: np.random.Generator) -> None:
     x[rng.random(len(t)) < 0.1] = nan
 
 
-def spikes(t, x, rng):
+def spikes(t: Array, x: Array, rng: np.random.Generator) -> None:
     hit = (rng.random(len(t)) < 0.01) & (t > 70)
     x[hit, 0] += np.where(rng.random(hit.sum()) < 0.5, -0.3, 0.5)
 
 
-def infinite(t, x, rng):
+def infinite(t: Array, x: Array, rng: np.random.Generator) -> None:
     x[3000:3004, 0] = np.inf
 
 
-def level_step(t, x, rng):
+def level_step(t: Array, x: Array, rng: np.random.Generator) -> None:
     x[t > 150, 0] += 0.06
 
 
-def blackout(t, x, rng):
+def blackout(t: Array, x: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
     return (t < 150) | (t > 160)
 
 
-def stuck_axis(t, x, rng):
+def stuck_axis(t: Array, x: Array, rng: np.random.Generator) -> None:
     hold = (t > 150) & (t < 158)
     x[hold, 0] = x[hold, 0][0]
 
 
-def lost_polls(t, x, rng):
+def lost_polls(t: Array, x: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
     return rng.random(len(t)) > 0.1
 
 
@@ -378,7 +387,7 @@ DISASTERS = {
 
 
 @pytest.mark.parametrize("name", DISASTERS)
-def test_disasters(name):
+def test_disasters(name: str) -> None:
     """Motion of 0.03 rad, noise of 2e-5 rad; hold would be off by 2.6e-3 rad at 150 ms, RMS."""
     disaster, (begin, end), worst = DISASTERS[name]
     rng = np.random.default_rng(11)
@@ -402,7 +411,7 @@ def test_disasters(name):
 
 
 @pytest.mark.parametrize("seed", [1, 3])
-def test_what_spans_a_long_gap_is_not_learned_from(seed):
+def test_what_spans_a_long_gap_is_not_learned_from(seed: int) -> None:
     """Against the same record without the gap of 4 s, from 4 s after it on."""
     rng = np.random.default_rng(seed)
     ship = next(scene for scene in SCENES if scene.name == "under way")
@@ -419,12 +428,12 @@ def test_what_spans_a_long_gap_is_not_learned_from(seed):
             assert with_gap < 1.3 * without, (HORIZONS[horizon], axis)
 
 
-def test_a_heading_through_north_and_a_turn():
+def test_a_heading_through_north_and_a_turn() -> None:
     """Yaw of 0.01 rad about north for 150 s, then a turn by 90 degrees at up to 1.5 degrees/s, then steady again."""
     rng = np.random.default_rng(12)
     t = np.arange(400 * 20) / 20
 
-    def heading(t):
+    def heading(t: Array) -> Array:
         u = np.clip((t - 150.0) / 110.0, 0.0, 1.0)
         return np.radians(-1.0 + 90.0 * u**3 * (10.0 - 15.0 * u + 6.0 * u**2))
 
@@ -446,7 +455,7 @@ def test_a_heading_through_north_and_a_turn():
 @pytest.mark.parametrize(
     ("name", "signal"),
     [
-        ("zeros", lambda n: np.zeros(n)),
+        ("zeros", np.zeros),
         ("constant heel", lambda n: np.full(n, 0.123)),
         ("one quantum", lambda n: 0.1 + 1e-4 * (np.arange(n) > 3 * n // 4)),
         ("toggling quantum", lambda n: 0.1 + 1e-4 * (np.arange(n) % 7 == 0)),
@@ -454,7 +463,7 @@ def test_a_heading_through_north_and_a_turn():
         ("coarse waves", lambda n: 1e-3 * np.rint(waves(np.arange(n) / 20, size=0.004) / 1e-3)),
     ],
 )
-def test_a_still_ship_and_coarse_registers_give_calm_output(name, signal):
+def test_a_still_ship_and_coarse_registers_give_calm_output(name: str, signal: Callable[[int], Array]) -> None:
     n = 2600
     x = signal(n)
     out, _ = predict(np.arange(n) / 20, x)
@@ -464,7 +473,7 @@ def test_a_still_ship_and_coarse_registers_give_calm_output(name, signal):
     assert np.abs(out[1000:, :, 0] - x[1000:].mean()).max() <= 3e-3 + 2 * swing
 
 
-def test_another_sample_rate_begins_anew():
+def test_another_sample_rate_begins_anew() -> None:
     rng = np.random.default_rng(13)
     t = np.concatenate([np.arange(0, 60, 0.05), np.arange(60, 150, 0.02)])
     out, predictor = predict(t, waves(t) + 2e-5 * rng.standard_normal(len(t)))
@@ -473,7 +482,7 @@ def test_another_sample_rate_begins_anew():
     assert np.abs(out[late, 2, 0] - waves(t[late] + 0.15)).max() < 4e-4
 
 
-def test_time_that_runs_backwards():
+def test_time_that_runs_backwards() -> None:
     t = np.arange(400) / 20
     predictor = DirectPredictor(1)
     for moment in t.tolist():
@@ -486,7 +495,7 @@ def test_time_that_runs_backwards():
     assert value[2, 0] == pytest.approx(float(waves(moment + 0.15)), abs=2e-3)
 
 
-def test_a_missing_axis_is_unknown_and_disturbs_no_other():
+def test_a_missing_axis_is_unknown_and_disturbs_no_other() -> None:
     rng = np.random.default_rng(14)
     t = np.arange(1200) / 20
     x = calm_sea(rng, t)
@@ -498,7 +507,7 @@ def test_a_missing_axis_is_unknown_and_disturbs_no_other():
     np.testing.assert_allclose(lame[..., 0], whole[..., 0], atol=1e-9)
 
 
-def test_reset_forgets():
+def test_reset_forgets() -> None:
     t = np.arange(400) / 20
     x = waves(t)
     predictor = DirectPredictor(1)
@@ -509,6 +518,6 @@ def test_reset_forgets():
 
 
 @pytest.mark.parametrize("table", [{"horizon": 1}, {"horizons_s": [0.0]}, {"memory_s": 1.0}, {"max_gap_s": 0.0}])
-def test_wrong_settings_are_refused(table):
+def test_wrong_settings_are_refused(table: dict[str, object]) -> None:
     with pytest.raises(msgspec.ValidationError):
         msgspec.convert(table, Params)

@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from math import inf, isfinite, nan
+from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 import pytest
-from evidence.rock_shaken import unjudged
+from evidence.rock.shaken import unjudged
+from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_lyapunov
 
 from heaved.estimation.common.bounds import ANGLE_RAD
 from heaved.estimation.rock import maximum_likelihood as rock
-from heaved.estimation.rock.estimator import RockEstimator
+from heaved.estimation.rock.estimator import DirectRockPredictor, RockEstimator
 from heaved.estimation.rock.holes import NODES, ORDER, Autoregression, HoleFilter
 from heaved.predictions import Limits
 from heaved.samples import ImuSample
 from heaved.simulate.seaway import seaway
+
+Array = NDArray[np.float64]
+Predictor = Literal["direct", "ml"]
+Pattern = Callable[[Array, Array, np.random.Generator], None]
+"""Takes readings out of (n,) times and (n, 2) angles."""
 
 HORIZONS = np.array(rock.DEFAULT_HORIZONS_S)
 JUDGED = (0, 2, 3, 4)
@@ -30,17 +39,19 @@ END_S = {"direct": 150.0, "ml": 180.0}
 """of this length."""
 
 
-def truth(t, seed):
+def truth(t: npt.ArrayLike, seed: int) -> Array:
     motion = seaway("S5", seed).motion(np.asarray(t))
     return np.stack([motion.roll_rad, motion.pitch_rad], axis=1)
 
 
-def measured(rate_hz, seed, end_s):
+def measured(rate_hz: float, seed: int, end_s: float) -> tuple[Array, Array]:
     t = np.arange(round(end_s * rate_hz)) / rate_hz
     return t, truth(t, seed) + NOISE_RAD * np.random.default_rng(seed).standard_normal((len(t), 2))
 
 
-def predict(t, x, params=None, gyro=None):
+def predict(
+    t: Array, x: Array, params: rock.Params | None = None, gyro: Array | None = None
+) -> tuple[Array, Array, RockEstimator]:
     """Feed (n, 2) roll and pitch; predictions and deviations (n, H, 2), and the chain."""
     chain = RockEstimator(params or rock.Params())
     predicted, std = [], []
@@ -52,49 +63,49 @@ def predict(t, x, params=None, gyro=None):
     return np.array(predicted), np.array(std), chain
 
 
-def errors(t, predicted, seed):
+def errors(t: Array, predicted: Array, seed: int) -> Array:
     """(n, H, 2)."""
     return np.stack([predicted[:, h] - truth(t + ahead_s, seed) for h, ahead_s in enumerate(HORIZONS)], axis=1)
 
 
-def rms(error):
-    return np.sqrt(np.nanmean(error**2, axis=0))
+def rms(error: Array) -> Array:
+    return np.asarray(np.sqrt(np.nanmean(error**2, axis=0)))
 
 
 @cache
-def whole(rate_hz, seed, predictor):
+def whole(rate_hz: float, seed: int, predictor: Predictor) -> Array:
     """Errors of the record without holes."""
     t, x = measured(rate_hz, seed, END_S[predictor])
     return errors(t, predict(t, x, rock.Params(predictor=predictor))[0], seed)
 
 
-def random_rows(share):
-    def pattern(t, x, rng):
+def random_rows(share: float) -> Pattern:
+    def pattern(t: Array, x: Array, rng: np.random.Generator) -> None:
         x[rng.random(len(t)) < share] = nan
 
     return pattern
 
 
-def random_cells(share):
-    def pattern(t, x, rng):
+def random_cells(share: float) -> Pattern:
+    def pattern(t: Array, x: Array, rng: np.random.Generator) -> None:
         x[rng.random(x.shape) < share] = nan
 
     return pattern
 
 
-def every(step):
-    def pattern(t, x, rng):
+def every(step: int) -> Pattern:
+    def pattern(t: Array, x: Array, rng: np.random.Generator) -> None:
         x[np.arange(len(t)) % step != 0] = nan
 
     return pattern
 
 
-def bursts(t, x, rng):
+def bursts(t: Array, x: Array, rng: np.random.Generator) -> None:
     for begin in np.arange(t[0], t[-1], 5.0):
         x[(t >= begin) & (t < begin + rng.uniform(0.3, 1.5))] = nan
 
 
-def roll_alone(t, x, rng):
+def roll_alone(t: Array, x: Array, rng: np.random.Generator) -> None:
     x[rng.random(len(t)) < 0.6, 0] = nan
 
 
@@ -116,7 +127,7 @@ PATTERNS = {
 
 @pytest.mark.parametrize("name", PATTERNS)
 @pytest.mark.parametrize("predictor", ["direct", "ml"])
-def test_holes_for_a_while(name, predictor):
+def test_holes_for_a_while(name: str, predictor: Predictor) -> None:
     """What is said is meant, nothing is beyond a ship, and soon after the errors are those of a whole record."""
     rate_hz, pattern, most = PATTERNS[name]
     if predictor == "ml" and rate_hz != 20.0:
@@ -139,7 +150,7 @@ def test_holes_for_a_while(name, predictor):
         assert np.all(rms(error[holes][:, HALF]) < most * rms(usual[holes][:, HALF]))
 
 
-def _with(pattern, t, x, seed):
+def _with(pattern: Pattern, t: Array, x: Array, seed: int) -> Array:
     x = x.copy()
     pattern(t, x, np.random.default_rng(seed))
     return x
@@ -156,7 +167,7 @@ ALWAYS = {
 
 
 @pytest.mark.parametrize("name", ALWAYS)
-def test_holes_from_the_start(name):
+def test_holes_from_the_start(name: str) -> None:
     rate_hz, pattern, most_deg = ALWAYS[name]
     seed = 4
     t, x = measured(rate_hz, seed, 130.0)
@@ -170,7 +181,7 @@ def test_holes_from_the_start(name):
     assert not chain.resets
 
 
-def test_holes_with_a_gyroscope():
+def test_holes_with_a_gyroscope() -> None:
     seed, rate_hz = 6, 50.0
     t, x = measured(rate_hz, seed, 130.0)
     gyro = (truth(t + 1e-4, seed) - truth(t - 1e-4, seed)) / 2e-4
@@ -183,7 +194,7 @@ def test_holes_with_a_gyroscope():
     assert np.mean(np.abs(error[around][:, JUDGED]) > 4.0 * std[around][:, JUDGED]) < 2e-3
 
 
-def test_deviations_grow_with_the_age_of_the_newest_reading():
+def test_deviations_grow_with_the_age_of_the_newest_reading() -> None:
     """To 2 s without any; then nothing is said."""
     t, x = measured(20.0, 3, 100.0)
     x[t > 90.0] = nan
@@ -196,7 +207,7 @@ def test_deviations_grow_with_the_age_of_the_newest_reading():
     assert np.isnan(predicted[t > 92.3]).all()
 
 
-def test_a_step_in_holes_is_found():
+def test_a_step_in_holes_is_found() -> None:
     """A list of 15 degrees while 60 % is missing: the channel begins anew, and is right again."""
     t, x = measured(20.0, 3, 130.0)
     rng = np.random.default_rng(2)
@@ -222,11 +233,13 @@ STAMPS = {
 
 
 @pytest.mark.parametrize("name", STAMPS)
-def test_memory_is_bounded_whatever_the_stamps(name):
+def test_memory_is_bounded_whatever_the_stamps(name: str) -> None:
     """What is as long as some seconds of samples, or the samples of a block."""
     t = STAMPS[name]
     predicted, std, chain = predict(t, truth(t, 3))
+    assert isinstance(chain._predictor, DirectRockPredictor)
     predictor = chain._predictor.predictor
+    assert predictor is not None
     assert predictor._taking is None or predictor._interval_s >= 1e-3
     assert predictor.fed is None or predictor.fed._window.x.size < 2e6
     error = errors(t, predicted, 3)
@@ -236,7 +249,7 @@ def test_memory_is_bounded_whatever_the_stamps(name):
 
 
 @pytest.mark.parametrize("predictor", ["direct", "ml"])
-def test_random_registers_are_never_a_ship(predictor):
+def test_random_registers_are_never_a_ship(predictor: Predictor) -> None:
     t = np.arange(1200) / 20
     x = np.random.default_rng(1).uniform(-np.pi, np.pi, (len(t), 2))
     predicted, _, chain = predict(t, x, rock.Params(predictor=predictor))
@@ -244,7 +257,7 @@ def test_random_registers_are_never_a_ship(predictor):
     assert predictor == "ml" or chain.resets["rock", "out of bounds"] > 0
 
 
-def test_what_is_beyond_the_limits_is_left_out_from_there_on():
+def test_what_is_beyond_the_limits_is_left_out_from_there_on() -> None:
     limits = Limits((1.0, inf), 2.0)
     curves = np.array([[0.5, 0.0], [0.55, 0.1], [1.1, 0.2], [0.9, 9.0], [nan, nan]])
     kept = limits.kept(curves, (0.1, 0.2, 0.6, 1.0, 2.0))
@@ -256,20 +269,20 @@ def test_what_is_beyond_the_limits_is_left_out_from_there_on():
 # -- the filter ----------------------------------------------------------------------------------------------------
 
 
-def companion(coefficients):
+def companion(coefficients: Array) -> Array:
     matrix = np.eye(ORDER + 1, k=-1)
     matrix[0, :ORDER] = coefficients
     return matrix
 
 
-def resonant():
+def resonant() -> Array:
     """Coefficients of a damped wave of 8 s at nodes 0.2 s apart."""
     coefficients = np.zeros(ORDER)
     coefficients[:2] = 2 * 0.98 * np.cos(2 * np.pi * 0.2 / 8), -(0.98**2)
     return coefficients
 
 
-def test_looking_ahead_is_the_transition_to_a_power():
+def test_looking_ahead_is_the_transition_to_a_power() -> None:
     model = Autoregression(0.2, 5.0)
     model.step[:ORDER] = resonant() + 0.01 * np.random.default_rng(1).standard_normal(ORDER)
     model._look_ahead()
@@ -282,7 +295,7 @@ def test_looking_ahead_is_the_transition_to_a_power():
         assert model.grown[k] == pytest.approx(spread[0, 0])
 
 
-def test_the_filter_is_as_far_off_as_it_says():
+def test_the_filter_is_as_far_off_as_it_says() -> None:
     """A record of its own model, learned whole, then read in every third node at random: errors over deviations."""
     rng = np.random.default_rng(2)
     n, noise = 9000, 0.05
@@ -309,7 +322,7 @@ def test_the_filter_is_as_far_off_as_it_says():
     assert hole.model.variance == pytest.approx(stationary[0, 0], rel=0.25)
 
 
-def test_readings_that_are_refused_for_long_are_another_motion():
+def test_readings_that_are_refused_for_long_are_another_motion() -> None:
     hole = HoleFilter(1, 0.2, 5.0)
     rng = np.random.default_rng(3)
     y = np.cumsum(rng.standard_normal(600)) * 1e-3

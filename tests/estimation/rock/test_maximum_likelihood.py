@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from math import isnan, nan, pi
+from typing import Literal
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 import pytest
+from numpy.typing import NDArray
 
 from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S, Params, RockPredictor, carried
 from heaved.estimation.rock.regression import regression
 from heaved.samples import RockPrediction
 
+Mode = Literal["endpoint", "zero"]
+
+Array = NDArray[np.float64]
+
 TURN = 2 * pi
 
 
-def run(t, angles, params=None):
+def run(t: npt.ArrayLike, angles: npt.ArrayLike, params: Params | None = None) -> tuple[Array, Array]:
     """Feed (n, 3) angles; values and deviations, each (n, horizons, 3)."""
     predictor = RockPredictor(params if params is not None else Params(horizons_s=STANDARD_HORIZONS_S))
     value, std = [], []
@@ -26,7 +34,7 @@ def run(t, angles, params=None):
     return np.array(value), np.array(std)
 
 
-def ship(t):
+def ship(t: npt.ArrayLike) -> Array:
     """Three axes of incommensurate harmonics, rad."""
     t = np.asarray(t)
     roll = 0.05 * np.sin(TURN * t / 12) + 0.01 * np.sin(TURN * t / 9.1 + 1)
@@ -35,29 +43,29 @@ def ship(t):
     return np.stack([roll, pitch, yaw], axis=-1)
 
 
-def wrapped(angle):
+def wrapped(angle: Array) -> Array:
     return (angle + pi) % TURN - pi
 
 
-def ahead(t, horizons=(0.05, 0.10, 0.15)):
+def ahead(t: npt.ArrayLike, horizons: Sequence[float] = (0.05, 0.10, 0.15)) -> Array:
     """The true angles at each horizon after t, (n, horizons, 3)."""
     return np.stack([ship(np.asarray(t) + h) for h in horizons], axis=1)
 
 
-def rms(error):
-    return np.sqrt(np.mean(error**2, axis=(0, 1)))
+def rms(error: Array) -> Array:
+    return np.asarray(np.sqrt(np.mean(error**2, axis=(0, 1))))
 
 
 # -- the regression of eq. (6) ------------------------------------------------------------------------------------
 
 
-def sums(x, v, y):
+def sums(x: Array, v: Array, y: Array) -> list[list[float]]:
     columns = np.stack([x, v, np.ones_like(x), y])
-    return (columns @ columns.T).tolist()
+    return [[float(value) for value in row] for row in columns @ columns.T]
 
 
 @pytest.mark.parametrize("doubt", [0.0, 0.02, 1.0])
-def test_regression_is_least_squares_with_a_prior_on_the_constant(doubt):
+def test_regression_is_least_squares_with_a_prior_on_the_constant(doubt: float) -> None:
     rng = np.random.default_rng(5)
     x, v = rng.standard_normal(80) + 0.3, 0.05 * rng.standard_normal(80)
     y = 0.998 * (x - 0.2) + 1.1 * v + 0.2 + 0.01 + 0.003 * rng.standard_normal(80)
@@ -77,7 +85,7 @@ def test_regression_is_least_squares_with_a_prior_on_the_constant(doubt):
     assert found == pytest.approx(expected, abs=1e-9)
 
 
-def test_without_motion_the_prediction_is_hold():
+def test_without_motion_the_prediction_is_hold() -> None:
     still = np.full(9, 0.1)
     phi_x, phi_v, constant = regression(sums(still, 0 * still, still), 0.1, 1.0)
     assert (phi_x, phi_v) == (1.0, 0.0)
@@ -89,7 +97,7 @@ def test_without_motion_the_prediction_is_hold():
 
 @pytest.mark.parametrize("rate_hz", [12.8, 20.0, 30.0, 62.5, 100.0, 200.0])
 @pytest.mark.parametrize("jitter_s", [0.0, 0.001])
-def test_horizons_are_exact_at_any_rate(rate_hz, jitter_s):
+def test_horizons_are_exact_at_any_rate(rate_hz: float, jitter_s: float) -> None:
     """A horizon that is off by 2 ms would show as 2 ms of slope: 5e-5 rad here."""
     rng = np.random.default_rng(2)
     t = np.arange(int(9 * rate_hz)) / rate_hz
@@ -100,7 +108,7 @@ def test_horizons_are_exact_at_any_rate(rate_hz, jitter_s):
     assert rms(error).max() < 1.2e-5
 
 
-def test_other_horizons_too():
+def test_other_horizons_too() -> None:
     t = np.arange(1500) / 50
     params = Params(horizons_s=(0.12, 0.5, 0.034))
     assert RockPredictor(params).horizons_s == (0.034, 0.05, 0.10, 0.12, 0.15, 0.5)
@@ -109,7 +117,7 @@ def test_other_horizons_too():
     assert np.all(error < [1e-6, 2e-6, 5e-6, 1e-5, 2e-5, 5e-4])
 
 
-def test_a_constant_list_costs_nothing():
+def test_a_constant_list_costs_nothing() -> None:
     rng = np.random.default_rng(4)
     t = np.arange(800) / 20
     motion = ship(t) + 1e-5 * rng.standard_normal((len(t), 3))
@@ -122,7 +130,7 @@ def test_a_constant_list_costs_nothing():
     assert bent == pytest.approx(straight, rel=1e-3)
 
 
-def test_before_two_seconds_nothing_is_claimed():
+def test_before_two_seconds_nothing_is_claimed() -> None:
     t = np.arange(400) / 20
     value, std = run(t, ship(t))
     assert np.all(np.isnan(value[:39]))
@@ -131,7 +139,7 @@ def test_before_two_seconds_nothing_is_claimed():
     assert np.all(np.isfinite(std[40 + 7 * 20 :]))
 
 
-def test_zero_start_waits_for_its_window_and_is_worse_at_first():
+def test_zero_start_waits_for_its_window_and_is_worse_at_first() -> None:
     rng = np.random.default_rng(1)
     t = np.arange(1200) / 20
     motion = ship(t) + [0.1, 0.1, 0.0] + 1e-5 * rng.standard_normal((len(t), 3))
@@ -143,7 +151,7 @@ def test_zero_start_waits_for_its_window_and_is_worse_at_first():
     assert np.all(rms(error[210:310])[:2] > 3 * rms(error[500:])[:2])
 
 
-def test_yaw_wraps():
+def test_yaw_wraps() -> None:
     t = np.arange(1000) / 50
     heading = np.radians(359.5) + 0.03 * np.sin(TURN * t / 10)
     angles = np.stack([0 * t, 0 * t, heading % TURN], axis=1)
@@ -156,7 +164,7 @@ def test_yaw_wraps():
 
 
 @pytest.mark.parametrize("noise_rad", [0.0, 1e-4])
-def test_a_steady_turn_does_not_lag(noise_rad):
+def test_a_steady_turn_does_not_lag(noise_rad: float) -> None:
     """3 degrees/s: predicting 'hold' would be off by 7.9e-3 rad."""
     rng = np.random.default_rng(9)
     t = np.arange(1000) / 50
@@ -170,7 +178,7 @@ def test_a_steady_turn_does_not_lag(noise_rad):
 @pytest.mark.parametrize(
     ("name", "signal"),
     [
-        ("zeros", lambda n: np.zeros(n)),
+        ("zeros", np.zeros),
         ("constant", lambda n: np.full(n, 0.123)),
         ("one quantum", lambda n: 0.1 + 1e-4 * (np.arange(n) > n // 2)),
         ("toggling quantum", lambda n: 0.1 + 1e-4 * (np.arange(n) % 7 == 0)),
@@ -178,7 +186,7 @@ def test_a_steady_turn_does_not_lag(noise_rad):
     ],
 )
 @pytest.mark.parametrize("mode", ["endpoint", "zero"])
-def test_still_ship(name, signal, mode):
+def test_still_ship(name: str, signal: Callable[[int], Array], mode: Mode) -> None:
     n = 900
     x = signal(n)
     value, std = run(np.arange(n) / 20, np.stack([x, x, x % TURN], axis=1), Params(mode=mode, horizons_s=()))
@@ -188,7 +196,7 @@ def test_still_ship(name, signal, mode):
     assert np.abs(wrapped(value[settled] - x[settled, None, None])).max() <= 3e-4
 
 
-def test_a_missing_axis_is_unknown_and_disturbs_no_other():
+def test_a_missing_axis_is_unknown_and_disturbs_no_other() -> None:
     rng = np.random.default_rng(6)
     t = np.arange(600) / 50
     motion = ship(t) + 1e-4 * rng.standard_normal((len(t), 3))
@@ -202,7 +210,7 @@ def test_a_missing_axis_is_unknown_and_disturbs_no_other():
     np.testing.assert_array_equal(std[..., [0, 2]], whole_std[..., [0, 2]])
 
 
-def test_all_missing_is_all_unknown():
+def test_all_missing_is_all_unknown() -> None:
     value, std = run(np.arange(200) / 20, np.full((200, 3), nan))
     assert np.all(np.isnan(value))
     assert np.all(np.isnan(std))
@@ -210,7 +218,7 @@ def test_all_missing_is_all_unknown():
 
 @pytest.mark.parametrize("absent", ["nan", "no sample"])
 @pytest.mark.parametrize("rate_hz", [20.0, 100.0])
-def test_a_short_gap_is_bridged(absent, rate_hz):
+def test_a_short_gap_is_bridged(absent: str, rate_hz: float) -> None:
     rng = np.random.default_rng(8)
     t = np.arange(int(30 * rate_hz)) / rate_hz
     motion = ship(t) + 1e-5 * rng.standard_normal((len(t), 3))
@@ -226,7 +234,7 @@ def test_a_short_gap_is_bridged(absent, rate_hz):
     assert error[t > 19].max() < 2.5e-4
 
 
-def test_after_a_long_gap_an_axis_starts_anew():
+def test_after_a_long_gap_an_axis_starts_anew() -> None:
     t = np.arange(1500) / 50
     motion = ship(t) + 1e-5 * np.random.default_rng(3).standard_normal((len(t), 3))
     out = (t > 15) & (t < 17)
@@ -239,7 +247,7 @@ def test_after_a_long_gap_an_axis_starts_anew():
     assert np.abs(wrapped(value - ahead(t)))[again].max() < 5e-4
 
 
-def test_garbage_does_not_stay():
+def test_garbage_does_not_stay() -> None:
     t = np.arange(900) / 20
     motion = ship(t) + 1e-5 * np.random.default_rng(3).standard_normal((len(t), 3))
     motion[200], motion[201], motion[210] = np.inf, -np.inf, 3.0
@@ -250,7 +258,7 @@ def test_garbage_does_not_stay():
     assert np.abs(wrapped(value - ahead(t)))[later].max() < 5e-4
 
 
-def test_published_deviation_is_the_error_that_follows():
+def test_published_deviation_is_the_error_that_follows() -> None:
     rng = np.random.default_rng(12)
     noise = 3e-4
     for rate_hz in (20.0, 62.5):
@@ -262,7 +270,7 @@ def test_published_deviation_is_the_error_that_follows():
         assert std[-1] == pytest.approx(actual, rel=0.15)
 
 
-def test_late_samples_are_ignored_and_reset_forgets():
+def test_late_samples_are_ignored_and_reset_forgets() -> None:
     t = np.arange(200) / 20
     predictor = RockPredictor(Params(horizons_s=()))
     first = [predictor.step(m, *s) for m, s in zip(t.tolist(), ship(t).tolist(), strict=True)]
@@ -287,7 +295,7 @@ def test_late_samples_are_ignored_and_reset_forgets():
         ({"points": 5}, "points"),
     ],
 )
-def test_wrong_settings_are_refused(table, message):
+def test_wrong_settings_are_refused(table: dict[str, object], message: str) -> None:
     with pytest.raises(msgspec.ValidationError, match=message):
         msgspec.convert(table, Params)
 

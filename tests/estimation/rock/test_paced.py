@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from math import inf, nan, pi
 
 import msgspec
 import numpy as np
 import pytest
-from evidence.rock import ARCSEC, SCENES, motion
-from evidence.rock_shaken import unjudged
+from evidence.rock.paper import ARCSEC, SCENES, motion
+from evidence.rock.shaken import unjudged
+from numpy.typing import NDArray
 
 from heaved.estimation.common.sample_rate import usual_interval
 from heaved.estimation.imu.attitude import angle_rates
@@ -20,32 +22,34 @@ from heaved.estimation.rock.estimator import DirectRockPredictor, RockEstimator
 from heaved.estimation.rock.paced import PacedPredictor
 from heaved.samples import ImuSample
 
+Array = NDArray[np.float64]
+
 TURN = 2 * pi
 RATE_HZ = 100.0
 HORIZONS = Params().horizons_s
 SCENE = {scene.name: scene for scene in SCENES}
 
 
-def measured(scene, duration_s, seed=5):
+def measured(scene: str, duration_s: float, seed: int = 5) -> Array:
     rng = np.random.default_rng(seed)
     truth = motion(SCENE[scene], RATE_HZ, duration_s, rng)
     return truth + SCENE[scene].noise_arcsec * ARCSEC * rng.standard_normal(truth.shape)
 
 
-def predict(predictor, t, x):
+def predict(predictor: DirectPredictor | PacedPredictor, t: Array, x: Array) -> Array:
     found = [predictor.step(moment, sample) for moment, sample in zip(t.tolist(), x.tolist(), strict=True)]
     return np.array(found)
 
 
-def rms(x, predicted, horizon, start, every=1, truth=None):
+def rms(x: Array, predicted: Array, horizon: int, start: int, every: int = 1, truth: Array | None = None) -> Array:
     """Of what came later against what was predicted, (n,)."""
     shift = round(HORIZONS[horizon] * RATE_HZ)
     error = (x if truth is None else truth)[shift:] - predicted[:-shift, horizon]
-    return np.sqrt(np.nanmean(error[start::every] ** 2, axis=0))
+    return np.asarray(np.sqrt(np.nanmean(error[start::every] ** 2, axis=0)))
 
 
 @pytest.mark.parametrize("every", [1, 5, 20])
-def test_a_copy_goes_on_as_the_original_does(every):
+def test_a_copy_goes_on_as_the_original_does(every: int) -> None:
     """At 100, 20 and 5 Hz, with readings missing and spikes; neither moves the other."""
     x = measured("under way, MEMS", 120.0)[::every]
     rng = np.random.default_rng(3)
@@ -64,7 +68,7 @@ def test_a_copy_goes_on_as_the_original_does(every):
 
 
 @pytest.mark.parametrize("rate_hz", [50.0, 70.0, 100.0])
-def test_deviations_are_no_less_than_the_noise_of_one_reading(rate_hz):
+def test_deviations_are_no_less_than_the_noise_of_one_reading(rate_hz: float) -> None:
     """Also at horizons that lie between readings, where errors are those against a mean of some."""
     noise = 3.5e-4
     t = np.arange(round(90.0 * rate_hz)) / rate_hz
@@ -76,7 +80,7 @@ def test_deviations_are_no_less_than_the_noise_of_one_reading(rate_hz):
 
 
 @pytest.mark.parametrize("scene", ["under way", "under way, MEMS"])
-def test_as_good_as_with_every_sample_at_any_phase(scene):
+def test_as_good_as_with_every_sample_at_any_phase(scene: str) -> None:
     """Up to 150 ms within 5 % of the predictor that is fed every sample; at each of the five phases near it."""
     x = measured(scene, 260.0)
     t = np.arange(len(x)) / RATE_HZ
@@ -94,7 +98,7 @@ def test_as_good_as_with_every_sample_at_any_phase(scene):
         assert np.all((paced.std[horizon] > 0.75 * steady) & (paced.std[horizon] < 1.3 * steady))
 
 
-def test_a_slow_stream_is_fed_whole():
+def test_a_slow_stream_is_fed_whole() -> None:
     t = np.arange(1500) / 20
     x = np.stack([np.sin(TURN * t / 9), np.cos(TURN * t / 7)], axis=1)
     paced, whole = PacedPredictor(2), DirectPredictor(2)
@@ -104,7 +108,7 @@ def test_a_slow_stream_is_fed_whole():
     assert np.array_equal(paced.half_width, whole.half_width, equal_nan=True)
 
 
-def test_lost_samples_jitter_and_spikes_cost_little():
+def test_lost_samples_jitter_and_spikes_cost_little() -> None:
     x = measured("under way, MEMS", 120.0)
     t = np.arange(len(x)) / RATE_HZ
     rng = np.random.default_rng(2)
@@ -130,17 +134,18 @@ def test_lost_samples_jitter_and_spikes_cost_little():
 
 
 @pytest.mark.parametrize("jitter", ["uniform", "late"])
-def test_jitter_of_half_an_interval_costs_little(jitter):
+def test_jitter_of_half_an_interval_costs_little(jitter: str) -> None:
     """Stamps that are true, but not even: within 4 of 10 ms, or late by as much, as on a busy machine. Blocks are
-    then as long as those of regular samples; were they longer or shorter, errors would be ten times as large."""
+    then as long as those of regular samples; were they longer or shorter, errors would be ten times as large.
+    """
     even = np.arange(15_000) / RATE_HZ
     rng = np.random.default_rng(6)
     off = rng.uniform(-0.004, 0.004, len(even)) if jitter == "uniform" else 0.004 * abs(rng.standard_normal(len(even)))
     f, phase = np.linspace(0.06, 0.2, 40), rng.uniform(0.0, TURN, 40)
     a = np.exp(-0.5 * ((f - 0.1) / 0.02) ** 2)
 
-    def roll(t):
-        return (a * np.cos(TURN * f * t[:, None] + phase)).sum(axis=1) / np.sqrt(0.5 * (a**2).sum())
+    def roll(t: Array) -> Array:
+        return np.asarray((a * np.cos(TURN * f * t[:, None] + phase)).sum(axis=1) / np.sqrt(0.5 * (a**2).sum()))
 
     found = []
     for t in (even, np.sort(even + off)):
@@ -156,11 +161,11 @@ def test_jitter_of_half_an_interval_costs_little(jitter):
     assert np.all(jittered[:3] < 1e-3)
 
 
-def rms_of(error):
-    return np.sqrt(np.nanmean(error**2))
+def rms_of(error: Array) -> float:
+    return float(np.sqrt(np.nanmean(error**2)))
 
 
-def test_rows_that_are_not_there_at_all_cost_little():
+def test_rows_that_are_not_there_at_all_cost_little() -> None:
     x = measured("under way, MEMS", 120.0)
     t = np.arange(len(x)) / RATE_HZ
     keep = np.random.default_rng(3).random(len(x)) > 0.2
@@ -173,7 +178,7 @@ def test_rows_that_are_not_there_at_all_cost_little():
         assert np.all(rms(x, predicted, horizon, 8_000) < 1.15 * rms(x, whole, horizon, 8_000))
 
 
-def test_after_a_gap_and_a_clock_set_back_it_begins_anew():
+def test_after_a_gap_and_a_clock_set_back_it_begins_anew() -> None:
     t = np.arange(6000) / RATE_HZ
     x = np.sin(TURN * t / 8)[:, None]
     paced = PacedPredictor(1)
@@ -190,7 +195,7 @@ def test_after_a_gap_and_a_clock_set_back_it_begins_anew():
     assert np.max(np.abs(back[3000:, 2, 0] - np.sin(TURN * (t[3000:] + 0.15) / 8))) < 1e-4
 
 
-def test_another_rate_asks_for_other_blocks():
+def test_another_rate_asks_for_other_blocks() -> None:
     paced = PacedPredictor(1)
     t = np.concatenate([np.arange(3000) / 100.0, 30.0 + np.arange(3000) / 50.0])
     predicted = predict(paced, t, np.sin(TURN * t / 8)[:, None])
@@ -198,9 +203,10 @@ def test_another_rate_asks_for_other_blocks():
     assert np.max(np.abs(predicted[-500:, 2, 0] - np.sin(TURN * (t[-500:] + 0.15) / 8))) < 1e-4
 
 
-def busy(rate_hz, duration_s, seed, tick_s=0.004):
+def busy(rate_hz: float, duration_s: float, seed: int, tick_s: float = 0.004) -> Array:
     """Stamps on a machine that is busy: a poll waits for the next tick of the scheduler, or the one after that, and now
-    and then for a stall of 20-50 ms, in which the other deadlines are skipped."""
+    and then for a stall of 20-50 ms, in which the other deadlines are skipped.
+    """
     rng = np.random.default_rng(seed)
     due = np.arange(round(duration_s * rate_hz)) / rate_hz
     ticks = np.floor((due + rng.uniform(0.0, tick_s)) / tick_s) + 1.0 + (rng.random(len(due)) < 0.3)
@@ -219,7 +225,7 @@ def busy(rate_hz, duration_s, seed, tick_s=0.004):
 
 @pytest.mark.parametrize("rate_hz", [100.0, 50.0, 20.0])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_polls_that_are_held_up_are_no_other_rate(rate_hz, seed):
+def test_polls_that_are_held_up_are_no_other_rate(rate_hz: float, seed: int) -> None:
     """And the time axis stays: what is predicted for a moment is what the wave is then."""
     t = busy(rate_hz, 40.0, seed)
     assert np.diff(t).max() > 1.9 / rate_hz or rate_hz == 20.0
@@ -232,12 +238,12 @@ def test_polls_that_are_held_up_are_no_other_rate(rate_hz, seed):
     assert np.sqrt(np.mean(error**2)) < 0.01 * np.sqrt(0.5)  # of the wave; half a millisecond would be 0.0004
 
 
-def free(due, lateness_s, rate_hz):
+def free(due: Array, lateness_s: Array, rate_hz: float) -> Array:
     """Each poll is as late as it is."""
     return np.maximum.accumulate(due + lateness_s)
 
 
-def skipping(due, lateness_s, rate_hz):
+def skipping(due: Array, lateness_s: Array, rate_hz: float) -> Array:
     """Deadlines that have passed meanwhile are skipped."""
     stamps, k = [], 0
     while k < len(due):
@@ -246,7 +252,7 @@ def skipping(due, lateness_s, rate_hz):
     return np.array(stamps)
 
 
-def queued(due, lateness_s, rate_hz):
+def queued(due: Array, lateness_s: Array, rate_hz: float) -> Array:
     """Each poll waits for the one before."""
     stamps = [0.0]
     for moment, late_s in zip(due.tolist(), lateness_s.tolist(), strict=True):
@@ -254,7 +260,7 @@ def queued(due, lateness_s, rate_hz):
     return np.array(stamps[1:])
 
 
-def late_polls(kind, rate_hz, duration_s, seed):
+def late_polls(kind: Callable[[Array, Array, float], Array], rate_hz: float, duration_s: float, seed: int) -> Array:
     """Stamps on a busy line: 30 % of the polls 10-40 ms late, all of them by some milliseconds of jitter."""
     rng = np.random.default_rng(seed)
     due = np.arange(round(duration_s * rate_hz)) / rate_hz
@@ -266,7 +272,9 @@ def late_polls(kind, rate_hz, duration_s, seed):
 @pytest.mark.parametrize("kind", [free, skipping, queued])
 @pytest.mark.parametrize("rate_hz", [10.0, 20.0, 33.0, 50.0])
 @pytest.mark.parametrize("seed", [2, 3])
-def test_a_third_of_the_polls_late_is_no_other_rate(kind, rate_hz, seed):
+def test_a_third_of_the_polls_late_is_no_other_rate(
+    kind: Callable[[Array, Array, float], Array], rate_hz: float, seed: int
+) -> None:
     t = late_polls(kind, rate_hz, 40.0, seed)
     paced = PacedPredictor(1)
     predicted = predict(paced, t, np.sin(TURN * t / 8)[:, None])[:, 2, 0]
@@ -277,7 +285,9 @@ def test_a_third_of_the_polls_late_is_no_other_rate(kind, rate_hz, seed):
 
 
 @pytest.mark.parametrize(("kind", "rate_hz"), [(free, 20.0), (skipping, 20.0), (skipping, 50.0), (queued, 33.0)])
-def test_the_usual_interval_where_a_third_of_the_polls_is_late(kind, rate_hz):
+def test_the_usual_interval_where_a_third_of_the_polls_is_late(
+    kind: Callable[[Array, Array, float], Array], rate_hz: float
+) -> None:
     """Of 5 s, as others look at them."""
     t = late_polls(kind, rate_hz, 60.0, 4)
     found = [usual_interval(t[(t >= begin) & (t < begin + 5.0)]) for begin in np.arange(0.0, 55.0, 2.5)]
@@ -285,10 +295,11 @@ def test_the_usual_interval_where_a_third_of_the_polls_is_late(kind, rate_hz):
 
 
 @pytest.mark.parametrize(("before_hz", "after_hz"), [(20.0, 10.0), (10.0, 20.0), (100.0, 50.0), (50.0, 100.0)])
-def test_another_rate_is_noticed_among_held_up_polls(before_hz, after_hz):
+def test_another_rate_is_noticed_among_held_up_polls(before_hz: float, after_hz: float) -> None:
     t = np.concatenate([busy(before_hz, 20.0, 3), 20.1 + busy(after_hz, 20.0, 4)])
     paced = PacedPredictor(1)
-    predicted, noticed_s = [], []
+    predicted: list[Array] = []
+    noticed_s: list[float] = []
     for moment in t.tolist():
         predicted.append(paced.step(moment, [np.sin(TURN * moment / 8)])[2, 0])
         if paced.restarts > len(noticed_s):
@@ -302,7 +313,7 @@ def test_another_rate_is_noticed_among_held_up_polls(before_hz, after_hz):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_usual_interval_among_held_up_polls(seed):
+def test_the_usual_interval_among_held_up_polls(seed: int) -> None:
     """Never off by half of what would be another rate, and hardly ever by more than the loop of the blocks follows."""
     t = busy(100.0, 30.0, seed)
     found = np.array([usual_interval(t[begin : begin + 76]) for begin in range(0, len(t) - 80, 40)])
@@ -311,7 +322,7 @@ def test_the_usual_interval_among_held_up_polls(seed):
 
 
 @pytest.mark.parametrize("value", [nan, inf, 0.0, 1e6])
-def test_whatever_is_fed_nothing_breaks(value):
+def test_whatever_is_fed_nothing_breaks(value: float) -> None:
     paced = PacedPredictor(2)
     rng = np.random.default_rng(1)
     x = 0.01 * rng.standard_normal((3000, 2))
@@ -323,7 +334,7 @@ def test_whatever_is_fed_nothing_breaks(value):
     assert value == 1e6 or np.all(np.abs(predicted[-1]) < 1.0)
 
 
-def test_an_axis_that_is_missing_does_not_touch_the_others():
+def test_an_axis_that_is_missing_does_not_touch_the_others() -> None:
     t = np.arange(4000) / RATE_HZ
     x = np.stack([np.sin(TURN * t / 9), np.cos(TURN * t / 7), np.sin(TURN * t / 11)], axis=1)
     lame = x.copy()
@@ -334,7 +345,7 @@ def test_an_axis_that_is_missing_does_not_touch_the_others():
 
 
 @pytest.mark.parametrize("rate_hz", [10.0, 20.0, 100.0])
-def test_between_samples_the_curve_is_followed(rate_hz):
+def test_between_samples_the_curve_is_followed(rate_hz: float) -> None:
     t = np.arange(round(60 * rate_hz)) / rate_hz
     paced = PacedPredictor(1)
     predict(paced, t, np.sin(TURN * t / 8)[:, None])
@@ -347,7 +358,7 @@ def test_between_samples_the_curve_is_followed(rate_hz):
     assert np.isnan(paced.at(t[-1] - 1.0)).all()
 
 
-def test_the_carry_is_the_regression():
+def test_the_carry_is_the_regression() -> None:
     """Against least squares over the same equations (the ridge is a thousandth)."""
     rng = np.random.default_rng(4)
     carry = Carry(2, 3, 1, 0.05)
@@ -365,7 +376,7 @@ def test_the_carry_is_the_regression():
 # -- the chain -----------------------------------------------------------------------------------------------------
 
 
-def attitude(t):
+def attitude(t: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """Roll, pitch, yaw (as heaved counts them) and their rates."""
     w = TURN / 8
     return (
@@ -374,22 +385,22 @@ def attitude(t):
     )
 
 
-def body_rates(t):
+def body_rates(t: float) -> tuple[float, float, float]:
     """From the rotation itself, by central differences: R' = R [w]x; pitch and yaw are turned round."""
 
-    def rotation(moment):
+    def rotation(moment: float) -> Array:
         (roll, pitch, yaw), _ = attitude(moment)
         p, y = -pitch, -yaw
         rx = np.array([[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]])
         ry = np.array([[np.cos(p), 0, np.sin(p)], [0, 1, 0], [-np.sin(p), 0, np.cos(p)]])
         rz = np.array([[np.cos(y), -np.sin(y), 0], [np.sin(y), np.cos(y), 0], [0, 0, 1]])
-        return rz @ ry @ rx
+        return np.asarray(rz @ ry @ rx)
 
     turned = rotation(t).T @ (rotation(t + 1e-5) - rotation(t - 1e-5)) / 2e-5
     return turned[2, 1], turned[0, 2], turned[1, 0]
 
 
-def sample(t, *, gyro=True):
+def sample(t: float, *, gyro: bool = True) -> ImuSample:
     (roll, pitch, yaw), _ = attitude(t)
     gx, gy, gz = body_rates(t) if gyro else (nan, nan, nan)
     return ImuSample(
@@ -398,7 +409,7 @@ def sample(t, *, gyro=True):
     )  # fmt: skip
 
 
-def test_angle_rates_are_the_derivatives_of_the_angles():
+def test_angle_rates_are_the_derivatives_of_the_angles() -> None:
     for t in (0.3, 2.0, 5.5):
         one = sample(t)
         assert np.allclose(angle_rates(one, one.roll_rad, one.pitch_rad), attitude(t)[1], atol=1e-8)
@@ -406,7 +417,7 @@ def test_angle_rates_are_the_derivatives_of_the_angles():
 
 
 @pytest.mark.parametrize("gyro", [False, True])
-def test_the_chain_predicts_at_the_sample_and_between(gyro):
+def test_the_chain_predicts_at_the_sample_and_between(gyro: bool) -> None:
     chain = RockEstimator(rock.Params(horizons_s=(0.5,)))
     assert chain.horizons_s == (0.05, 0.1, 0.15, 0.5)
     for k in range(4000):
@@ -425,7 +436,7 @@ def test_the_chain_predicts_at_the_sample_and_between(gyro):
     assert all(0.0 <= s.coverage <= 1.0 and s.error_rad >= 0.0 for s in scores.values())
 
 
-def test_resets_only_grow():
+def test_resets_only_grow() -> None:
     chain = RockEstimator(rock.Params())
     rng = np.random.default_rng(6)
     seen = []
@@ -445,7 +456,7 @@ def test_resets_only_grow():
     assert counts[-1] > 30
 
 
-def test_the_published_method_can_still_be_had():
+def test_the_published_method_can_still_be_had() -> None:
     chain = RockEstimator(rock.Params(predictor="ml"))
     assert chain.horizons_s == HORIZONS
     for k in range(600):
@@ -456,7 +467,7 @@ def test_the_published_method_can_still_be_had():
     assert abs(chain.at(599 / 20 + 0.02)[0].roll_rad - attitude(599 / 20 + 0.07)[0][0]) < 1e-2
 
 
-def test_what_is_scored_has_come_true_though_the_rate_was_first_taken_for_another():
+def test_what_is_scored_has_come_true_though_the_rate_was_first_taken_for_another() -> None:
     """The first seconds come 3 % too slowly: later on more samples lie within a horizon than there seemed to."""
     gaps_s = np.where(np.arange(20_000) < 250, 0.0103, 0.01)
     t = np.cumsum(gaps_s)
@@ -470,7 +481,7 @@ def test_what_is_scored_has_come_true_though_the_rate_was_first_taken_for_anothe
         assert 0.75 * steady < paced.std[horizon, 0] < 1.5 * steady, horizon  # few of 5 s there are in 200 s
 
 
-def test_what_is_asked_for_later_is_what_was_predicted():
+def test_what_is_asked_for_later_is_what_was_predicted() -> None:
     """Whatever has come since: also where two samples fall on one place of a block."""
     x = measured("under way, MEMS", 60.0)
     rng = np.random.default_rng(3)
@@ -487,7 +498,7 @@ def test_what_is_asked_for_later_is_what_was_predicted():
     assert np.isfinite(expected[-2000:]).all()
 
 
-def test_before_anything_is_known_nothing_is_claimed():
+def test_before_anything_is_known_nothing_is_claimed() -> None:
     chain = RockEstimator(rock.Params())
     for k in range(100):
         found = chain.step(unjudged(ImuSample(t_s=k / 100)))
@@ -498,7 +509,7 @@ def test_before_anything_is_known_nothing_is_claimed():
 
 
 @pytest.mark.parametrize("is_roll_gone", [False, True], ids=["no rates", "no roll"])
-def test_rates_that_are_gone_do_not_make_predictions_feed_on_themselves(is_roll_gone):
+def test_rates_that_are_gone_do_not_make_predictions_feed_on_themselves(is_roll_gone: bool) -> None:
     """Three minutes of a broad sea with body rates, then 20 s without them, or without the roll that they turn with."""
     rng = np.random.default_rng(4)
     omega, phase = 2.0 * pi * rng.uniform(0.07, 0.16, (2, 40)), rng.uniform(0.0, TURN, (2, 40))

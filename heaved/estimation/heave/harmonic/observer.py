@@ -18,37 +18,45 @@ from collections import Counter
 from math import cos, exp, hypot, isfinite, nan, pi, sin, sqrt
 from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.common import sigma
-from heaved.estimation.common.ring import Ring
+from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.common.spectrum import dominant_frequencies, heave_spectrum
 from heaved.estimation.heave.harmonic.inertial_displacement import InertialDisplacement
-from heaved.estimation.heave.observer import LaserAided, Motion, SavedObserver, Verdict
+from heaved.estimation.heave.observer import LaserAided, Motion, SavedObserver, Verdict, foretold
 from heaved.estimation.heave.params import Params
 from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
-from heaved.predictions import HeaveForecasts, PlainForecasts
-from heaved.samples import DelayedHeave, SeaState
+from heaved.samples import DelayedHeave, HeaveForecast, SeaState
 
 Array = NDArray[np.float64]
 
-REFERENCE_STEP_S: Final = 0.05
-"""Sampling interval for which the paper's Q and R stand; other intervals scale them to the same noise densities."""
-FILL_STEP_S: Final = 0.05
-"""Step with which a gap is bridged by the model's own acceleration."""
-BIAS_TIME_S: Final = 60.0
-"""Time constant of the slow mean that is taken out of the published acceleration."""
-LEAD_RANGE: Final = (-0.25, 0.5)
-"""Leads that are considered, in dominant periods: a high-pass of second order leads by 0 to 0.5, the rest is small."""
-MIN_GAIN: Final = 0.4
-"""The high-pass is not undone further than this: below, it would be noise that is amplified."""
-GAP_MEMORY: Final = 0.5
-"""What was wrongly assumed in a gap dies with the high-pass, within this share of its period, observer included."""
-GAP_CONVERGED_S: Final = 3.0
-"""After a gap of more than a second the filter's gain is back where it was by then: no look at it before that."""
-LEAD_SLEW_S: Final = 2.0
-"""Time constant with which a new lead and gain are brought in, so that no refresh shows as a step."""
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """Of the harmonic observer, where the paper leaves it open."""
+
+    reference_step_s: float = 0.05
+    """Sampling interval for which the paper's Q and R stand; other intervals scale them to the same noise densities."""
+    fill_step_s: float = 0.05
+    """Step with which a gap is bridged by the model's own acceleration."""
+    bias_time_s: float = 60.0
+    """Time constant of the slow mean that is taken out of the published acceleration."""
+    lead_range: tuple[float, float] = (-0.25, 0.5)
+    """Leads that are considered, in dominant periods: a high-pass of second order leads by 0 to 0.5, the rest is
+    small."""
+    min_gain: float = 0.4
+    """The high-pass is not undone further than this: below, it would be noise that is amplified."""
+    gap_memory: float = 0.5
+    """What was wrongly assumed in a gap dies with the high-pass, within this share of its period, observer included."""
+    gap_converged_s: float = 3.0
+    """After a gap of more than a second the filter's gain is back where it was by then: no look at it before that."""
+    lead_slew_s: float = 2.0
+    """Time constant with which a new lead and gain are brought in, so that no refresh shows as a step."""
+
+
+TUNING: Final = Tuning()
 
 
 class HarmonicObserver:
@@ -74,11 +82,11 @@ class HarmonicObserver:
         self._points = sigma.symmetric(2 * n + 1)
         self._H = np.zeros((1, 2 * n + 1))
         self._H[0, 0 : 2 * n : 2] = self._H[0, -1] = 1.0
-        self._noise = np.full(2 * n + 1, params.process_noise / REFERENCE_STEP_S)
-        self._noise[-1] = params.drift_process_noise_m2 / REFERENCE_STEP_S
+        self._noise = np.full(2 * n + 1, params.process_noise / TUNING.reference_step_s)
+        self._noise[-1] = params.drift_process_noise_m2 / TUNING.reference_step_s
         self._inertial = InertialDisplacement(params.highpass_period_s)
         self._history_s = 4.0 * params.window_s
-        self._ring = Ring(int(self._history_s * max_rate_hz), 2)
+        self._ring = RingBuffer(int(self._history_s * max_rate_hz), 2)
         self.resets: Counter[str] = Counter()
         self._start_over(2.0 * pi / params.initial_period_s * (1.0 + 0.25 * np.arange(n, dtype=np.float64)))
 
@@ -97,7 +105,7 @@ class HarmonicObserver:
         self.refreshes = 0
         self._spectrum = (np.empty(0), np.empty(0))
         self._response = np.empty((0, 2 * n + 1))
-        self._dt_s = REFERENCE_STEP_S
+        self._dt_s = TUNING.reference_step_s
         self._target = self._shift_and_gain()
         self.design_lead_s, self._gain = self._target
         self._error_cache: dict[float, float] = {}
@@ -110,19 +118,19 @@ class HarmonicObserver:
             return
         if not isfinite(self.t_s):
             self.t_s = self._refreshed_t_s = self._started_t_s = t_s
-            self._dt_s = REFERENCE_STEP_S
+            self._dt_s = TUNING.reference_step_s
         dt = t_s - self.t_s
         if dt > self._params.max_gap_s:
             self._reset("gap")
             self.step(t_s, a_up_mps2)
             return
         self._dt_s += 0.02 * (min(dt, 2.0 * self._dt_s) - self._dt_s) if dt > 0.0 else 0.0
-        self._gap_error_m *= exp(-dt / (GAP_MEMORY * self._params.highpass_period_s))
-        if dt > max(4.0 * FILL_STEP_S, 3.0 * self._dt_s):
+        self._gap_error_m *= exp(-dt / (TUNING.gap_memory * self._params.highpass_period_s))
+        if dt > max(4.0 * TUNING.fill_step_s, 3.0 * self._dt_s):
             if isfinite(guess := self.error_std_m(dt)):
                 self._gap_error_m = guess
             if dt > 1.0:
-                self._refreshed_t_s = max(self._refreshed_t_s, t_s + GAP_CONVERGED_S - self._params.refresh_s)
+                self._refreshed_t_s = max(self._refreshed_t_s, t_s + TUNING.gap_converged_s - self._params.refresh_s)
             self._bridge(t_s)
             dt = t_s - self.t_s
         self._follow_bias(dt, a_up_mps2)
@@ -132,7 +140,7 @@ class HarmonicObserver:
         if not self._filter(dt, z):
             self._reset("covariance")
             return
-        blend = 1.0 - exp(-dt / LEAD_SLEW_S)
+        blend = 1.0 - exp(-dt / TUNING.lead_slew_s)
         self.design_lead_s += blend * (self._target[0] - self.design_lead_s)
         self._gain += blend * (self._target[1] - self._gain)
         if t_s - self._refreshed_t_s >= self._params.refresh_s and t_s - self._started_t_s >= 15.0:
@@ -157,15 +165,15 @@ class HarmonicObserver:
 
     def _bridge(self, until_s: float) -> None:
         """Go through a gap on the model's own acceleration: the samples that are missing, not a flat line."""
-        while until_s - self.t_s > 1.5 * FILL_STEP_S:
+        while until_s - self.t_s > 1.5 * TUNING.fill_step_s:
             # Of the heave, not of the inertial displacement: that one is early.
-            row = self._output_row(FILL_STEP_S - self.design_lead_s) / self._gain
+            row = self._output_row(TUNING.fill_step_s - self.design_lead_s) / self._gain
             row[:-1] *= np.repeat(self._omega**2, 2)
             a = self._bias - float(row @ self._x)
-            self._inertial.step(FILL_STEP_S, a)
-            self.t_s += FILL_STEP_S
+            self._inertial.step(TUNING.fill_step_s, a)
+            self.t_s += TUNING.fill_step_s
             self._ring.push((self.t_s, a))
-            F, Q = self._transition(FILL_STEP_S), self._Q(FILL_STEP_S)
+            F, Q = self._transition(TUNING.fill_step_s), self._Q(TUNING.fill_step_s)
             predicted = sigma.predict(self._points, self._x, self._P, F, Q)
             if predicted is None:
                 return
@@ -202,12 +210,12 @@ class HarmonicObserver:
         return np.diag(self._noise * dt_s)
 
     def _R(self, dt_s: float) -> float:
-        return self._params.measurement_variance_m2 * REFERENCE_STEP_S / max(dt_s, 1e-3)
+        return self._params.measurement_variance_m2 * TUNING.reference_step_s / max(dt_s, 1e-3)
 
     def _follow_bias(self, dt_s: float, a: float) -> None:
         """Slow mean of the acceleration: bias and leftover gravity. A plain mean until it is BIAS_TIME_S long."""
         self._acceleration = a
-        self._bias_weight = min(self._bias_weight + dt_s, BIAS_TIME_S)
+        self._bias_weight = min(self._bias_weight + dt_s, TUNING.bias_time_s)
         if self._bias_weight > 0.0:
             self._bias += min(1.0, dt_s / self._bias_weight) * (a - self._bias)
 
@@ -281,14 +289,14 @@ class HarmonicObserver:
             w = self.omega_radps
             response = complex(np.sum(self._state_response(np.array([w]))[0, :-1:2]))
             return phase(response) / w, abs(response)
-        leads, gain = np.linspace(*LEAD_RANGE, 61) * 2.0 * pi / self.omega_radps, 1.0
+        leads, gain = np.linspace(*TUNING.lead_range, 61) * 2.0 * pi / self.omega_radps, 1.0
         for _ in range(3):
             G = self._response @ np.stack([self._output_row(-lead) for lead in leads], axis=1)
             cross, power = S @ G.real, S @ np.abs(G) ** 2
             best = int(np.argmax(np.where(cross > 0.0, cross**2 / power, 0.0)))
             lead, gain = float(leads[best]), float(power[best] / max(cross[best], 1e-300))
             leads = np.linspace(lead - (leads[1] - leads[0]), lead + (leads[1] - leads[0]), 11)
-        return lead, max(gain, MIN_GAIN)
+        return lead, max(gain, TUNING.min_gain)
 
     def error_std_m(self, shift_s: float, scale: float = 1.0) -> float:
         """Standard deviation of the error of :meth:`at` for a moment ``shift_s`` after the last sample.
@@ -333,13 +341,14 @@ class HarmonicObserver:
 
     def forecast(
         self, shift_s: float, learned_lead_s: float = 0.0, scale: float = 1.0, gain: float = 1.0
-    ) -> HeaveForecasts:
+    ) -> tuple[HeaveForecast, ...]:
         """Heave and :meth:`error_std_m` for each horizon after a moment ``shift_s`` after the last sample, both times
         ``gain``: what the laser has shown of the sensor's scale."""
-        horizons_s = self._params.forecast_horizons_s
-        shifts = [shift_s + h for h in horizons_s]
-        heaves = [gain * self.at(shift, learned_lead_s).heave_m for shift in shifts]
-        return PlainForecasts(horizons_s, heaves, [gain * self.error_std_m(shift, scale) for shift in shifts])
+        found = []
+        for h in self._params.forecast_horizons_s:
+            heave_m, std_m = self.at(shift_s + h, learned_lead_s).heave_m, self.error_std_m(shift_s + h, scale)
+            found.append(foretold(h, gain * heave_m, gain * std_m))
+        return tuple(found)
 
     def unshifted(self) -> Motion:
         """The one-step observer: eq. (14) with m = 0, as the comparison with the laser wants it."""

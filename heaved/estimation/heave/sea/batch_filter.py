@@ -8,144 +8,39 @@ end: what the steady gain, which runs in blocks, makes of that minute is correct
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Sequence
 from math import isnan, sqrt
 from typing import Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from heaved.estimation.heave.sea.filter import SeaFilter
 from heaved.estimation.heave.sea.model import SeaSystem, Steady
+from heaved.estimation.heave.sea.record import EvenRecord, stretches_of
 
 Array = NDArray[np.float64]
 
 BLOCK: Final = 64
 """Samples to a matrix product."""
-FULL_S: Final = 60.0
-"""Seconds for which the covariance is carried: twice the memory of the bias."""
-TELLING: Final = 1e-14
-"""Least variance, over the largest one, of a direction of the state in which less is known than in the end."""
+
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """Of the batch filter."""
+
+    full_s: float = 60.0
+    """Seconds for which the covariance is carried: twice the memory of the bias."""
+    telling: float = 1e-14
+    """Least variance, over the largest one, of a direction of the state in which less is known than in the end."""
+    unsure: float = 1.1
+    """Standard deviation of the predicted heave over that of the steady filter, from which its smoother's weights are
+    not those of the moment any more (with 1.5 the delayed heave is off by 6 of its standard deviations after a gap of 1
+    s)."""
+
+
+TUNING: Final = Tuning()
 CHUNK: Final = 16
 """Samples after a hole whose predictions are corrected together."""
-UNSURE: Final = 1.1
-"""Standard deviation of the predicted heave over that of the steady filter, from which its smoother's weights are not
-those of the moment any more (with 1.5 the delayed heave is off by 6 of its standard deviations after a gap of 1 s)."""
-HOLE: Final = 3.5
-"""Neighbours further apart than this many intervals have a hole between them; closer ones are interpolated."""
-BRIDGED_S: Final = 0.3
-"""So are those closer than this: a quarter of the shortest wave that is fitted."""
-ON_THE_GRID: Final = 1e-3
-"""Deviation, in intervals, up to which a sample is taken as it is."""
-LOSSY: Final = 0.1
-"""Share of neighbours more than an interval apart beyond which nothing is interpolated but at the samples."""
-SHORTEST_S: Final = 0.01
-"""The grid is never finer than this, whatever the stamps are."""
-NEAR_WHOLE: Final = 0.15
-"""Neighbours are whole intervals apart when they are off by less than that share of one,"""
-MOST: Final = 0.95
-"""and that many of them are."""
-QUANTILES: Final = (0.25, 0.1)
-"""Of the distances between neighbours, where the interval is looked for beside their median, which is several intervals
-with half the samples lost or more."""
-
-
-class Record(msgspec.Struct, frozen=True, eq=False):
-    """Vertical acceleration on an even grid that ends at the last sample."""
-
-    end_s: float
-    """Time of the last value."""
-    dt_s: float
-    a_mps2: Array
-    """(n,); in a hole, a straight line."""
-    is_known: NDArray[np.bool_]
-    """(n,); False in a hole."""
-    cuts: tuple[int, ...] = ()
-    """First samples after a step of the level: nothing is known of the bias there."""
-    blows: tuple[int, ...] = ()
-    """First samples after a blow: nothing is known of what rings."""
-
-    def last(self, count: int) -> Record:
-        """The newest ``count`` samples."""
-        left_out = max(len(self.a_mps2) - count, 0)
-        cuts, blows = (
-            tuple([place - left_out for place in places if place > left_out]) for places in (self.cuts, self.blows)
-        )
-        return Record(self.end_s, self.dt_s, self.a_mps2[left_out:], self.is_known[left_out:], cuts, blows)
-
-    def opened(self, system: SeaSystem, P: Array, place: int) -> Array:
-        """``P`` (n, n) before the sample at ``place``, by what is not known any more there."""
-        if place in self.cuts or place in self.blows:
-            return system.opened(P, bias=place in self.cuts, resonances=place in self.blows)
-        return P
-
-    def cut(
-        self,
-        cuts_s: Sequence[tuple[float, float]],
-        spoilt_s: Sequence[tuple[float, float]] = (),
-        blows_s: Sequence[float] = (),
-    ) -> Record:
-        """With a cut at the end of each of the spans ``cuts_s`` (s), nothing known within them and ``spoilt_s``, and a
-        blow before each of ``blows_s``."""
-        first_s = self.end_s - self.dt_s * (len(self.a_mps2) - 1)
-        is_known, places = self.is_known.copy(), set()
-        for i, span in enumerate((*cuts_s, *spoilt_s)):
-            begin, end = (min(max(round((t_s - first_s) / self.dt_s), 0), len(is_known)) for t_s in span)
-            is_known[begin:end] = False
-            if i < len(cuts_s) and 0 < end < len(is_known):
-                places.add(end)
-        blows = {round((t_s - first_s) / self.dt_s) for t_s in blows_s}
-        struck = tuple([place for place in sorted(blows) if 0 < place < len(is_known)])
-        return msgspec.structs.replace(self, is_known=is_known, cuts=tuple(sorted(places)), blows=struck)
-
-
-def even(t_s: Array, a_mps2: Array) -> Record:
-    """Samples at increasing, not quite even times (n,), n >= 8, on an even grid of their own usual interval.
-
-    A cubic spline through neighbours: at ten samples to a wave its error is 1e-4 of the wave.
-    """
-    gaps = np.diff(t_s)
-    usual = max(_usual(gaps), SHORTEST_S)
-    dt = max(float(np.mean(gaps[gaps < 1.5 * usual])), SHORTEST_S)
-    steps, longest = np.rint(gaps / dt), max(HOLE, BRIDGED_S / dt)
-    if np.mean(steps > 1.0) > LOSSY:
-        longest = 1.5  # Noise between so few samples would be made up by the spline, and told as measured.
-    is_even = bool(np.all(np.abs(gaps - dt * steps) < ON_THE_GRID * dt)) and bool(np.all(steps >= 1.0))
-    if is_even and abs((t_s[-1] - t_s[0]) / np.sum(steps) - dt) * np.sum(steps) < 0.1 * dt:
-        index = np.concatenate(([0.0], np.cumsum(steps))).astype(np.int64)
-        grid = np.arange(index[-1] + 1)
-        values, known = np.interp(grid, index, a_mps2), np.zeros(len(grid), dtype=np.bool_)
-        known[index] = True
-        near = np.repeat(steps <= longest, steps.astype(np.int64))
-        known[1:] |= near
-        if not known[index].all() or len(index) < len(grid):
-            values = _filled(grid.astype(np.float64), values, known, index.astype(np.float64), a_mps2)
-        return Record(float(t_s[-1]), dt, values, known)
-    count = int((t_s[-1] - t_s[0]) / dt) + 1
-    times = t_s[-1] - dt * np.arange(count - 1, -1, -1.0)
-    after = np.clip(np.searchsorted(t_s, times - 1e-9), 1, len(t_s) - 1)
-    at_sample = np.minimum(t_s[after] - times, times - t_s[after - 1]) <= 0.5 * dt
-    known = (gaps[after - 1] <= longest * dt) | at_sample
-    return Record(float(t_s[-1]), dt, _filled(times, np.interp(times, t_s, a_mps2), known, t_s, a_mps2), known)
-
-
-def _usual(gaps: Array) -> float:
-    """The longest distance (s) of which most of ``gaps`` (n,) are whole multiples; their median where there is none."""
-    found = [float(np.median(gaps)), *(float(np.quantile(gaps, q)) for q in QUANTILES)]
-    for usual in found:
-        steps = gaps / max(usual, SHORTEST_S)
-        whole = np.rint(steps)
-        if np.mean((whole >= 1.0) & (np.abs(steps - whole) < NEAR_WHOLE)) >= MOST:
-            return usual
-    return found[0]
-
-
-def _filled(times: Array, line: Array, known: NDArray[np.bool_], t_s: Array, a_mps2: Array) -> Array:
-    """The spline where it is ``known``, the straight ``line`` in the holes."""
-    return np.where(known, CubicSpline(t_s, a_mps2)(times), line)
 
 
 class Run(msgspec.Struct, frozen=True, eq=False):
@@ -165,7 +60,7 @@ class Run(msgspec.Struct, frozen=True, eq=False):
 def run(
     system: SeaSystem,
     steady: Steady,
-    record: Record,
+    record: EvenRecord,
     *,
     full_start: bool = True,
     full_holes: bool = True,
@@ -177,7 +72,7 @@ def run(
     keeps to the steady gain: good enough where nothing is left of the start, and where only innovations are wanted.
     kept: how many of the last predictions and innovations are wanted after a hole too; None: all.
     """
-    count, whole = len(record.a_mps2), round(FULL_S / record.dt_s)
+    count, whole = len(record.a_mps2), round(TUNING.full_s / record.dt_s)
     told_from = whole if full_start else 0
     if kept is not None:
         told_from = max(told_from, count - kept)
@@ -187,7 +82,7 @@ def run(
     if not full_start:
         x[-1] = float(np.mean(record.a_mps2))
     blocks = _Blocks(system, steady)
-    for first, end, is_known in stretches(record, record.blows):
+    for first, end, is_known in stretches_of(record, record.blows):
         if full_holes and (first in record.cuts or first in record.blows):
             if P is None:
                 P = steady.P - np.outer(steady.K, steady.K) * steady.S
@@ -223,7 +118,7 @@ MEDIAN_OF_SQUARES: Final = 0.455
 """Of squared standard normal numbers."""
 
 
-def one_by_one(f: SeaFilter, record: Record, judged: int) -> tuple[Run, float]:
+def one_by_one(f: SeaFilter, record: EvenRecord, judged: int) -> tuple[Run, float]:
     """What :func:`run` gives, for a record of more holes than can be taken as exceptions: by the live filter ``f`` from
     its start; and the variance of the last ``judged`` innovations over the model's, robustly.
 
@@ -231,7 +126,7 @@ def one_by_one(f: SeaFilter, record: Record, judged: int) -> tuple[Run, float]:
     """
     count, steady, heave = len(record.a_mps2), f.steady, f.system.heave
     predicted, innovation = np.full(count, np.nan), np.zeros(count)
-    limit_m2 = UNSURE**2 * float(heave @ f.steady_covariance @ heave)
+    limit_m2 = TUNING.unsure**2 * float(heave @ f.steady_covariance @ heave)
     changes = sorted({*record.cuts, *record.blows})
     for i in np.flatnonzero(record.is_known).tolist():
         if isnan(f.t_s):
@@ -240,23 +135,13 @@ def one_by_one(f: SeaFilter, record: Record, judged: int) -> tuple[Run, float]:
             f.P = record.opened(f.system, f.covariance, changes.pop(0))
         predicted_m, y = f.step(i * record.dt_s, float(record.a_mps2[i]))
         innovation[i] = y * sqrt(steady.S / f.innovation_variance)
-        if f.innovation_variance < UNSURE**2 * steady.S and (
+        if f.innovation_variance < TUNING.unsure**2 * steady.S and (
             f.is_steady or float(heave.dot(f.covariance).dot(heave)) < limit_m2
         ):
             predicted[i] = predicted_m
     told = innovation[-judged:][record.is_known[-judged:]] ** 2 / steady.S
     excess = float(np.median(told)) / MEDIAN_OF_SQUARES if len(told) else 1.0
     return Run(f.x, None if f.P is None else f.P.copy(), predicted, innovation), excess
-
-
-def stretches(record: Record, places: Sequence[int] = ()) -> Iterator[tuple[int, int, bool]]:
-    """(first, end, is_known) of each stretch that is all known or all unknown, without a cut, or one of ``places``, in
-    it."""
-    is_known = record.is_known
-    changes = 1 + np.flatnonzero(np.diff(is_known.astype(np.int8)))
-    edges = {*changes.tolist(), *record.cuts, *places, 0, len(is_known)}
-    for first, end in itertools.pairwise(sorted(edges)):
-        yield first, end, bool(is_known[first])
 
 
 def _corrected(
@@ -272,7 +157,7 @@ def _corrected(
     """
     steady = blocks.steady
     values, vectors = np.linalg.eigh(_symmetric(steady.F @ P @ steady.F.T + steady.Q) - steady.P)
-    less = values > TELLING * max(float(values[-1]), 0.0)
+    less = values > TUNING.telling * max(float(values[-1]), 0.0)
     L = vectors[:, less] * np.sqrt(values[less])
     x = blocks.run(a, x, predicted, innovation)
     seen, heave, L = blocks.ahead(L, len(a))
@@ -296,13 +181,13 @@ def _tell(S: float, variance_m2: float, seen: Array, heave: Array, predicted: Ar
     told = [np.pad(values, ((0, pad), (0, 0))).reshape(-1, CHUNK, r) for values in (seen, heave)]
     seen, heave = told
     y = np.pad(innovation, (0, pad)).reshape(-1, CHUNK, 1)
-    # Before each chunk: u and its covariance, from all chunks before it.
+    # Before each chunk, from all chunks before it: u, and its covariance P times the rows of innovation and heave.
     sums = np.matmul(seen.transpose(0, 2, 1), np.concatenate((seen, y), axis=2)) / S
     sums = np.concatenate((np.zeros_like(sums[:1]), np.cumsum(sums[:-1], axis=0)))
-    P = np.linalg.inv(np.eye(r) + sums[:, :, :r])
-    u = np.matmul(P, sums[:, :, r:])
+    right = np.concatenate((sums[:, :, r:], seen.transpose(0, 2, 1), heave.transpose(0, 2, 1)), axis=2)
+    known = np.linalg.solve(np.eye(r) + sums[:, :, :r], right)
+    u, PH, Ph = known[:, :, :1], known[:, :, 1 : 1 + CHUNK], known[:, :, 1 + CHUNK :]
     # Within: the innovations are whitened by Cholesky's factor of their covariance, each by those before it.
-    PH = np.matmul(P, seen.transpose(0, 2, 1))
     factor = np.linalg.cholesky(S * np.eye(CHUNK) + np.matmul(seen, PH))
     right = np.concatenate((y - np.matmul(seen, u), np.matmul(heave, PH).transpose(0, 2, 1)), axis=2)
     white = np.linalg.solve(factor, right)
@@ -310,9 +195,9 @@ def _tell(S: float, variance_m2: float, seen: Array, heave: Array, predicted: Ar
     stds = np.diagonal(factor, axis1=1, axis2=2)
     innovation[:] = sqrt(S) * white[:, :, 0].ravel()[:count]
     correction = np.matmul(heave, u) + np.matmul(learned, white[:, :, :1])
-    more_m2 = np.sum(np.matmul(heave, P) * heave, axis=2) - np.sum(learned**2, axis=2)
-    is_sure = variance_m2 + more_m2.ravel()[:count] < UNSURE**2 * variance_m2
-    is_sure &= stds.ravel()[:count] ** 2 < UNSURE**2 * S
+    more_m2 = np.sum(heave * Ph.transpose(0, 2, 1), axis=2) - np.sum(learned**2, axis=2)
+    is_sure = variance_m2 + more_m2.ravel()[:count] < TUNING.unsure**2 * variance_m2
+    is_sure &= stds.ravel()[:count] ** 2 < TUNING.unsure**2 * S
     predicted[:] = np.where(is_sure, predicted + correction.ravel()[:count], np.nan)
 
 

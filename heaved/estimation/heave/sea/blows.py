@@ -1,7 +1,7 @@
 """Blows: slams, a load that is set down, a wave against the bow. Told by how suddenly it begins to ring.
 
-The second difference of the beats hardly sees the waves; what is left, noise and steady vibration, has a usual size. A
-blow stands far out of it within one beat, and out of the ringing of the one before, which only dies away.
+The second difference of the samples hardly sees the waves; what is left, noise and steady vibration, has a usual size.
+A blow stands far out of it within one sample, and out of the ringing of the one before, which only dies away.
 """
 
 from __future__ import annotations
@@ -9,26 +9,36 @@ from __future__ import annotations
 from math import exp, inf, sqrt
 from typing import Final
 
-USUAL_S: Final = 30.0
-"""Memory of what is usual."""
-STANDS_OUT: Final = 7.0
-"""Times the usual size: noise does that once in centuries, a steady vibration never."""
-COUNTED: Final = 3.0
-"""A difference counts with so many times the usual size at most."""
-LOUDER: Final = 1.5
-"""Times what is left of the last blow."""
-RINGS_S: Final = 1.0
-"""In which ringing falls to a third; the hulls' is shorter, and then nothing is missed but the smaller of two blows."""
-RISES_S: Final = 0.3
-"""In which a blow reaches its height."""
-MISSED: Final = 4.5
-"""Readings of a blow may be withheld at first, as spikes: after so many intervals it still shows."""
-LEAST_MPS2: Final = 0.05
-"""A smaller one costs nothing."""
+import msgspec
 
 
-class Blows:
-    """Give it every beat."""
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """What counts as a blow."""
+
+    usual_s: float = 30.0
+    """Memory of what is usual."""
+    stands_out: float = 7.0
+    """Times the usual size: noise does that once in centuries, a steady vibration never."""
+    counted: float = 3.0
+    """A difference counts with so many times the usual size at most."""
+    louder: float = 1.5
+    """Times what is left of the last blow."""
+    rings_s: float = 1.0
+    """In which ringing falls to a third; the hulls' is shorter, and then nothing is missed but the smaller of two
+    blows."""
+    rises_s: float = 0.3
+    """In which a blow reaches its height."""
+    missed: float = 4.5
+    """Readings of a blow may be withheld at first, as spikes: after so many intervals it still shows."""
+    least_mps2: float = 0.05
+    """A smaller one costs nothing."""
+
+
+TUNING: Final = Tuning()
+
+
+class BlowDetector:
+    """Step it with every sample."""
 
     def __init__(self) -> None:
         self._last: tuple[float, float] | None = None
@@ -36,34 +46,36 @@ class Blows:
         self._usual2 = self._seconds = self._ringing = 0.0
         self._struck_s = -inf
 
-    def take(self, t_s: float, a_mps2: float) -> float:
-        """Size (m/s2) of the blow that has struck just before this beat, or while it was measured; 0: there was
+    def step(self, t_s: float, a_mps2: float) -> float:
+        """Size (m/s2) of the blow that has struck just before this sample, or while it was measured; 0: there was
         none."""
         last, before = self._last, self._before
         self._last, self._before = (t_s, a_mps2), last
         if last is None or before is None:
             return 0.0
         dt, earlier = t_s - last[0], last[0] - before[0]
-        if not earlier < MISSED * dt < MISSED**2 * earlier:
+        if not earlier < TUNING.missed * dt < TUNING.missed**2 * earlier:
             self._ringing = 0.0
             return 0.0
         missed = dt / earlier
         # From where the two before it lead; what the waves do meanwhile grows with the square of the time.
         size = abs(a_mps2 - last[1] - missed * (last[1] - before[1]))
-        limit = max(STANDS_OUT * sqrt(self._usual2), LEAST_MPS2) * max(missed, 1.0) ** 2
-        self._ringing *= exp(-dt / RINGS_S)
+        limit = max(TUNING.stands_out * sqrt(self._usual2), TUNING.least_mps2) * max(missed, 1.0) ** 2
+        self._ringing *= exp(-dt / TUNING.rings_s)
         is_blow = (
-            self._seconds > 0.5 * USUAL_S
+            self._seconds > 0.5 * TUNING.usual_s
             and size > limit
-            and size > LOUDER * self._ringing
-            and t_s - self._struck_s > RISES_S
+            and size > TUNING.louder * self._ringing
+            and t_s - self._struck_s > TUNING.rises_s
         )
         if is_blow:
             self._struck_s = t_s
         self._ringing = max(self._ringing, size)
         if not 0.5 < missed < 1.5:
             return size if is_blow else 0.0
-        self._seconds = min(self._seconds + dt, USUAL_S)
-        counted = size * size if self._seconds < 0.1 * USUAL_S else min(size * size, COUNTED**2 * self._usual2)
+        self._seconds = min(self._seconds + dt, TUNING.usual_s)
+        counted = (
+            size * size if self._seconds < 0.1 * TUNING.usual_s else min(size * size, TUNING.counted**2 * self._usual2)
+        )
         self._usual2 += dt / self._seconds * (counted - self._usual2)
         return size if is_blow else 0.0

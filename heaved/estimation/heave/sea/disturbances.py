@@ -9,17 +9,19 @@ since are gone through again with a bias of which nothing is known. If that expl
 noise: its variance is taken from the innovations and added to the sensor's own for as long as it lasts, so that the
 state is known only as well as it then can be.
 
-A blow (:mod:`sea_blows`) is a burst at first, from its first reading on. The hull rings, and the model may have
-resonances for that: as soon as the readings since then are explained by the filter as it was before, but with nothing
-known of what rings, it goes on from there, as if there had been no burst.
+A blow (:mod:`heaved.estimation.heave.sea.blows`) is a burst at first, from its first reading on. The hull rings, and
+the model may have resonances for that: as soon as the readings since then are explained by the filter as it was before,
+but with nothing known of what rings, it goes on from there, as if there had been no burst.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from enum import Enum, auto
 from math import inf, sqrt
-from typing import Final, Literal, NamedTuple
+from typing import Final, NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,51 +30,68 @@ from heaved.estimation.heave.sea.model import Steady
 
 Array = NDArray[np.float64]
 
-SOON: Final = tuple(range(5, 25))
-"""Readings since a step that is looked for at once;"""
-LATE: Final = tuple(range(40, 241, 20))
-"""since one that is small and shows only in where it leads."""
-TOO_LARGE: Final = 5.5
-"""A pattern over its usual RMS; by chance that is so every few days, and costs a little for half a minute."""
-USUAL_S: Final = 60.0
-"""Memory of what is usual: a sea that is not quite the model's, a hull that shakes."""
-PATIENCE: Final = 5
-"""Readings that are withheld one after the other before they are judged."""
-EXPLAINED: Final = 5.0
-"""Deviations of their mean square from 1 up to which a step explains the innovations since it."""
-FIRST: Final = 2
-"""Innovations that are left out of that: what the bias is found from."""
-LEFT: Final = 0.1
-"""Share of the variance of a burst that may be left of it when it was a step."""
-NOISE_S: Final = 1.0
-"""Memory of the variance of a burst."""
-QUIET: Final = 1.0
-"""Share of the sensor's own noise that is left of a burst when it is over."""
-BURST_S: Final = 16.0
-"""Noise that lasts longer is no burst: what shakes the sensor has changed. From then on the record of it counts, and
-the next fit, which is made at once, learns it."""
-SMOOTH: Final = 0.9
-"""Most that neighbouring innovations of a burst are alike: noise that is smooth is heavier than its variance says."""
-BOUNDED: Final = 1.0
-"""Innovations count no more than so many deviations in that."""
-MIXED: Final = 2
-"""Readings about a step that may be of both levels: the first that shows it, and the one before."""
-RINGING: Final = 5
-"""Innovations that are left out after a blow: what rings is found from them."""
-RINGS: Final = 14
-"""Readings after a blow before it is looked for what rings,"""
-RINGS_STILL: Final = 60
-"""and after which it has died away."""
-RINGING_LEFT: Final = 0.2
-"""Share of what the readings after a blow have left that their two predecessors do not explain, of a ringing."""
-LIKELIER: Final = 0.5
-"""A blow has to leave that share of the squares at most of what a step leaves."""
-RETRIED: Final = 10
-RETRY_S: Final = 0.5
-"""In a burst, so many readings are tried as those after a step, so often."""
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """What counts as a step, a burst or a blow, in the innovations of the filter."""
+
+    soon: tuple[int, ...] = tuple(range(5, 25))
+    """Readings since a step that is looked for at once;"""
+    late: tuple[int, ...] = tuple(range(40, 241, 20))
+    """since one that is small and shows only in where it leads."""
+    too_large: float = 5.5
+    """A pattern over its usual RMS; by chance that is so every few days, and costs a little for half a minute."""
+    usual_s: float = 60.0
+    """Memory of what is usual: a sea that is not quite the model's, a hull that shakes."""
+    patience: int = 5
+    """Readings that are withheld one after the other before they are judged."""
+    explained: float = 5.0
+    """Deviations of their mean square from 1 up to which a step explains the innovations since it."""
+    first: int = 2
+    """Innovations that are left out of that: what the bias is found from."""
+    left: float = 0.1
+    """Share of the variance of a burst that may be left of it when it was a step."""
+    noise_s: float = 1.0
+    """Memory of the variance of a burst."""
+    quiet: float = 1.0
+    """Share of the sensor's own noise that is left of a burst when it is over."""
+    burst_s: float = 16.0
+    """Noise that lasts longer is no burst: what shakes the sensor has changed. From then on the record of it counts,
+    and the next fit, which is made at once, learns it."""
+    smooth: float = 0.9
+    """Most that neighbouring innovations of a burst are alike: noise that is smooth is heavier than its variance
+    says."""
+    bounded: float = 1.0
+    """Innovations count no more than so many deviations in that."""
+    mixed: int = 2
+    """Readings about a step that may be of both levels: the first that shows it, and the one before."""
+    ringing: int = 5
+    """Innovations that are left out after a blow: what rings is found from them."""
+    rings: int = 14
+    """Readings after a blow before it is looked for what rings,"""
+    rings_still: int = 60
+    """and after which it has died away."""
+    ringing_left: float = 0.2
+    """Share of what the readings after a blow have left that their two predecessors do not explain, of a ringing."""
+    likelier: float = 0.5
+    """A blow has to leave that share of the squares at most of what a step leaves."""
+    retried: int = 10
+    """In a burst, so many readings are tried as those after a step,"""
+    retry_s: float = 0.5
+    """In a burst, so many readings are tried as those after a step, so often."""
 
 
-After = Literal["step", "blow", "burst"]
+TUNING: Final = Tuning()
+
+
+class After(Enum):
+    """What readings may come after."""
+
+    STEP = auto()
+    """Of the level: nothing is known of the bias."""
+    BLOW = auto()
+    """Nothing is known of what rings."""
+    BURST = auto()
+    """All is as before."""
 
 
 class Explanation(NamedTuple):
@@ -86,8 +105,8 @@ class Explanation(NamedTuple):
     """Time of the first that counts."""
 
 
-class Guard:
-    """Steps a filter.
+class DisturbanceDetector:
+    """Steps a filter, and takes it back to where it was before what has turned out not to be of the sea.
 
     Attributes:
         step_s: from the first reading that may be of two levels to the first after a step, when the last reading has
@@ -100,9 +119,9 @@ class Guard:
     """
 
     def __init__(self) -> None:
-        self._past: deque[tuple[float, float, State]] = deque(maxlen=LATE[-1])
+        self._past: deque[tuple[float, float, State]] = deque(maxlen=TUNING.late[-1])
         """Of each reading: its time and value, and the filter before it."""
-        self._scaled = np.zeros(2 * LATE[-1])
+        self._scaled = np.zeros(2 * TUNING.late[-1])
         """Their innovations over their deviations; each is written twice, so that all lie in one piece."""
         self._next = 0
         self._of: SeaFilter | None = None
@@ -133,7 +152,7 @@ class Guard:
             self._in_burst(f, t_s)
         elif count := self._suspects(f):
             self._judge(f, count)
-        self.is_burst = f.burst_variance > 0.0 and t_s - self._burst_s < BURST_S
+        self.is_burst = f.burst_variance > 0.0 and t_s - self._burst_s < TUNING.burst_s
         if self.is_burst:
             self.held.append((t_s, a_mps2))
         elif self.held and not f.burst_variance > 0.0:
@@ -151,7 +170,7 @@ class Guard:
             self._past.append((t_s, a_mps2, f.state()))
             f.burst_variance = max(f.burst_variance, variance)
             self._burst_s, self._alike, self._before = t_s, 0.0, 0.0
-            self._retry_s = t_s + RINGS * f.steady.dt_s
+            self._retry_s = t_s + TUNING.rings * f.steady.dt_s
         else:
             f.open_resonances()
             self.blow_s = t_s
@@ -181,7 +200,7 @@ class Guard:
         self._is_struck = False
 
     def _keep(self, scaled: float) -> None:
-        at, size = self._next, LATE[-1]
+        at, size = self._next, TUNING.late[-1]
         self._scaled[at] = self._scaled[at + size] = scaled
         self._next = at + 1 if at + 1 < size else 0
 
@@ -190,25 +209,28 @@ class Guard:
         patterns = self._patterns
         if patterns is None or self._steady is not f.steady:
             self._steady, self._patterns = f.steady, (patterns := _patterns(f))
-        squares = patterns.dot(self._scaled[self._next : self._next + LATE[-1]]) ** 2
-        share = f.steady.dt_s / USUAL_S
+        looked = patterns.dot(self._scaled[self._next : self._next + TUNING.late[-1]])
+        share = f.steady.dt_s / TUNING.usual_s
         found = 0
-        for i, part in enumerate((squares[: len(SOON)], squares[len(SOON) :])):
-            limit = TOO_LARGE**2 * max(self._usual[i], 1.0)
-            k = int(part.argmax())
-            if not found and part[k] > limit:
-                found = (SOON, LATE)[i][k]
-            self._usual[i] += share * (min(float(part.mean()), limit) - self._usual[i])
+        for i, (part, counts) in enumerate(
+            ((looked[: len(TUNING.soon)], TUNING.soon), (looked[len(TUNING.soon) :], TUNING.late))
+        ):
+            limit, total = TUNING.too_large**2 * max(self._usual[i], 1.0), float(part.dot(part))
+            if not found and total > limit:  # Else none of them is.
+                k = int(abs(part).argmax())
+                if part[k] ** 2 > limit:
+                    found = counts[k]
+            self._usual[i] += share * (min(total / len(counts), limit) - self._usual[i])
         if f.withheld:
-            return f.withheld if f.withheld >= PATIENCE else 0
+            return f.withheld if f.withheld >= TUNING.patience else 0
         return found if found <= len(self._past) else 0
 
     def _judge(self, f: SeaFilter, count: int) -> None:
         """What are the last ``count`` readings? After a step the filter goes on from it, else in a burst."""
         if count >= len(self._past) or self._is_step(f, count):
             return
-        last = min(count, SOON[-1])
-        scaled = self._scaled[self._next + LATE[-1] - last : self._next + LATE[-1]]
+        last = min(count, TUNING.soon[-1])
+        scaled = self._scaled[self._next + TUNING.late[-1] - last : self._next + TUNING.late[-1]]
         variance = float(np.mean(scaled**2)) * f.innovation_variance
         suspects = list(self._past)[-last:]
         f.restore(suspects[0][2])
@@ -220,7 +242,7 @@ class Guard:
 
     def _is_step(self, f: SeaFilter, count: int) -> bool:
         """Whether a step explains the last ``count`` readings; if it does, the filter has gone through them again."""
-        found = self._explanation(f, count, "step")
+        found = self._explanation(f, count, After.STEP)
         if found is not None:
             self.step_s = self._past[-count - 1][0], found.from_s
             self._go_on(f, found)
@@ -236,19 +258,20 @@ class Guard:
         """What the filter makes of the last ``count`` readings from where it was before, if it explains them without
         more noise than its own; it is left as it was. After a step nothing is known of the bias, after a blow nothing
         of what rings, and the readings about it are left out: the mean of some before and some after it is neither."""
-        if count + (after == "step") > len(self._past):
+        count += after is After.STEP
+        if count > len(self._past):
             return None
-        readings = list(self._past)[-count - (after == "step") :]
+        readings = list(self._past)[-count:]
         now = f.state()
         f.restore(readings[0][2])
         f.withheld, f.burst_variance = 0, 0.0
-        first = FIRST
-        if after == "step":
+        first = TUNING.first
+        if after is After.STEP:
             f.open_bias()
-            readings = readings[MIXED:]
-        elif after == "blow":
+            readings = readings[TUNING.mixed :]
+        elif after is After.BLOW:
             f.open_resonances()
-            readings, first = readings[1:], RINGING
+            readings, first = readings[1:], TUNING.ringing
         square = left = told = 0.0
         for i, (t_s, a_mps2, _) in enumerate(readings):
             f.step(t_s, a_mps2)
@@ -256,8 +279,8 @@ class Guard:
                 told += 1.0
                 square += f.innovation**2 / f.innovation_variance
                 left += f.innovation**2
-        is_left = 0.0 < LEFT * now.burst_variance * told < left
-        is_well = not f.withheld and square <= (told + EXPLAINED * sqrt(2.0 * told)) * max(*self._usual, 1.0)
+        is_left = 0.0 < TUNING.left * now.burst_variance * told < left
+        is_well = not f.withheld and square <= (told + TUNING.explained * sqrt(2.0 * told)) * max(*self._usual, 1.0)
         found = Explanation(square / max(told, 1.0), f.state(), readings[0][0])
         f.restore(now)
         return found if is_well and not is_left else None
@@ -265,10 +288,10 @@ class Guard:
     def _resolve(self, f: SeaFilter) -> None:
         """What the burst is that lasts still: a blow, or a step, if either explains all of it; or it is over."""
         count = len(self._past)
-        if self._is_struck and count <= RINGS_STILL:
-            blow = self._explanation(f, count, "blow") if f.system.model.resonances else None
-            step = self._explanation(f, count - 1, "step")
-            if blow is not None and (step is None or blow.square < LIKELIER * step.square):
+        if self._is_struck and count <= TUNING.rings_still:
+            blow = self._explanation(f, count, After.BLOW) if f.system.model.resonances else None
+            step = self._explanation(f, count - 1, After.STEP)
+            if blow is not None and (step is None or blow.square < TUNING.likelier * step.square):
                 self.blow_s = self._past[0][0]  # What stands there is in part of after it.
                 self._go_on(f, blow)
                 return
@@ -279,43 +302,43 @@ class Guard:
         else:
             self._learn_ringing()
         since = sum(1 for at_s, _, _ in self._past if at_s >= self._burst_s)
-        over = self._explanation(f, RETRIED, "burst")
+        over = self._explanation(f, TUNING.retried, After.BURST)
         if over is not None:
             f.restore(over.state)
             self._learn_ringing()
             self.restart()
-        elif not (RETRIED < since < len(self._past) and self._is_step(f, since)):
-            self._is_step(f, RETRIED)
+        elif not (TUNING.retried < since < len(self._past) and self._is_step(f, since)):
+            self._is_step(f, TUNING.retried)
 
     def _learn_ringing(self) -> None:
         """A blow that sets something ringing of which the model knows nothing yet: the next fit shall see it."""
         count = len(self._past)
-        if not self._is_struck or count < RINGS:
+        if not self._is_struck or count < TUNING.rings:
             return
         self._is_struck = False
-        y = self._scaled[self._next + LATE[-1] - count + 1 : self._next + LATE[-1]]
+        y = self._scaled[self._next + TUNING.late[-1] - count + 1 : self._next + TUNING.late[-1]]
         before = np.column_stack((y[1:-1], y[:-2]))
         told = before @ np.linalg.lstsq(before, y[2:], rcond=None)[0]
-        if float(np.sum((y[2:] - told) ** 2)) < RINGING_LEFT * float(np.sum(y[2:] ** 2)):
+        if float(np.sum((y[2:] - told) ** 2)) < TUNING.ringing_left * float(np.sum(y[2:] ** 2)):
             self.blow_s = self._past[0][0]
             self.explained = tuple([(t_s, a_mps2) for t_s, a_mps2, _ in self._past])[1:]
 
     def _in_burst(self, f: SeaFilter, t_s: float) -> None:
         """Follow the variance of the noise; see whether it is over, or was a step."""
-        share, scaled = f.steady.dt_s / NOISE_S, f.innovation / sqrt(f.innovation_variance)
-        bounded = min(max(scaled, -BOUNDED), BOUNDED)
+        share, scaled = f.steady.dt_s / TUNING.noise_s, f.innovation / sqrt(f.innovation_variance)
+        bounded = min(max(scaled, -TUNING.bounded), TUNING.bounded)
         self._alike += share * (bounded * self._before - self._alike)
         self._before = bounded
         excess = max(f.innovation**2 - (f.innovation_variance - f.burst_variance), 0.0)
-        smooth = min(max(self._alike, 0.0), SMOOTH)
+        smooth = min(max(self._alike, 0.0), TUNING.smooth)
         heavier = (1.0 + smooth) / (1.0 - smooth)
         f.burst_variance += share * (heavier * excess - f.burst_variance)
-        if f.burst_variance < QUIET * f.noise_variance:
+        if f.burst_variance < TUNING.quiet * f.noise_variance:
             f.burst_variance = 0.0
             self._learn_ringing()
             self.restart()
-        elif len(self._past) > RETRIED and t_s >= self._retry_s:
-            self._retry_s = t_s + RETRY_S
+        elif len(self._past) > TUNING.retried and t_s >= self._retry_s:
+            self._retry_s = t_s + TUNING.retry_s
             self._resolve(f)
 
 
@@ -324,12 +347,12 @@ def _patterns(f: SeaFilter) -> Array:
     readings ago it was; of unit length each."""
     steady, H = f.steady, f.system.H
     closed = steady.F - np.outer(steady.F @ steady.K, H)
-    error, seen = np.zeros(len(H)), np.empty(LATE[-1])
+    error, seen = np.zeros(len(H)), np.empty(TUNING.late[-1])
     error[-1] = 1.0
-    for k in range(LATE[-1]):
+    for k in range(TUNING.late[-1]):
         seen[k] = H @ error
         error = closed @ error
-    rows = np.zeros((len(SOON) + len(LATE), LATE[-1]))
-    for row, count in zip(rows, (*SOON, *LATE), strict=True):
+    rows = np.zeros((len(TUNING.soon) + len(TUNING.late), TUNING.late[-1]))
+    for row, count in zip(rows, (*TUNING.soon, *TUNING.late), strict=True):
         row[-count:] = seen[:count] / np.linalg.norm(seen[:count])
     return rows

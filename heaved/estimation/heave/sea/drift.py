@@ -1,7 +1,7 @@
 """A bias that runs away, seen within seconds: while a sensor warms up, its level drifts as no wave does.
 
 The filter follows a bias that wanders as far as its model says; one that leads the same way for minutes takes the heave
-with it. A sum of the last beats with weights that hardly let any wave through shows the drift a hundred times finer
+with it. A sum of the last samples with weights that hardly let any wave through shows the drift a hundred times finer
 than its heave could, and what the model expects of that sum is known.
 """
 
@@ -10,22 +10,33 @@ from __future__ import annotations
 from math import inf, pi, sqrt
 from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.heave.sea.model import SeaModel
+from heaved.estimation.heave.sea.record import SeaRecord
 
 Array = NDArray[np.float64]
 
-DRIFTS_S: Final = (30.0, 60.0, 120.0)
-"""A drift is looked for in the last so many seconds."""
-LOOKED_EVERY_S: Final = 1.0
-TOO_FAR: Final = 4.0
-"""Standard deviations of a drift that is not expected."""
-SEEMS_FAR: Final = 1.5
-"""The same, above one more of which errors are said to be as many times larger."""
-ALL_THERE: Final = 2.0
-"""Beats by which the last ones may span more than they do when none is missing: elsewhere weights see the waves."""
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """What counts as a drift."""
+
+    drifts_s: tuple[float, float, float] = (30.0, 60.0, 120.0)
+    """A drift is looked for in the last so many seconds."""
+    looked_every_s: float = 1.0
+    """So often; less is not worth a sum over two minutes."""
+    too_far: float = 4.0
+    """Standard deviations of a drift that is not expected."""
+    seems_far: float = 1.5
+    """The same, above one more of which errors are said to be as many times larger."""
+    all_there: float = 2.0
+    """Samples by which the last ones may span more than they do when none is missing: elsewhere weights see the
+    waves."""
+
+
+TUNING: Final = Tuning()
 
 
 def drift_weights(count: int) -> Array:
@@ -37,7 +48,7 @@ def drift_weights(count: int) -> Array:
 
 
 def drift_variances(weights: Array, dt_s: float, model: SeaModel) -> tuple[float, float]:
-    """Variance (m/s2)2 of a sum of beats every ``dt_s``, so weighed, by ``model`` but for the walk of its bias, and
+    """Variance (m/s2)2 of a sum of samples every ``dt_s``, so weighed, by ``model`` but for the walk of its bias, and
     what a walk of 1 (m/s2)2/s adds."""
     n = 4 * len(weights)
     f = np.fft.rfftfreq(n, dt_s)[1:].astype(np.float64)
@@ -47,8 +58,8 @@ def drift_variances(weights: Array, dt_s: float, model: SeaModel) -> tuple[float
     return float(passed @ rest), float(passed @ walk)
 
 
-class DriftWatch:
-    """Looks at the last beats now and then.
+class DriftDetector:
+    """Looks at the last samples now and then.
 
     Attributes:
         ratio: how far the level goes over what the model has for that, at the last look.
@@ -58,31 +69,33 @@ class DriftWatch:
         self._looked_s = -inf
         self.ratio = 0.0
         self._sums: list[tuple[float, Array, float]] = []
-        for seconds in DRIFTS_S:
+        for seconds in TUNING.drifts_s:
             weights = drift_weights(round(seconds / dt_s))
             rest, walk = drift_variances(weights, dt_s, model)
             self._sums.append((seconds, weights, rest + model.bias_walk_psd * walk))
 
-    def is_due(self, t_s: float) -> bool:
-        """Whether it is time for a look."""
-        return t_s - self._looked_s >= LOOKED_EVERY_S
-
-    def look(self, t_s: float, beats: Array) -> None:
-        """How far the level goes in the ``beats`` (n, 2), time and m/s2."""
+    def step(self, t_s: float, record: SeaRecord) -> None:
+        """See how far the level goes in the ``record`` up to ``t_s``, since its last cut, when it is time for that."""
+        if t_s - self._looked_s < TUNING.looked_every_s:
+            return
         self._looked_s = t_s
+        cuts_s = record.cuts_s
+        samples = record.since(max(t_s - max(TUNING.drifts_s) - 1.0, cuts_s[-1][1] if cuts_s else -inf))
         self.ratio = 0.0
         for seconds, weights, variance in self._sums:
-            part = beats[-len(weights) :]
-            is_whole = len(part) == len(weights) and part[-1, 0] - part[0, 0] < seconds * (1.0 + ALL_THERE / len(part))
+            part = samples[-len(weights) :]
+            is_whole = len(part) == len(weights) and part[-1, 0] - part[0, 0] < seconds * (
+                1.0 + TUNING.all_there / len(part)
+            )
             if is_whole:
                 self.ratio = max(self.ratio, abs(float(weights @ part[:, 1])) / sqrt(variance))
 
     @property
     def is_drifting(self) -> bool:
         """Whether that is further than the model has it."""
-        return self.ratio > TOO_FAR
+        return self.ratio > TUNING.too_far
 
     @property
     def factor(self) -> float:
         """By which errors are larger than the model says, as far as it seems."""
-        return max(1.0, self.ratio - SEEMS_FAR) if self.ratio > SEEMS_FAR + 1.0 else 1.0
+        return max(1.0, self.ratio - TUNING.seems_far) if self.ratio > TUNING.seems_far + 1.0 else 1.0

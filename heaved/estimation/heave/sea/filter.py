@@ -1,7 +1,7 @@
 """The live filter of the sea model: one measurement of the vertical acceleration at a time.
 
 A Kalman filter (on this linear model every set of sigma points reproduces it to rounding: the tests say so). While
-samples come in their usual interval and the covariance has converged to that of the steady filter, within STEADY of
+samples come in their usual interval and the covariance has converged to that of the steady filter, within a 1e-8th of
 each variance, the steady gain is used: the estimate then differs by less than 1e-9 of the heave from the full one. A
 missing sample, a rejected one or a gap brings the covariance back, and it grows as it should.
 
@@ -15,6 +15,7 @@ from __future__ import annotations
 from math import isfinite, sqrt
 from typing import Final, NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,33 +23,41 @@ from heaved.estimation.heave.sea.model import SeaSystem, Steady, measurement_var
 
 Array = NDArray[np.float64]
 
-STEADY: Final = 1e-8
-"""Relative difference of every variance below which the covariance counts as converged."""
-GATE: Final = 10.0
-"""Innovations beyond this many standard deviations are not of the sea."""
-RELEASE: Final = 4.0
-"""After one that is not, the next ones within this are: what is expected grows unsure, and a step would slip in."""
-GATE_MEMORY: Final = 0.02
-"""Weight of one innovation in the variance that opens the gate for a sea that grows."""
-GATE_LASTS: Final = 10
-"""What is outside for that many samples on end is no outlier."""
-OPENING: Final = 3.0
-"""One innovation counts in that variance with at most as many standard deviations: a sea does not grow in a sample."""
-DRIFT_S: Final = 1.0
-"""Innovations are averaged over this before they are held against the model: noise cancels, a wrong sea stays."""
-SURPRISE_S: Final = 5.0
-"""Memory of how far they were off."""
-EXACT_DELTA_S: Final = 1e-7
-"""A shorter rest of the interval than this changes nothing."""
-LONGEST_STEPS: Final = 40
-"""Gaps of up to so many intervals are whole steps and the same rest; the matrices of each are kept."""
-AT_FIRST: Final = (10.0, 0.05, 0.05)
-"""Standard deviations of constant (m), scale and time (s) of an aiding laser: nothing, what makes a laser be taken for
-one at all, and what is left of latencies that have been given."""
-WANDERS: Final = (0.01, 1e-3, 1e-3)
-"""How they wander, per root of a minute: a centimetre of tide, or of a target that gives way; little else."""
-NUDGE_TERMS: Final = 5
-"""Of the Taylor series of a longer one: at 25 ms and 0.6 Hz the next one is 1e-7."""
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """Of the live filter."""
+
+    steady: float = 1e-8
+    """Relative difference of every variance below which the covariance counts as converged."""
+    gate: float = 10.0
+    """Innovations beyond this many standard deviations are not of the sea."""
+    release: float = 4.0
+    """After one that is not, the next ones within this are: what is expected grows unsure, and a step would slip in."""
+    gate_memory: float = 0.02
+    """Weight of one innovation in the variance that opens the gate for a sea that grows."""
+    gate_lasts: int = 10
+    """What is outside for that many samples on end is no outlier."""
+    opening: float = 3.0
+    """One innovation counts in that variance with at most as many standard deviations: a sea does not grow in a
+    sample."""
+    drift_s: float = 1.0
+    """Innovations are averaged over this before they are held against the model: noise cancels, a wrong sea stays."""
+    surprise_s: float = 5.0
+    """Memory of how far they were off."""
+    exact_delta_s: float = 1e-7
+    """A shorter rest of the interval than this changes nothing."""
+    longest_steps: int = 40
+    """Gaps of up to so many intervals are whole steps and the same rest; the matrices of each are kept."""
+    at_first: tuple[float, float, float] = (10.0, 0.05, 0.05)
+    """Standard deviations of constant (m), scale and time (s) of an aiding laser: nothing, what makes a laser be taken
+    for one at all, and what is left of latencies that have been given."""
+    wanders: tuple[float, float, float] = (0.01, 1e-3, 1e-3)
+    """How they wander, per root of a minute: a centimetre of tide, or of a target that gives way; little else."""
+    nudge_terms: int = 5
+    """Of the Taylor series of a longer one: at 25 ms and 0.6 Hz the next one is 1e-7."""
+
+
+TUNING: Final = Tuning()
 
 
 class State(NamedTuple):
@@ -87,14 +96,14 @@ class GaugeError:
     @classmethod
     def at_first(cls, constant_m: float, n: int) -> GaugeError:
         """Before anything is known but a guess of the constant."""
-        return cls(np.array([constant_m, 0.0, 0.0]), np.diag(np.square(AT_FIRST)), n)
+        return cls(np.array([constant_m, 0.0, 0.0]), np.diag(np.square(TUNING.at_first)), n)
 
     def wander(self, elapsed_s: float, constant_m: float = 0.0) -> None:
         """What the time since the last reading has taken of what was known.
 
         constant_m: how far the constant has been seen to wander, per root of a minute.
         """
-        walks = np.square((max(constant_m, WANDERS[0]), *WANDERS[1:]))
+        walks = np.square((max(constant_m, TUNING.wanders[0]), *TUNING.wanders[1:]))
         self.V = self.V + np.diag(walks) * (elapsed_s / 60.0)
 
     def left_open(self, system: SeaSystem) -> Array:
@@ -130,7 +139,7 @@ class SeaFilter:
         self.steady_covariance = steady.P - np.outer(steady.K, steady.K) * steady.S
         self._steady_variances = np.diag(self.steady_covariance).copy()
         rows = [steady.F]
-        for i in range(1, NUDGE_TERMS):
+        for i in range(1, TUNING.nudge_terms):
             rows.append(system.A.dot(rows[-1]) / i)
         self._taylor = np.concatenate(rows)  # One product gives all terms.
         self._steps = [(steady.F, steady.Q)]
@@ -189,12 +198,12 @@ class SeaFilter:
         """Take a sample at ``t_s`` > the last one; (heave in m before it was taken in, innovation in m/s2 or 0)."""
         dt = t_s - self.t_s
         steady, H = self.steady, self.system.H
-        steps = round(dt / steady.dt_s) if dt < (LONGEST_STEPS + 0.5) * steady.dt_s else 0
+        steps = round(dt / steady.dt_s) if dt < (TUNING.longest_steps + 0.5) * steady.dt_s else 0
         x = self.x
         if steps > 0:
             F, Q = self.moves(steps)
             delta = dt - steps * steady.dt_s
-            if abs(delta) <= EXACT_DELTA_S:
+            if abs(delta) <= TUNING.exact_delta_s:
                 x = F.dot(x)
             else:
                 x = self._moved(x if steps == 1 else self._steps[steps - 2][0].dot(x), delta)
@@ -217,7 +226,7 @@ class SeaFilter:
             self.rejected += 1
             self.x, self.P = x, steady.P if P is None else P
             return predicted_m, 0.0
-        if self.withheld >= GATE_LASTS:
+        if self.withheld >= TUNING.gate_lasts:
             # It lasts, so it is true, and what was thought to be known is not.
             self.withheld = 0
             P = self.system.stationary
@@ -278,15 +287,15 @@ class SeaFilter:
 
     def _moved(self, x: Array, delta_s: float) -> Array:
         """expm(A (dt + delta)) x, for a delta far below the periods of the model: F x and its Taylor series."""
-        terms = self._taylor.dot(x).reshape(NUDGE_TERMS, len(x))
-        return np.asarray(np.dot([delta_s**i for i in range(NUDGE_TERMS)], terms))
+        terms = self._taylor.dot(x).reshape(TUNING.nudge_terms, len(x))
+        return np.asarray(np.dot([delta_s**i for i in range(TUNING.nudge_terms)], terms))
 
     def _is_outlier(self, y: float, S: float) -> bool:
         variance = max(S, self._seen)
-        self._seen += GATE_MEMORY * (min(y * y, OPENING**2 * variance) - self._seen)
-        if abs(y) <= (RELEASE if self.withheld else GATE) * sqrt(variance):
+        self._seen += TUNING.gate_memory * (min(y * y, TUNING.opening**2 * variance) - self._seen)
+        if abs(y) <= (TUNING.release if self.withheld else TUNING.gate) * sqrt(variance):
             self.withheld = 0
-        elif isfinite(y) and self.withheld >= GATE_LASTS:
+        elif isfinite(y) and self.withheld >= TUNING.gate_lasts:
             return False
         else:
             self.withheld += 1
@@ -294,16 +303,16 @@ class SeaFilter:
 
     def _compare(self, y: float, S: float) -> None:
         """Hold an innovation of variance ``S`` against the model."""
-        weight = self.steady.dt_s / DRIFT_S
-        self._drift += weight * (min(max(y / sqrt(S), -GATE), GATE) - self._drift)
+        weight = self.steady.dt_s / TUNING.drift_s
+        self._drift += weight * (min(max(y / sqrt(S), -TUNING.gate), TUNING.gate) - self._drift)
         ratio = self._drift**2 / (weight / (2.0 - weight))
-        self.surprise += self.steady.dt_s / SURPRISE_S * (ratio - self.surprise)
+        self.surprise += self.steady.dt_s / TUNING.surprise_s * (ratio - self.surprise)
 
     def _settle(self) -> None:
         assert self.P is not None
         if self.gauge is not None:
             return  # The laser knows more than the steady filter will ever.
-        if float(np.max(np.abs(np.diag(self.P) / self._steady_variances - 1.0))) < STEADY:
+        if float(np.max(np.abs(np.diag(self.P) / self._steady_variances - 1.0))) < TUNING.steady:
             self.P = None
 
 

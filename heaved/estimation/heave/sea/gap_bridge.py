@@ -16,6 +16,7 @@ from __future__ import annotations
 from math import sqrt
 from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz, solveh_banded
@@ -25,17 +26,24 @@ from heaved.estimation.heave.sea.model import SeaModel
 
 Array = NDArray[np.float64]
 
-MEMORY_S: Final = 5.0
-"""Order of the autoregression, in seconds: what is further away says little of a hole that is bridged."""
-LONGEST_S: Final = 5.0
-"""A longer hole is not bridged: in its middle nothing is known, and a spectrum would show it as a calm."""
-SETTLED: Final = 10
-"""Lengths of the autoregression after which a record that begins with nothing is like any other part of it."""
-LOWEST_HZ: Final = 1.0 / 400.0
-"""The covariance is summed from here: slower parts of the bias are a constant to a hole."""
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """Of the bridges across holes."""
+
+    memory_s: float = 5.0
+    """Order of the autoregression, in seconds: what is further away says little of a hole that is bridged."""
+    longest_s: float = 5.0
+    """A longer hole is not bridged: in its middle nothing is known, and a spectrum would show it as a calm."""
+    settled: int = 10
+    """Lengths of the autoregression after which a record that begins with nothing is like any other part of it."""
+    lowest_hz: float = 1.0 / 400.0
+    """The covariance is summed from here: slower parts of the bias are a constant to a hole."""
 
 
-def closed(is_known: NDArray[np.bool_], dt_s: float, longest_s: float = LONGEST_S) -> NDArray[np.bool_]:
+TUNING: Final = Tuning()
+
+
+def closed(is_known: NDArray[np.bool_], dt_s: float, longest_s: float = TUNING.longest_s) -> NDArray[np.bool_]:
     """What is known (n,) of an even record once its holes of up to ``longest_s`` between two samples are bridged."""
     found = is_known.copy()
     for first, end in np.flatnonzero(np.diff(is_known.astype(np.int8), prepend=1, append=1)).reshape(-1, 2).tolist():
@@ -49,7 +57,7 @@ def bridged(
     dt_s: float,
     model: SeaModel,
     rng: np.random.Generator | None,
-    longest_s: float = LONGEST_S,
+    longest_s: float = TUNING.longest_s,
 ) -> tuple[Array, NDArray[np.bool_]]:
     """``a`` (n,), evenly sampled, with its holes filled as far as they are bridged, and what is known then (n,).
 
@@ -66,7 +74,7 @@ def bridged(
     level = float(np.mean(a[is_known]))
     there = [np.where(is_known, a - level, 0.0)]
     if rng is not None:
-        drawn = _autoregression(weights, std * rng.standard_normal(len(a) + SETTLED * len(weights)))[-len(a) :]
+        drawn = _autoregression(weights, std * rng.standard_normal(len(a) + TUNING.settled * len(weights)))[-len(a) :]
         there.append(np.where(is_known, drawn, 0.0))
     # The products of the whitening filter with itself, by distance; beyond its length they are zero.
     products = np.append(np.correlate(weights, weights, mode="full")[len(weights) - 1 :], 0.0)
@@ -92,10 +100,10 @@ def _autoregression(weights: Array, noise: Array) -> Array:
 
 def _whitening(model: SeaModel, dt_s: float) -> tuple[Array, float]:
     """(p + 1,) filter that leaves white noise of samples every ``dt_s``, 1, -a_1 ... -a_p, and the std of that."""
-    count = 1 << int(np.ceil(np.log2(1.0 / (LOWEST_HZ * dt_s))))
+    count = 1 << int(np.ceil(np.log2(1.0 / (TUNING.lowest_hz * dt_s))))
     f: Array = np.fft.rfftfreq(count, dt_s)[1:].astype(np.float64)
     covariance = np.fft.irfft(np.append(0.0, model.acceleration_spectrum(f, dt_s))) / (2.0 * dt_s)
-    order = max(8, round(MEMORY_S / dt_s))
+    order = max(8, round(TUNING.memory_s / dt_s))
     a = solve_toeplitz(covariance[:order], covariance[1 : order + 1])
     variance = float(covariance[0] - a @ covariance[1 : order + 1])
     return np.append(1.0, -a), sqrt(max(variance, 0.0))

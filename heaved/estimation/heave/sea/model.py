@@ -51,18 +51,27 @@ Array = NDArray[np.float64]
 
 DOUBLINGS: Final = 40
 """Of the Riccati recursion: 2^40 samples are thirty years at 1 kHz."""
-RICCATI_TOLERANCE: Final = 1e-8
-"""Relative change of P at which the doubling has converged; it is quadratic, so the next one would change nothing."""
-BIAS_SPREAD_MPS2: Final = 0.5
-"""What is known of the accelerometer's bias at the start, with what a wrong tilt adds."""
-BLOW: Final = 30.0
-"""Times that what rings may ring more after a slam than it does on the whole."""
+
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """What is not fitted of the model."""
+
+    riccati_tolerance: float = 1e-8
+    """Relative change of P at which the doubling has converged; it is quadratic, so the next one would change
+    nothing."""
+    bias_spread_mps2: float = 0.5
+    """What is known of the accelerometer's bias at the start, with what a wrong tilt adds."""
+    blow: float = 30.0
+    """Times that what rings may ring more after a slam than it does on the whole."""
+    short_waves_step_s: float = 0.05
+    """Samples so often show short waves as they are."""
+
+
+TUNING: Final = Tuning()
 
 
 PAIR: Final = 4
 """States of a resonance."""
-SHORT_WAVES_STEP_S: Final = 0.05
-"""Samples so often show short waves as they are."""
 
 
 class Resonance(msgspec.Struct, frozen=True, kw_only=True):
@@ -105,7 +114,7 @@ class SeaModel(msgspec.Struct, frozen=True, kw_only=True):
         total = self.wave_spectrum(f_hz)
         for one in self.resonances:
             if one.is_heave:
-                total += one.spectrum(f_hz, SHORT_WAVES_STEP_S) / (2.0 * np.pi * f_hz) ** 4
+                total += one.spectrum(f_hz, TUNING.short_waves_step_s) / (2.0 * np.pi * f_hz) ** 4
         return total
 
     def wave_spectrum(self, f_hz: Array) -> Array:
@@ -239,10 +248,10 @@ class SeaSystem:
         """``P`` (n, n), when nothing is known any more of the bias, or of what rings."""
         P = P.copy()
         if bias:
-            P[-1, -1] += BIAS_SPREAD_MPS2**2
+            P[-1, -1] += TUNING.bias_spread_mps2**2
         if resonances:
             ringing = slice(self._shaken, len(P) - 1)
-            P[ringing, ringing] += BLOW**2 * self.stationary[ringing, ringing]
+            P[ringing, ringing] += TUNING.blow**2 * self.stationary[ringing, ringing]
         return P
 
     @cached_property
@@ -252,7 +261,7 @@ class SeaSystem:
         P = np.zeros((n, n))
         for block in self.blocks:
             P[block, block] = _stationary(self.A[block, block], np.diag(self.diffusion[block]))
-        P[-1, -1] = BIAS_SPREAD_MPS2**2
+        P[-1, -1] = TUNING.bias_spread_mps2**2
         return P
 
     def steady(self, dt_s: float) -> Steady | None:
@@ -274,7 +283,7 @@ class SeaSystem:
             p = p + 0.5 * (step + step.T)
             if info != 0 or not np.isfinite(p).all():
                 return None
-            if float(np.trace(step)) <= RICCATI_TOLERANCE * float(np.trace(p)):
+            if float(np.trace(step)) <= TUNING.riccati_tolerance * float(np.trace(p)):
                 return self._steady(dt_s, F, Q, p)
             step = a @ tg @ a.T
             a, g = a @ t, g + 0.5 * (step + step.T)

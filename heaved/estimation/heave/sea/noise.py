@@ -7,10 +7,10 @@ where the periodogram stands most significantly above the spectrum so far, and a
 likelihood, Fisher scoring), until nothing significant is left. Of the noise *within* the waves' band this says nothing:
 a resonance falls with f^4 towards them.
 
-Lines wander with the speed of their engine. None is therefore taken for narrower than NARROWEST: so steep are the
-skirts that the width costs the heave nothing.
+Lines wander with the speed of their engine. None is therefore taken for narrower than a damping of 0.03: so steep are
+the skirts that the width costs the heave nothing.
 
-Waves do not end with the band that is fitted. A broad spectrum that ends below SHORTEST_WAVES_HZ is short waves, the
+Waves do not end with the band that is fitted. A broad spectrum that ends below 3 Hz is short waves, the
 heave of a small craft, and counts as heave.
 """
 
@@ -27,26 +27,38 @@ from heaved.estimation.heave.sea.model import Resonance, SeaModel, resonance_sha
 
 Array = NDArray[np.float64]
 
-MOST: Final = 5
-"""Resonances: each costs the filter four states."""
-SIGNIFICANT: Final = 12.0
-"""Log-likelihood that one more has to gain; it has three parameters, and some thousand places to be at."""
-NARROWEST: Final = 0.03
-"""Damping: 4 % between the half-power points."""
-WIDEST: Final = 0.95
-BROAD: Final = 0.2
-"""Width of the spectrum over its frequency from which it may be that of waves."""
-SHORTEST_WAVES_HZ: Final = 3.0
-ABOVE_WAVES: Final = 0.15
-"""Share of the power that may lie above while it is still waves."""
-POOLED: Final = 0.01
-"""Ordinates nearer together than this share of their frequency are pooled."""
-WIDTHS: Final = (1, 3, 8, 20, 50, 120)
-"""In pooled ordinates, over which the periodogram is held against the spectrum so far."""
-NOISE: Final = (0.7, 1.3)
-"""Share of the noise that is expected within which it is fitted: the skirts of resonances may not take its place."""
-STEPS: Final = 12
-LONGEST_STEP: Final = 0.7
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """Of the search for what shakes the sensor."""
+
+    most: int = 5
+    """Resonances: each costs the filter four states."""
+    significant: float = 12.0
+    """Log-likelihood that one more has to gain; it has three parameters, and some thousand places to be at."""
+    narrowest: float = 0.03
+    """Damping: 4 % between the half-power points."""
+    widest: float = 0.95
+    """Damping: at 1 a resonance has no pair of poles any more."""
+    broad: float = 0.2
+    """Width of the spectrum over its frequency from which it may be that of waves."""
+    shortest_waves_hz: float = 3.0
+    """The shortest waves that move a small craft."""
+    above_waves: float = 0.15
+    """Share of the power that may lie above while it is still waves."""
+    pooled: float = 0.01
+    """Ordinates nearer together than this share of their frequency are pooled."""
+    widths: tuple[int, ...] = (1, 3, 8, 20, 50, 120)
+    """In pooled ordinates, over which the periodogram is held against the spectrum so far."""
+    noise: tuple[float, float] = (0.7, 1.3)
+    """Share of the noise that is expected within which it is fitted: the skirts of resonances may not take its
+    place."""
+    steps: int = 12
+    """Of Fisher scoring, at most: four or five are enough."""
+    longest_step: float = 0.7
+    """Of any logarithm, in one of them."""
+
+
+TUNING: Final = Tuning()
 HALF_POWER: Final = 1.29
 """Width between the half-power points over damping and frequency, of a narrow resonance."""
 
@@ -72,15 +84,15 @@ def resonances(above: Above, waves: SeaModel | None, noise_psd: float) -> tuple[
     waves: whose tail is there as well; None: not known. noise_psd: of the quietest part of the periodogram.
     """
     f, power, white, weight = _pooled(above)
-    if len(f) < WIDTHS[1]:
+    if len(f) < TUNING.widths[1]:
         return (), noise_psd
     tail = np.zeros_like(f) if waves is None else (2.0 * np.pi * f) ** 4 * waves.wave_spectrum(f)
     scored = _Whittle(f, power, weight, tail, white, above.dt_s, noise_psd)
     theta = np.array([log(noise_psd)])
     cost, theta = scored.fitted(theta)
-    for _ in range(MOST):
+    for _ in range(TUNING.most):
         more, better = scored.fitted(np.concatenate((theta, scored.standing_out(theta))))
-        if not more < cost - SIGNIFICANT:
+        if not more < cost - TUNING.significant:
             break
         cost, theta = more, better
     found = scored.resonances(theta, np.gradient(f))
@@ -94,7 +106,7 @@ def _pooled(above: Above) -> tuple[Array, Array, Array, Array]:
     f = above.f_hz
     if len(f) < 2:
         return f, above.power, above.white, np.full(len(f), above.averages)
-    first, count = groups(f, POOLED)
+    first, count = groups(f, TUNING.pooled)
     f, power, white = (np.add.reduceat(values, first) / count for values in (f, above.power, above.white))
     return f, power, white, np.asarray(count * above.averages, dtype=np.float64)
 
@@ -112,14 +124,14 @@ def _told_apart(found: tuple[Resonance, ...], dt_s: float) -> tuple[Resonance, .
     """With short waves marked."""
     f = np.linspace(0.0, 0.5 / dt_s, 1000)[1:]
     power = np.sum([one.spectrum(f, dt_s) for one in found], axis=0) if found else np.zeros_like(f)
-    are_waves, whole = f < SHORTEST_WAVES_HZ, float(np.sum(power))
+    are_waves, whole = f < TUNING.shortest_waves_hz, float(np.sum(power))
     inside = power[are_waves]
-    if float(np.sum(inside)) < (1.0 - ABOVE_WAVES) * whole or not whole > 0.0:
+    if float(np.sum(inside)) < (1.0 - TUNING.above_waves) * whole or not whole > 0.0:
         return found
     width_hz = float(np.sum(inside)) ** 2 / float(np.sum(inside**2)) * (f[1] - f[0])
-    if width_hz < BROAD * float(np.average(f[are_waves], weights=inside)):
+    if width_hz < TUNING.broad * float(np.average(f[are_waves], weights=inside)):
         return found
-    return tuple([msgspec.structs.replace(one, is_heave=one.frequency_hz < SHORTEST_WAVES_HZ) for one in found])
+    return tuple([msgspec.structs.replace(one, is_heave=one.frequency_hz < TUNING.shortest_waves_hz) for one in found])
 
 
 class _Whittle:
@@ -133,8 +145,8 @@ class _Whittle:
         self._dt_s = dt_s
         self._back = np.exp(-2j * pi * dt_s * f)
         self._zeros = np.abs(1.0 - self._back) ** 4
-        self._low = np.log([NOISE[0] * noise_psd, f[0], NARROWEST, 1e-18])
-        self._high = np.log([NOISE[1] * noise_psd, f[-1], WIDEST, 1e12])
+        self._low = np.log([TUNING.noise[0] * noise_psd, f[0], TUNING.narrowest, 1e-18])
+        self._high = np.log([TUNING.noise[1] * noise_psd, f[-1], TUNING.widest, 1e12])
 
     def spectrum(self, theta: Array) -> tuple[Array, Array]:
         """S (n,), and the slopes (3J + 1, n) of log S."""
@@ -185,13 +197,15 @@ class _Whittle:
         S, slopes = self.spectrum(theta)
         cost = self._cost(S)
         damping = 1e-2
-        for _ in range(STEPS):
+        for _ in range(TUNING.steps):
             weighed = slopes * self._weight
             slope = weighed @ (self._power / S - 1.0)
             fisher = weighed @ slopes.T
             fisher[np.diag_indices_from(fisher)] *= 1.0 + damping
             fisher[np.diag_indices_from(fisher)] += 1e-3
-            trial = np.clip(theta + np.clip(np.linalg.solve(fisher, slope), -LONGEST_STEP, LONGEST_STEP), low, high)
+            trial = np.clip(
+                theta + np.clip(np.linalg.solve(fisher, slope), -TUNING.longest_step, TUNING.longest_step), low, high
+            )
             trial_S, trial_slopes = self.spectrum(trial)
             trial_cost = self._cost(trial_S)
             if trial_cost < cost:
@@ -213,7 +227,7 @@ class _Whittle:
         sums = np.concatenate(([0.0], np.cumsum(self._weight * self._power / S)))
         weights = np.concatenate(([0.0], np.cumsum(self._weight)))
         best, place = -1.0, (0, 1)
-        for width in WIDTHS:
+        for width in TUNING.widths:
             if width >= len(S):
                 break
             w = weights[width:] - weights[:-width]
@@ -226,7 +240,7 @@ class _Whittle:
         excess = np.maximum(self._power[inside] - S[inside], 0.0) + 1e-12
         f0 = float(np.average(self._f[inside], weights=excess))
         step = self._f[min(place[1], len(S) - 1)] - self._f[place[0]]
-        zeta = min(max(float(step) / (HALF_POWER * f0), NARROWEST), WIDEST)
-        span_hz = max(float(step), NARROWEST * HALF_POWER * f0)
+        zeta = min(max(float(step) / (HALF_POWER * f0), TUNING.narrowest), TUNING.widest)
+        span_hz = max(float(step), TUNING.narrowest * HALF_POWER * f0)
         level = float(np.mean(excess)) * float(step) / span_hz if step > 0.0 else float(np.mean(excess))
         return np.log([f0, zeta, level / self.level(f0, zeta)])

@@ -1,56 +1,71 @@
 """The sea observer, the default: heave straight from the vertical acceleration, by a model of the sea's spectrum.
 
 Same idea as the harmonic observer (the spectrum of the recent past keeps updating the transition matrix, F^m moves the
-estimate in time) with three changes: the model is a spectrum instead of a few lines (:mod:`sea_model`), the
-measurement is the acceleration itself, so that no integrator can drift, and what the model leaves open is known, so
-that every number has a standard deviation. Fitting is done beside the event loop (:mod:`sea_window`):
-:meth:`SeaObserver.due` hands out the past, :meth:`SeaObserver.accept` takes what came of it and changes over without a
-jump.
+estimate in time) with three changes: the model is a spectrum instead of a few lines
+(:mod:`heaved.estimation.heave.sea.model`), the measurement is the acceleration itself, so that no integrator can drift,
+and what the model leaves open is known, so that every number has a standard deviation. Fitting is done beside the event
+loop (:mod:`heaved.estimation.heave.sea.refit`): :meth:`SeaObserver.due` hands out the past, :meth:`SeaObserver.accept`
+takes what came of it and changes over without a jump.
 
-Samples are averaged into *beats* of about 50 ms, far below the waves: the filter runs once per beat, whatever the rate
-of the sensor, and every sample gets its own output, moved from the last beat.
+Samples are averaged into means over about 50 ms, far below the waves: the filter steps once per mean, whatever the rate
+of the sensor, and every sample gets its own output, moved from there.
 """
 
 from __future__ import annotations
 
 from collections import Counter, deque
-from math import hypot, inf, isfinite, nan, pi, sqrt
+from math import hypot, isfinite, nan, pi, sqrt
 from typing import Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.estimation.common import down_sampler
 from heaved.estimation.common.bounds import HEAVE_M
-from heaved.estimation.common.down_sampler import BEAT_MIN_S, BEAT_S, Beat
+from heaved.estimation.common.down_sampler import DownSampler
 from heaved.estimation.heave.laser.aiding import Aiding
-from heaved.estimation.heave.observer import UNKNOWN, LaserAided, Motion, SavedObserver, Verdict
+from heaved.estimation.heave.observer import (
+    UNKNOWN,
+    LaserAided,
+    Motion,
+    SavedObserver,
+    Verdict,
+    foretold,
+    nothing_foretold,
+)
 from heaved.estimation.heave.params import SeaParams
-from heaved.estimation.heave.sea.blows import Blows
-from heaved.estimation.heave.sea.bumpless_transfer import Splice
-from heaved.estimation.heave.sea.consistency import NEEDED_S, SeaTrust
-from heaved.estimation.heave.sea.disturbances import Guard
-from heaved.estimation.heave.sea.drift import DRIFTS_S, DriftWatch
+from heaved.estimation.heave.sea.blows import BlowDetector
+from heaved.estimation.heave.sea.consistency import TUNING as TRUST
+from heaved.estimation.heave.sea.consistency import Consistency, Trial
+from heaved.estimation.heave.sea.disturbances import DisturbanceDetector
+from heaved.estimation.heave.sea.drift import DriftDetector
 from heaved.estimation.heave.sea.filter import GaugeError, SeaFilter
 from heaved.estimation.heave.sea.model import SeaModel, SeaSystem, Steady, heave_std
-from heaved.estimation.heave.sea.output import SeaHeave
+from heaved.estimation.heave.sea.output import BumplessTransfer, SeaHeave
 from heaved.estimation.heave.sea.record import SeaRecord
 from heaved.estimation.heave.sea.refit import Candidate, SeaFit, SeaWindow
 from heaved.estimation.heave.sea.smoother import FixedLagSmoother
-from heaved.estimation.heave.sea.trial import Trial
-from heaved.predictions import HeaveForecasts, PlainForecasts
-from heaved.samples import DelayedHeave, SeaState
+from heaved.samples import DelayedHeave, HeaveForecast, SeaState
 
 Array = NDArray[np.float64]
 
-OVERCONFIDENCE: Final = 1.12
-"""Published over modelled standard deviation: the fitted spectrum is an estimate too (see tools/accuracy.py heave)."""
-CUT_S: Final = 0.2
-"""Where what is measured changes, a few beats are of both kinds."""
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """Of the observer as a whole."""
+
+    overconfidence: float = 1.12
+    """Published over modelled standard deviation: the fitted spectrum is an estimate too (see tools/accuracy.py
+    heave)."""
+    cut_s: float = 0.2
+    """Where what is measured changes, a few means are of both kinds."""
+
+
+TUNING: Final = Tuning()
 
 
 class SeaObserver:
-    """Feed it vertical acceleration in order of time; ask it for heave at any moment near the last one.
+    """The :class:`heaved.estimation.heave.observer.HeaveObserver` of a whole spectrum.
 
     Attributes:
         t_s: time of the last sample.
@@ -77,7 +92,7 @@ class SeaObserver:
         """Holds the same without the laser, when that is aiding: the smoother's weights are those without it."""
         self._candidates: tuple[Candidate, ...] = ()
         self._trial: Trial | None = None
-        self._beat = Beat()
+        self._down_sampler = DownSampler()
         self._disturbance: tuple[Array, Array] | None = None
         self._start_over()
 
@@ -86,23 +101,23 @@ class SeaObserver:
         self.t_s = nan
         self.acceleration_mps2 = nan
         self._bias_mps2 = nan
-        self._beat = Beat(self._beat.period_s)
+        self._down_sampler = DownSampler(self._down_sampler.period_s)
         self._record.clear()
         self._looked_s = nan
         self.refreshes = 0
         self.sea: SeaState | None = None
         self.delayed: DelayedHeave | None = None
-        self._trust = SeaTrust(int((self._params.delay_s + 5.0) / BEAT_MIN_S))
+        self._consistency = Consistency(int((self._params.delay_s + 5.0) / down_sampler.TUNING.least_s))
         self._smoother: FixedLagSmoother | None = None
         self._ripening: deque[DelayedHeave] = deque()
         """Delayed heave of a past with holes, not yet as old as it shall be."""
-        self._drift: DriftWatch | None = None
-        self._blows = Blows()
+        self._drift: DriftDetector | None = None
+        self._blows = BlowDetector()
         self._straddling = 0
-        """Beats, with this one, that are in part of before a blow."""
-        self._guard = Guard()
-        self._unaided_guard = Guard()
-        self._aiding.forget()
+        """Means, with this one, that are in part of before a blow."""
+        self._disturbances = DisturbanceDetector()
+        self._unaided_disturbances = DisturbanceDetector()
+        self._aiding.reset()
         if self._heave is not None:
             kept = self._heave.filter
             self._install(kept.system, kept.steady, nan, np.zeros(len(kept.x)), kept.system.stationary.copy())
@@ -113,84 +128,89 @@ class SeaObserver:
         """Take the vertical acceleration at ``t_s`` (later than the last one; nan: missing, nothing happens)."""
         if not isfinite(a_up_mps2):
             return
-        if t_s - self.t_s > self._params.max_gap_s:
-            gap_s = t_s - self.t_s
+        self._begin(t_s)
+        self.t_s, self.acceleration_mps2 = t_s, a_up_mps2 - self._bias_mps2
+        mean = self._down_sampler.step(t_s, a_up_mps2)
+        if mean is None or not self._record.follows(mean[0]) or self._is_blow(*mean):
+            return
+        heave = self._heave
+        if heave is None:
+            self._record.push(*mean)
+            return
+        if not isfinite(heave.filter.t_s):
+            heave.filter.t_s = mean[0] - heave.filter.steady.dt_s
+        if self._trial is not None:
+            self._step_on_trial(heave, self._trial, *mean)
+            return
+        missed_s = mean[0] - heave.filter.t_s - heave.filter.steady.dt_s
+        predicted_m, innovation = self._filter(heave.filter, *mean)
+        if self._is_sound(heave.filter):
+            if self._drift is not None:
+                self._drift.step(mean[0], self._record)
+            if self._smoother is not None:
+                self._smooth(heave, self._smoother, mean[0], missed_s, predicted_m, innovation)
+            self._moved(heave)
+
+    def _begin(self, t_s: float) -> None:
+        """After a gap in which the past was lost, and at the very first sample."""
+        if (gap_s := t_s - self.t_s) > self._params.max_gap_s:
             self._reset("gap")
             self._try(gap_s)
-        if self.t_s != self.t_s:
+        if not isfinite(self.t_s):
             self._record.start(t_s)
-        self.t_s = t_s
-        self.acceleration_mps2 = a_up_mps2 - self._bias_mps2
-        beat = self._beat.take(t_s, a_up_mps2)
-        if beat is not None:
-            self._take(*beat)
-
-    def _take(self, t_s: float, a_mps2: float) -> None:
-        """One beat: stored for the fits, and through the filter."""
-        if not self._record.follows(t_s):
-            return
-        if self._is_blow(t_s, a_mps2):
-            return
-        if self._heave is None:
-            self._record.push(t_s, a_mps2)
-            return
-        f = self._heave.filter
-        if not isfinite(f.t_s):
-            f.t_s = t_s - f.steady.dt_s
-        if self._trial is not None:
-            self._take_on_trial(self._heave, self._trial, t_s, a_mps2)
-            return
-        missed = t_s - f.t_s - f.steady.dt_s
-        rejected = f.rejected
-        predicted_m, innovation = self._step(self._guard, f, t_s, a_mps2)
-        if self._guard.step_s is not None:
-            self._record.cut(*self._guard.step_s)
-            self.steps += 1
-        if self._guard.blow_s is not None:
-            self._record.strike(self._guard.blow_s)
-        lasting = self._guard.lasting()
-        if lasting:
-            self._record.ask_again()
-        for at_s, value in (*self._guard.explained[:-1], *lasting):
-            if self._record.follows(at_s):
-                self._record.push(at_s, value)
-        if self._guard.spoilt_s is not None:
-            self._record.spoil(*self._guard.spoilt_s)
-        if f.rejected == rejected and not self._guard.is_burst:
-            # What the gate has kept out is missing for the fits too: half a second of it would spoil minutes.
-            self._record.push(t_s, a_mps2)
-        if self._aiding.unaided is not None:
-            predicted_m, innovation = self._step(self._unaided_guard, self._aiding.unaided, t_s, a_mps2)
-        if not self._is_sound(f):
-            return
-        if self._drift is not None and self._drift.is_due(t_s):
-            cuts_s = self._record.cuts_s
-            from_s = max(t_s - max(DRIFTS_S) - 1.0, cuts_s[-1][1] if cuts_s else -inf)
-            self._drift.look(t_s, self._record.since(from_s))
-        if self._smoother is not None:
-            self._smooth(self._heave, self._smoother, t_s, missed, predicted_m, innovation)
-        self._moved(self._heave)
 
     def _is_blow(self, t_s: float, a_mps2: float) -> bool:
-        """Whether something strikes the hull in this beat, which is then of no use."""
+        """Whether something strikes the hull in this mean, which is then of no use."""
         self._straddling -= 1
-        size_mps2 = self._blows.take(t_s, a_mps2)
+        size_mps2 = self._blows.step(t_s, a_mps2)
         if size_mps2 > 0.0:
-            self._straddling = 2 if self._beat.averaged > 1 else 1
+            self._straddling = 2 if self._down_sampler.averaged > 1 else 1
             if self._heave is not None and isfinite(self._heave.filter.t_s):
-                self._guard.strike(self._heave.filter, t_s, a_mps2, size_mps2**2)
-                if self._guard.blow_s is not None:
-                    self._record.strike(t_s)
+                self._disturbances.strike(self._heave.filter, t_s, a_mps2, size_mps2**2)
+                if self._disturbances.blow_s is not None:
+                    self._record.mark_blow(t_s)
                 if self._aiding.unaided is not None:
-                    self._unaided_guard.strike(self._aiding.unaided, t_s, a_mps2, size_mps2**2)
+                    self._unaided_disturbances.strike(self._aiding.unaided, t_s, a_mps2, size_mps2**2)
         return self._straddling > 0
 
-    def _step(self, guard: Guard, f: SeaFilter, t_s: float, a_mps2: float) -> tuple[float, float]:
-        """A beat through a filter, guarded where its model is good enough to say what is not of the sea."""
-        if self._trust.is_model_known:
-            return guard.step(f, t_s, a_mps2)
-        guard.rest(f)
+    def _filter(self, f: SeaFilter, t_s: float, a_mps2: float) -> tuple[float, float]:
+        """Step the filter, and the one without the laser, and keep what is of the sea for the fits; heave before and
+        innovation, without the laser."""
+        rejected = f.rejected
+        said = self._guarded_step(self._disturbances, f, t_s, a_mps2)
+        self._keep_what_is_of_the_sea(t_s, a_mps2, is_rejected=f.rejected != rejected)
+        if self._aiding.unaided is not None:
+            said = self._guarded_step(self._unaided_disturbances, self._aiding.unaided, t_s, a_mps2)
+        return said
+
+    def _guarded_step(
+        self, disturbances: DisturbanceDetector, f: SeaFilter, t_s: float, a_mps2: float
+    ) -> tuple[float, float]:
+        """Step a filter, guarded where its model is good enough to say what is not of the sea."""
+        if self._consistency.is_model_known:
+            return disturbances.step(f, t_s, a_mps2)
+        disturbances.rest(f)
         return f.step(t_s, a_mps2)
+
+    def _keep_what_is_of_the_sea(self, t_s: float, a_mps2: float, *, is_rejected: bool) -> None:
+        """What the filter's step has shown of this mean and of those before it, for the fits."""
+        found, record = self._disturbances, self._record
+        if found.step_s is not None:
+            record.cut(*found.step_s)
+            self.steps += 1
+        if found.blow_s is not None:
+            record.mark_blow(found.blow_s)
+        lasting = found.lasting()
+        if lasting:
+            record.ask_again()
+        for at_s, value in (*found.explained[:-1], *lasting):
+            if record.follows(at_s):
+                record.push(at_s, value)
+        if found.spoilt_s is not None:
+            record.spoil(*found.spoilt_s)
+        if not is_rejected and not found.is_burst:
+            # What the gate has kept out is missing for the fits too: half a second of it would spoil minutes.
+            record.push(t_s, a_mps2)
 
     def _is_sound(self, f: SeaFilter) -> bool:
         """Whether the filter has not lost its way; if it has, all begins anew, without a model."""
@@ -208,12 +228,12 @@ class SeaObserver:
         """A model that is in use was not fitted to what comes now: it serves when it is found to suit."""
         self._trial = None if self._heave is None else Trial(self._heave.filter.system, age_s)
 
-    def _take_on_trial(self, heave: SeaHeave, trial: Trial, t_s: float, a_mps2: float) -> None:
-        """One beat while it is not known yet whether the model is of this sea: it judges nothing."""
+    def _step_on_trial(self, heave: SeaHeave, trial: Trial, t_s: float, a_mps2: float) -> None:
+        """While it is not known yet whether the model is of this sea, it judges nothing."""
         self._record.push(t_s, a_mps2)
         f = heave.filter
         f.step(t_s, a_mps2)
-        trial.take(t_s, a_mps2, f.innovation / sqrt(f.innovation_variance))
+        trial.step(t_s, a_mps2, f.innovation / sqrt(f.innovation_variance))
         if trial.is_another:
             self._heave = self._trial = None
             self.resets["another sea"] += 1
@@ -234,14 +254,14 @@ class SeaObserver:
             smoother.push(t_s - i * dt, nan, 0.0)
         # The weights are those of the steady filter: what an unsure one predicted has no place among them.
         smoother.push(t_s, predicted_m if heave.is_converged else nan, innovation)
-        said_m = float(heave.filter.system.heave.dot(heave.filter.x)) + heave.splice.at(t_s)[0]
-        self._trust.divergence.say(t_s, said_m, heave.state_std_m)
+        said_m = float(heave.filter.system.heave.dot(heave.filter.x)) + heave.transfer.at(t_s)[0]
+        self._consistency.divergence.say(t_s, said_m, heave.state_std_m)
         delayed = smoother.value()
         while self._ripening and self._ripening[0].t_s <= t_s - self._params.delay_s:
             ripe = self._ripening.popleft()
             delayed = delayed or ripe
         if delayed is not None and (self.delayed is None or delayed.t_s > self.delayed.t_s):
-            self._trust.divergence.check(delayed)
+            self._consistency.divergence.check(delayed)
             # What a disturbance does is the same in hindsight.
             std_m = hypot(delayed.std_m, heave.disturbed_m)
             self.delayed = msgspec.structs.replace(delayed, std_m=std_m) if heave.disturbed_m else delayed
@@ -256,10 +276,10 @@ class SeaObserver:
         if self._heave is None or not isfinite(self._heave.filter.t_s) or not self.is_settled:
             return
         before, was_active = self.at(0.0), self._aiding.is_active
-        if self._aiding.take(self._heave, t_s, laser_m, std_m) or self._aiding.is_active != was_active:
+        if self._aiding.step(self._heave, t_s, laser_m, std_m) or self._aiding.is_active != was_active:
             self._moved(self._heave)
         if self._aiding.is_active != was_active:
-            self._splice(self._heave, before)
+            self._transfer(self._heave, before)
 
     def stop_aiding(self, t_s: float, why: str) -> None:
         """The readings are of another target from ``t_s`` on."""
@@ -267,37 +287,37 @@ class SeaObserver:
             before = self.at(0.0)
             self._aiding.stop(self._heave, t_s, why)
             self._moved(self._heave)
-            self._splice(self._heave, before)
+            self._transfer(self._heave, before)
 
     def aiding_remark(self, t_s: float) -> str:
         """Why a laser does not aid, for people; or nothing."""
         return self._aiding.remark(t_s)
 
-    def _splice(self, heave: SeaHeave, before: Motion) -> None:
+    def _transfer(self, heave: SeaHeave, before: Motion) -> None:
         """Go over from what was said ``before`` without a jump."""
         if isfinite(before.heave_m):
             after = self.at(0.0)
             dh, dv = before.heave_m - after.heave_m, before.velocity_mps - after.velocity_mps
-            left_m, left_mps = heave.splice.at(self.t_s)
-            heave.splice = Splice(dh + left_m, dv + left_mps, self.t_s)
+            left_m, left_mps = heave.transfer.at(self.t_s)
+            heave.transfer = BumplessTransfer(dh + left_m, dv + left_mps, self.t_s)
 
     def _moved(self, heave: SeaHeave) -> None:
         """The state has changed: what follows from it."""
         self._bias_mps2 = float(heave.filter.x[-1])
         heave.moved()
-        self._trust.beat(heave.filter.surprise, heave.is_recovering, self.sea)
-        factor = max(self._trust.factor, 1.0 if self._drift is None else self._drift.factor)
-        heave.scale = OVERCONFIDENCE * (factor if self._trial is None else max(factor, self._trial.factor))
+        self._consistency.step(heave.filter.surprise, heave.is_recovering, self.sea)
+        factor = max(self._consistency.factor, 1.0 if self._drift is None else self._drift.factor)
+        heave.scale = TUNING.overconfidence * (factor if self._trial is None else max(factor, self._trial.factor))
 
     @property
     def is_settled(self) -> bool:
         """Whether the covariance says what is known, so that a laser may be weighed against it."""
-        return self.settled_s >= NEEDED_S
+        return self.settled_s >= TRUST.needed_s
 
     def cut(self) -> None:
         """What comes is measured otherwise than what was: no spectrum is taken across."""
         if isfinite(self.t_s):
-            self._record.cut(self.t_s, self.t_s + CUT_S)
+            self._record.cut(self.t_s, self.t_s + TUNING.cut_s)
             if self._heave is not None:
                 self._heave.filter.open_bias()
 
@@ -320,8 +340,8 @@ class SeaObserver:
     def due(self) -> SeaWindow | None:
         """The past, when it is time for another look at it; each is given out once."""
         # What a burst is will be known soon, and a filter that does not know of it is of no use.
-        is_changing = self._trust.is_changing or (self._drift is not None and self._drift.is_drifting)
-        if self._guard.is_burst or not self._record.is_due(self.t_s, is_changing=is_changing):
+        is_changing = self._consistency.is_changing or (self._drift is not None and self._drift.is_drifting)
+        if self._disturbances.is_burst or not self._record.is_due(self.t_s, is_changing=is_changing):
             return None
         p = self._params
         number, rows = self._record.ask(self.t_s)
@@ -336,8 +356,8 @@ class SeaObserver:
             delay_s=p.delay_s,
             looked_s=self._looked_s,
             candidates=self._candidates,
-            period_s=self._beat.period_s,
-            averaged=self._beat.averaged,
+            period_s=self._down_sampler.period_s,
+            averaged=self._down_sampler.averaged,
             cuts_s=self._record.cuts_s,
             spoilt_s=self._record.spoilt_s,
             blows_s=self._record.blows_s,
@@ -367,16 +387,16 @@ class SeaObserver:
             heave.filter.P = heave.filter.covariance.copy()
             unaided_P = None if P is None else P.copy()
             self._aiding.renew(SeaFilter(system, steady, fit.t_s, np.frombuffer(fit.x).copy(), unaided_P))
-        self._guard.restart()
-        self._unaided_guard.restart()
-        self._drift = DriftWatch(fit.model, fit.dt_s)
+        self._disturbances.restart()
+        self._unaided_disturbances.restart()
+        self._drift = DriftDetector(fit.model, fit.dt_s)
         self._candidates, self._looked_s = fit.candidates, fit.t_s
-        self._trust.fitted(fit.whiteness, fit.waves, heave.steady_std_m, heave.sea_std_m, fit.waves_seen)
+        self._consistency.fitted(fit.whiteness, fit.waves, heave.steady_std_m, heave.sea_std_m, fit.waves_seen)
         self.refreshes += 1
         self._smoother = FixedLagSmoother(system, steady, self._params.delay_s)
         self._smoother.fill(fit.t_s, np.frombuffer(fit.predicted_m), np.frombuffer(fit.innovation))
         rows = np.frombuffer(fit.delayed).reshape(-1, 3).tolist()
-        youth = self._trust.youth
+        youth = self._consistency.youth
         self._ripening = deque([DelayedHeave(t_s=t, heave_m=h, std_m=youth * std) for t, h, std in rows])
         self._catch_up(heave, self._smoother, fit.t_s)
         if old is not None and aided is not None:
@@ -384,20 +404,20 @@ class SeaObserver:
             said_m = float(aided.value.dot((1.0, before.heave_m, before.velocity_mps))) + before.heave_m
             heave.filter.aid(heave.row(self.t_s)[0], said_m, old.state_std_m**2)
             heave.moved()
-        self._splice(heave, before)
+        self._transfer(heave, before)
         if fit.sea is not None:
             self.sea = msgspec.structs.replace(
                 fit.sea,
                 t_s=fit.t_s,
                 window_s=min(fit.window_s, fit.record_s),
                 model=f"{len(fit.model.damping)} chains of {fit.model.stages} resonators",
-                is_still=self._trust.is_still,
+                is_still=self._consistency.is_still,
             )
         self._moved(heave)
         return Verdict.ACCEPTED
 
     def _catch_up(self, heave: SeaHeave, smoother: FixedLagSmoother, from_s: float) -> None:
-        """Through the beats that came while the fit was under way."""
+        """Through the means that came while the fit was under way."""
         filters = [f for f in (heave.filter, self._aiding.unaided) if f is not None]
         cuts = deque(cut[1] for cut in self._record.cuts_s if cut[1] > from_s)
         blows = deque(blow_s for blow_s in self._record.blows_s if blow_s > from_s)
@@ -441,18 +461,20 @@ class SeaObserver:
 
     def forecast(
         self, shift_s: float, learned_lead_s: float = 0.0, scale: float = 1.0, gain: float = 1.0
-    ) -> HeaveForecasts:
+    ) -> tuple[HeaveForecast, ...]:
         """Heave and :meth:`error_std_m` for each horizon of the constructor after a moment ``shift_s`` after the last
         sample, both times ``gain``: what the laser has shown of the sensor's scale."""
         horizons_s = self._horizons_s
         if self._heave is None or not self._is_told:
-            return PlainForecasts.unknown(horizons_s)
+            return nothing_foretold(horizons_s)
         self._heave.set_lead(learned_lead_s)
         if shift_s == 0.0:
             return self._heave.forecast(self.t_s, scale, gain)
-        shifts = [shift_s + h for h in horizons_s]
-        heaves = [gain * self._heave.at(self.t_s, shift).heave_m for shift in shifts]
-        return PlainForecasts(horizons_s, heaves, [gain * self.error_std_m(shift, scale) for shift in shifts])
+        found = []
+        for h in horizons_s:
+            heave_m, std_m = self._heave.at(self.t_s, shift_s + h).heave_m, self.error_std_m(shift_s + h, scale)
+            found.append(foretold(h, gain * heave_m, gain * std_m))
+        return tuple(found)
 
     def unshifted(self) -> Motion:
         """What the laser is compared with: nothing learned taken out."""
@@ -499,18 +521,18 @@ class SeaObserver:
         """Seconds of record since the start or the last reset; nan before the first sample."""
         return self.t_s - self._record.started_s
 
-    needed_s: Final = NEEDED_S
+    needed_s: Final = TRUST.needed_s
     """Seconds of record from which it counts as settled."""
 
     @property
     def doubts(self) -> tuple[str, ...]:
         """What is held against the output, for people."""
-        return self._trust.doubts(self.settled_s)
+        return self._consistency.doubts(self.settled_s)
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What people should know, and no reason to trust the output less."""
-        return self._trust.notes
+        return self._consistency.notes
 
     @property
     def rejected(self) -> int:
@@ -541,7 +563,7 @@ class SeaObserver:
             found = f"{len(model.damping)} chains of {model.stages}"
             raise ValueError(f"saved sea of {found} does not fit the configured {p.components} of {p.stages}")
         system = SeaSystem(model)
-        steady = system.steady(BEAT_S) if isfinite(heave_std(model)) else None
+        steady = system.steady(down_sampler.TUNING.length_s) if isfinite(heave_std(model)) else None
         if steady is None:
             raise ValueError("the filter of the saved sea does not converge")
         self._install(system, steady, nan, np.zeros(len(system.H)), system.stationary.copy())

@@ -1,46 +1,90 @@
 """Heave near the last sample, as the filter in use has it, and how far that can be trusted.
 
 A sample's own heave, what it is for a compensator some tenths of a second later, and the forecasts are all the filter's
-state of the last beat moved in time (:mod:`outlook`). What does not change within a beat is made ready once: for each
-moment that is always asked for, the series that reaches from the beat to any sample before the next one, and the
-standard deviation, to the next half of a beat. A sample then costs the series at its own age. For any other moment all
-of it is worked out.
+state moved in time (:mod:`heaved.estimation.heave.sea.propagate`). The filter steps once per mean of some samples. What
+does not change before it steps again is made ready once: for each moment that is always asked for, the series that
+reaches from the filter's time to any sample before its next step, and the standard deviation, to the next half of a
+step. A sample then costs the series at its own age. For any other moment all of it is worked out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import hypot, isfinite, nan, sqrt
+from math import exp, hypot, inf, isfinite, log, nan, sqrt
 from typing import Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.heave.observer import Motion
-from heaved.estimation.heave.sea.batch_filter import UNSURE
-from heaved.estimation.heave.sea.bumpless_transfer import NO_SPLICE
+from heaved.estimation.heave.observer import UNKNOWN, Motion, foretold, nothing_foretold
+from heaved.estimation.heave.sea import batch_filter
 from heaved.estimation.heave.sea.filter import SeaFilter
-from heaved.estimation.heave.sea.forecasts import NOTHING_LEFT, Ahead, SeaForecasts
-from heaved.estimation.heave.sea.propagate import ORDER, Outlook, along
-from heaved.predictions import HeaveForecasts, PlainForecasts
+from heaved.estimation.heave.sea.propagate import ORDER, Propagation, along
+from heaved.samples import HeaveForecast
 
 Array = NDArray[np.float64]
 
-STALE_BEAT_S: Final = 1.0
-"""Samples that come without a beat for this long are not in the heave any more."""
-MARGIN_S: Final = 3.0
-"""Beyond the longest horizon: how early a sensor may be, and the age of the last beat."""
-CONVERGED: Final = UNSURE
-"""The covariance has converged when the error of the heave is within this factor of that of the steady filter."""
-RECOVERING: Final = 0.1
-"""Share of the heave that its error is more than while the filter finds its way back after a gap."""
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """Of what is published."""
+
+    stale_s: float = 1.0
+    """Samples that come without a step of the filter for this long are not in the heave any more."""
+    margin_s: float = 3.0
+    """Beyond the longest horizon: how early a sensor may be, and the age of the state."""
+    converged: float = batch_filter.TUNING.unsure
+    """The covariance has converged when the error of the heave is within this factor of that of the steady filter."""
+    time_s: float = 1.5
+    """Time constant T of the change from one model to the next."""
+    least_m: float = 1e-5
+    """It is over when less than that is left."""
+    recovering: float = 0.1
+    """Share of the heave that its error is more than while the filter finds its way back after a gap."""
+
+
+TUNING: Final = Tuning()
+
+
+class BumplessTransfer:
+    """From one model to the next without a jump: the difference between the two at the change is faded out.
+
+    Heave and velocity differ by h and v at the change; with e the time since,
+
+        d(e) = (h + (v + h/T) e) exp(-e/T),
+
+    critically damped, takes both to zero without an edge in either.
+
+    Attributes:
+        until_s: from then on it is nothing.
+    """
+
+    def __init__(self, heave_m: float, velocity_mps: float, since_s: float) -> None:
+        """A difference of heave (m) and velocity (m/s) at ``since_s``."""
+        self._heave_m, self._slope_mps = heave_m, velocity_mps + heave_m / TUNING.time_s
+        self._since_s = since_s
+        lasts = 1.0  # time constants, from (|h| + |v + h/T| e) exp(-e/T) = least_m
+        for _ in range(20):
+            most_m = abs(heave_m) + abs(self._slope_mps) * TUNING.time_s * lasts
+            lasts = log(max(most_m / TUNING.least_m, 1.0)) if most_m < inf else 0.0
+        self.until_s = since_s + lasts * TUNING.time_s
+
+    def at(self, t_s: float) -> tuple[float, float]:
+        """What is left at ``t_s``: heave and velocity."""
+        if not t_s < self.until_s:
+            return 0.0, 0.0
+        elapsed_s = max(t_s - self._since_s, 0.0)
+        left_m, fade = self._heave_m + self._slope_mps * elapsed_s, exp(-elapsed_s / TUNING.time_s)
+        return left_m * fade, (self._slope_mps - left_m / TUNING.time_s) * fade
+
+
+NO_TRANSFER: Final = BumplessTransfer(0.0, 0.0, -inf)
 
 
 class Stds(msgspec.Struct, frozen=True, eq=False):
-    """Standard deviations of the heave's error by the model, at some age of the beat."""
+    """Standard deviations of the heave's error by the model, at some age of the state."""
 
-    ahead_m: Array
+    ahead_m: list[float]
     """(H,) of the forecasts."""
     near_m: list[float]
     """Now, and after the lead."""
@@ -52,7 +96,7 @@ class SeaHeave:
     Attributes:
         filter: whose state it is.
         scale: published over modelled standard deviation.
-        splice: what is left of the model before.
+        transfer: from the model before.
         steady_std_m: standard deviation of the error of its heave once the filter is steady.
         sea_std_m: standard deviation of the heave of the fitted sea.
         omega_radps: mean frequency of the heave, standard deviation of its velocity over that of itself.
@@ -63,20 +107,21 @@ class SeaHeave:
         system = f.system
         self.filter = f
         self.scale = 1.0
-        self.splice = NO_SPLICE
+        self.transfer = NO_TRANSFER
         self.sea_std_m = _std(system.heave, system.stationary)
         self.omega_radps = _std(system.velocity, system.stationary) / self.sea_std_m
-        self._outlook = Outlook(system, max((*horizons_s, lead_s, 0.0)) + MARGIN_S)
-        self._steady_stds: list[float] = self._outlook.stds(f.steady_covariance).tolist()
+        self._propagation = Propagation(system, max((*horizons_s, lead_s, 0.0)) + TUNING.margin_s)
+        self._steady_stds: list[float] = self._propagation.stds(f.steady_covariance).tolist()
         self.steady_std_m = _std(system.heave, f.steady_covariance)
         self._horizons_s, self._count = horizons_s, len(horizons_s)
-        self._unknown = PlainForecasts.unknown(horizons_s)
+        self._unknown = nothing_foretold(horizons_s)
         self._shifts_s = (*horizons_s, 0.0, lead_s)
         self._places = {0.0: 0, lead_s: 1}
-        self._plain_row = self._outlook.derivatives((0.0,))[0]
+        self._plain_row = self._propagation.derivatives((0.0,))[0]
         self._steady_by_age: dict[int, Stds] = {}
         self._learned_s = nan
         self._disturbed_m2 = 0.0
+        self._response: tuple[Array, Array] = (np.empty(0), np.empty(0))
         self.moved()
 
     def moved(self) -> None:
@@ -85,13 +130,12 @@ class SeaHeave:
         self._unshifted: list[float] = []
         self._state_series: Array | None = None
         self._by_age: dict[int, Stds] = {}
-        self._ahead: Ahead | None = None
 
     def set_lead(self, learned_s: float) -> None:
         """How early the sensor has been found to be, which is taken out of :meth:`at` and :meth:`forecast`."""
         if learned_s != self._learned_s:
             self._learned_s = learned_s
-            rows = self._outlook.derivatives([shift - learned_s for shift in self._shifts_s])
+            rows = self._propagation.derivatives([shift - learned_s for shift in self._shifts_s])
             self._rows = rows.reshape(-1, rows.shape[2])
             self._steady_by_age = {}
             self.moved()
@@ -99,30 +143,27 @@ class SeaHeave:
     def disturb(self, f_hz: Array, psd: Array) -> None:
         """The acceleration has noise that the model knows nothing of, of one-sided density ``psd`` (n,), (m/s2)2/Hz, at
         ``f_hz`` (n,), evenly spaced: what the steady filter makes of it is in every standard deviation from now on."""
-        steady, system = self.filter.steady, self.filter.system
-        n = len(system.H)
-        loop = (np.eye(n) - np.outer(steady.K, system.H)) @ steady.F
-        turns = np.exp(-2j * np.pi * steady.dt_s * f_hz)[:, None, None]
-        states = np.linalg.solve(np.eye(n) - turns * loop, np.broadcast_to(steady.K[:, None], (len(f_hz), n, 1)))
-        self._disturbed_m2 = float((f_hz[1] - f_hz[0]) * psd @ np.abs(states[..., 0] @ system.heave) ** 2)
+        if not np.array_equal(f_hz, self._response[0]):
+            self._response = f_hz, _power_response(self.filter, f_hz)
+        self._disturbed_m2 = float((f_hz[1] - f_hz[0]) * psd @ self._response[1])
         self._steady_by_age, self._by_age = {}, {}
 
     # --- heave -------------------------------------------------------------------------------------------------------
 
     def at(self, t_s: float, shift_s: float) -> Motion:
-        """Heave ``shift_s`` after a sample at ``t_s``; nan when there was no beat for too long."""
+        """Heave ``shift_s`` after a sample at ``t_s``; nan when the filter has not stepped for too long."""
         late = t_s - self.filter.t_s
-        if not late <= STALE_BEAT_S:
-            return Motion(nan, nan)
+        if not late <= TUNING.stale_s:
+            return UNKNOWN
         place = self._places.get(shift_s)
         if place is not None:
             motion = along((self._near or self._made_ready())[place], late)
         else:
             if self._state_series is None:
-                self._state_series = self._outlook.series(self.filter.x)
-            motion = self._outlook.along(self._state_series, shift_s - self._learned_s + late)
-        if t_s < self.splice.until_s:
-            heave_m, velocity_mps = self.splice.at(t_s + shift_s)
+                self._state_series = self._propagation.series(self.filter.x)
+            motion = self._propagation.along(self._state_series, shift_s - self._learned_s + late)
+        if t_s < self.transfer.until_s:
+            heave_m, velocity_mps = self.transfer.at(t_s + shift_s)
             motion = Motion(motion.heave_m + heave_m, motion.velocity_mps + velocity_mps)
         return motion
 
@@ -132,23 +173,30 @@ class SeaHeave:
             self._unshifted = self._plain_row.dot(self.filter.x).tolist()
         return along(self._unshifted, t_s - self.filter.t_s)
 
-    def forecast(self, t_s: float, scale: float = 1.0, gain: float = 1.0) -> HeaveForecasts:
+    def forecast(self, t_s: float, scale: float = 1.0, gain: float = 1.0) -> tuple[HeaveForecast, ...]:
         """:meth:`at` and ``scale`` times :meth:`std_m` for all the horizons, both times ``gain``."""
-        late_s = t_s - self.filter.t_s
-        if not late_s <= STALE_BEAT_S:
+        d = t_s - self.filter.t_s
+        if not d <= TUNING.stale_s:
             return self._unknown
         if not self._near:
             self._made_ready()
-        stds_m = self._stds(late_s).ahead_m
-        ahead = self._ahead
-        if ahead is None or ahead.stds_m is not stds_m:
-            ahead = self._ahead = Ahead(self._series, stds_m)
-        left = self.splice.state(t_s) if t_s < self.splice.until_s else NOTHING_LEFT
-        return SeaForecasts(self._horizons_s, ahead, (late_s, gain, self.scale, gain * scale, *left))
+        transfer = self.transfer if t_s < self.transfer.until_s else None
+        modelled, whole = self.scale, gain * scale
+        found = []
+        for h, (c0, c1, c2, c3, c4, c5), std_m in zip(
+            self._horizons_s, self._ahead, self._stds(d).ahead_m, strict=True
+        ):
+            heave_m = ((((c5 * d + c4) * d + c3) * d + c2) * d + c1) * d + c0
+            std_m *= modelled
+            if transfer is not None:
+                left_m = transfer.at(t_s + h)[0]
+                heave_m, std_m = heave_m + left_m, hypot(std_m, left_m)
+            found.append(foretold(h, gain * heave_m, whole * std_m))
+        return tuple(found)
 
     def _made_ready(self) -> list[list[float]]:
-        made = self._rows.dot(self.filter.x).reshape(-1, ORDER)
-        self._series, self._near = made[: self._count], made[self._count :].tolist()
+        made: list[list[float]] = self._rows.dot(self.filter.x).reshape(-1, ORDER).tolist()
+        self._ahead, self._near = made[: self._count], made[self._count :]
         return self._near
 
     # --- how far it can be trusted -----------------------------------------------------------------------------------
@@ -156,36 +204,36 @@ class SeaHeave:
     def std_m(self, t_s: float, shift_s: float) -> float:
         """Standard deviation of the error of :meth:`at`: from the covariance of the filter, times :attr:`scale`."""
         late_s = t_s - self.filter.t_s
-        if not late_s <= STALE_BEAT_S:
+        if not late_s <= TUNING.stale_s:
             return nan
         place = self._places.get(shift_s)
         if place is not None:
             std_m = self._stds(late_s).near_m[place] * self.scale
         else:
             std_m = self._modelled_m(late_s, (shift_s,))[0] * self.scale
-        if t_s < self.splice.until_s:
-            std_m = hypot(std_m, self.splice.at(t_s + shift_s)[0])
+        if t_s < self.transfer.until_s:
+            std_m = hypot(std_m, self.transfer.at(t_s + shift_s)[0])
         return std_m
 
     def _stds(self, late_s: float) -> Stds:
-        """For what is always asked for, to the next half of a beat: nearer than that they are not known."""
+        """For what is always asked for, to the next half of the filter's step: nearer than that they are not known."""
         half_s = 0.5 * self.filter.steady.dt_s
         age = round(late_s / half_s)
         by_age = self._steady_by_age if self.filter.is_steady else self._by_age
         found = by_age.get(age)
         if found is None:
             modelled_m = self._modelled_m(age * half_s, self._shifts_s)
-            found = by_age[age] = Stds(np.array(modelled_m[: self._count]), modelled_m[self._count :])
+            found = by_age[age] = Stds(modelled_m[: self._count], modelled_m[self._count :])
         return found
 
     def _modelled_m(self, late_s: float, shifts_s: Sequence[float]) -> list[float]:
-        """Standard deviation by the model, ``late_s`` after the beat and so much later."""
+        """Standard deviation by the model, ``late_s`` after the state and so much later."""
         early_s = self._learned_s if isfinite(self._learned_s) else 0.0
         taus = [shift + late_s - early_s for shift in shifts_s]
         if self.filter.is_steady:
-            stds_m = self._outlook.between(self._steady_stds, taus)
+            stds_m = self._propagation.between(self._steady_stds, taus)
         else:
-            stds_m = self._outlook.stds_at(self.filter.published_covariance, taus)
+            stds_m = self._propagation.stds_at(self.filter.published_covariance, taus)
         return [sqrt(std_m * std_m + self._disturbed_m2) for std_m in stds_m] if self._disturbed_m2 else stds_m
 
     @property
@@ -195,26 +243,35 @@ class SeaHeave:
 
     @property
     def state_std_m(self) -> float:
-        """Standard deviation of the heave of the state itself, at the last beat, by the covariance alone."""
+        """Standard deviation of the heave of the state itself, by the covariance alone."""
         return self.steady_std_m if self.filter.is_steady else _std(self.filter.system.heave, self.filter.covariance)
 
     @property
     def is_converged(self) -> bool:
         """Whether the covariance of the heave is near what it will be, and was before the last sample was taken in."""
         f = self.filter
-        if f.innovation_variance > CONVERGED**2 * f.steady.S:
+        if f.innovation_variance > TUNING.converged**2 * f.steady.S:
             return False
-        return f.is_steady or self.state_std_m < CONVERGED * self.steady_std_m
+        return f.is_steady or self.state_std_m < TUNING.converged * self.steady_std_m
 
     @property
     def is_recovering(self) -> bool:
         """Whether a gap has cost so much of what was known that people should be told."""
-        return not self.is_converged and self.state_std_m > RECOVERING * self.sea_std_m
+        return not self.is_converged and self.state_std_m > TUNING.recovering * self.sea_std_m
 
     def row(self, t_s: float) -> tuple[Array, float]:
         """(n,) heave at ``t_s`` from the filter's state, and the variance (m2) that this misses of an earlier one."""
         tau_s = t_s - self.filter.t_s
-        return self._outlook.row(tau_s), self._outlook.missed(tau_s)
+        return self._propagation.row(tau_s), self._propagation.missed(tau_s)
+
+
+def _power_response(f: SeaFilter, f_hz: Array) -> Array:
+    """(n,) |heave|^2 that the steady filter makes of an acceleration of 1 m/s2 at each frequency."""
+    steady, system, identity = f.steady, f.system, np.eye(len(f.x))
+    loop = (identity - np.outer(steady.K, system.H)) @ steady.F
+    turns = np.exp(-2j * np.pi * steady.dt_s * f_hz)[:, None, None]
+    states = np.linalg.solve(identity - turns * loop, np.broadcast_to(steady.K[:, None], (len(f_hz), len(f.x), 1)))
+    return np.asarray(np.abs(states[..., 0] @ system.heave) ** 2)
 
 
 def _std(row: Array, P: Array) -> float:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,34 +19,42 @@ from heaved.estimation.heave.sea.model import SeaSystem
 
 Array = NDArray[np.float64]
 
-STEP_S: Final = 0.05
-BACK_S: Final = 3.0
-"""How far back the rows reach: the most that a sensor may be late, twice over."""
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """Of the grid of rows."""
+
+    step_s: float = 0.05
+    """Of tau."""
+    back_s: float = 3.0
+    """How far back the rows reach: the most that a sensor may be late, twice over."""
+
+
+TUNING: Final = Tuning()
 ORDER: Final = 6
 """Derivatives used: at 0.1 s and 0.6 Hz the next one is 1e-7."""
 
 
-class Outlook:
-    """Rows of one model over tau from -BACK_S to ``ahead_s``."""
+class Propagation:
+    """Rows of one model over tau from -``back_s`` to ``ahead_s``."""
 
     def __init__(self, system: SeaSystem, ahead_s: float) -> None:
         self._A, self._diffusion = system.A, system.diffusion
-        count = round((BACK_S + ahead_s) / STEP_S) + 1
-        self._first_s = -BACK_S
-        zero = round(BACK_S / STEP_S)
+        count = round((TUNING.back_s + ahead_s) / TUNING.step_s) + 1
+        self._first_s = -TUNING.back_s
+        zero = round(TUNING.back_s / TUNING.step_s)
         self._rows = np.empty((count, len(system.H)))
         self._rows[zero] = system.heave
         # Outwards from zero: errors grow backwards, where the chains are damped, and must not come forward again.
         for F, places, step in (
-            (system.moved(STEP_S), range(zero + 1, count), 1),
-            (system.moved(-STEP_S), range(zero - 1, -1, -1), -1),
+            (system.moved(TUNING.step_s), range(zero + 1, count), 1),
+            (system.moved(-TUNING.step_s), range(zero - 1, -1, -1), -1),
         ):
             for j in places:
                 self._rows[j] = self._rows[j - step] @ F
         # Variance that the waves to come add: integral of (row(s) g)^2 from 0 to tau.
         density = self._rows**2 @ system.diffusion
         self._added = np.zeros(count)
-        self._added[zero + 1 :] = np.cumsum(0.5 * STEP_S * (density[zero + 1 :] + density[zero:-1]))
+        self._added[zero + 1 :] = np.cumsum(0.5 * TUNING.step_s * (density[zero + 1 :] + density[zero:-1]))
 
     def derivatives(self, taus_s: Sequence[float]) -> Array:
         """(len(taus), ORDER, n): heave at each tau and its derivatives over factorials, as rows on the state."""
@@ -79,9 +88,9 @@ class Outlook:
         """Variance (m2) that :meth:`row` misses for a moment ``tau_s`` < 0: what the waves have added since."""
         if tau_s >= 0.0:
             return 0.0
-        zero = round(BACK_S / STEP_S)
-        first = max(zero + round(tau_s / STEP_S), 0)
-        return STEP_S * float(np.sum(self._rows[first:zero] ** 2 @ self._diffusion))
+        zero = round(TUNING.back_s / TUNING.step_s)
+        first = max(zero + round(tau_s / TUNING.step_s), 0)
+        return TUNING.step_s * float(np.sum(self._rows[first:zero] ** 2 @ self._diffusion))
 
     def series(self, x: Array) -> Array:
         """(n, ORDER): the state ``x`` (n,) and its derivatives over factorials, for :meth:`along`."""
@@ -98,8 +107,8 @@ class Outlook:
 
     def _nearest(self, tau_s: float) -> tuple[Array, float]:
         """The row of the grid that is nearest, and the time from there."""
-        j = min(max(round((tau_s - self._first_s) / STEP_S), 0), len(self._rows) - 1)
-        return self._rows[j], tau_s - self._first_s - j * STEP_S
+        j = min(max(round((tau_s - self._first_s) / TUNING.step_s), 0), len(self._rows) - 1)
+        return self._rows[j], tau_s - self._first_s - j * TUNING.step_s
 
     def stds(self, P: Array) -> Array:
         """Standard deviation of the heave error at every tau of the grid, for a state of covariance ``P`` (n, n)."""
@@ -128,7 +137,7 @@ class Outlook:
         first_s, last, before_last = self._first_s, len(self._rows) - 1.0, len(self._rows) - 2
         found = []
         for tau in taus_s:
-            place = (tau - first_s) / STEP_S
+            place = (tau - first_s) / TUNING.step_s
             place = 0.0 if place < 0.0 else place if place < last else last
             i = int(place) if place < last else before_last
             found.append((i, place - i))

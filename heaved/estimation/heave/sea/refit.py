@@ -18,78 +18,88 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.common import down_sampler as beat
-from heaved.estimation.heave.sea import batch_filter as sea_run
-from heaved.estimation.heave.sea import gap_bridge as sea_bridge
-from heaved.estimation.heave.sea import noise as sea_resonances
-from heaved.estimation.heave.sea import whittle_fit as sea_fit
+from heaved.estimation.common import down_sampler
+from heaved.estimation.heave.sea import batch_filter, gap_bridge, noise, whittle_fit
 from heaved.estimation.heave.sea.filter import SeaFilter
-from heaved.estimation.heave.sea.gap_smoother import smoothed
 from heaved.estimation.heave.sea.model import SeaModel, SeaSystem, Steady
+from heaved.estimation.heave.sea.record import EvenRecord, even, stretches_of
 from heaved.estimation.heave.sea.sea_state import longest_period_s, sea_state
+from heaved.estimation.heave.sea.smoother import smoothed
 from heaved.samples import SeaState
 
 Array = NDArray[np.float64]
 
-SCORE_MEMORY: Final = 0.7
-"""Share of the score of a length that is kept from look to look."""
-JUDGED_HZ: Final = 0.5
-"""Models are judged up to here: what the innovations are above is the end of the tail, and no matter to the heave."""
-PATIENCE: Final = 3.0
-"""Log-likelihood that a length must be ahead of the next longer one: differences of this size come by chance."""
-FEW_COMPONENTS_BELOW_S: Final = 30.0
-"""A shorter record does not bear more than two components."""
-SETTLE_S: Final = 400.0
-"""After this nothing of the start of a filter is left, in swell of 16 s either (after two minutes it is more than what
-models differ by): before the first sample whose innovation is looked at, a filter runs this long."""
-SAME_DT: Final = 1e-3
-"""Relative change of the usual interval up to which the gain of a steady filter stays as it was."""
-WHITENESS_S: Final = 2.0
-"""Innovations are averaged over this: engines and slams cancel, what a wrong sea leaves stays."""
-WHITENESS_OVER_S: Final = 60.0
-MIN_RECORD_S: Final = 20.0
-MIN_STRETCH_S: Final = 30.0
-"""A record with holes that are too long to be bridged is fitted between them, and not at all when that is shorter and
-there is a model already."""
-LONG_HOLE_S: Final = 1.0
-LONG_S: Final = 60.0
-MOSTLY: Final = 0.6
-"""Longer holes are bridged only where the stretches between them that are that long are a smaller share of the record:
-what is drawn into three seconds may raise the skirt of a spectrum tenfold."""
-FEW_IN_LONG_HOLES: Final = 0.1
-"""Share of the shortest window that may lie in longer holes than that, bridged, when there is a model already: more of
-it is better not learned from. (A sensor at the end of its range loses just the highest waves.)"""
-SLOWEST_S: Final = 0.8
-"""Samples further apart than this, in the mean, do not show the waves (up to 0.6 Hz) at all."""
-WALK_SEEN_S: Final = 300.0
-"""An unbroken stretch that long shows how the bias of the accelerometer walks."""
-SHAKEN_ALIKE_S: Final = (120.0, 60.0, 30.0, 15.0, 10.0)
-"""Lengths of the past that may show what shakes the sensor."""
-SHAKEN_OTHERWISE: Final = 2.0
-"""Ratio of variances."""
-NOISE_MOST_PSD: Final = 1e-4
-"""Of the white noise of an accelerometer that is worth its cable, (m/s2)2/Hz: what there is more of above the waves is
-vibration, as long as there is not clearly more below them, too."""
-NOISE_SEEN_S: Final = 200.0
-"""One that long shows the noise below the waves."""
-WALK_OF_NOISE: Final = 0.03
-"""Walk of the bias, per root second, over the density of the white noise, that is expected of a sensor at least:
-accelerometers that are noisier wander more (data sheets: 0.02 to 0.05)."""
-BRIDGE_SEED: Final = 1
-"""The same record gives the same answer."""
-ROUGH: Final = 2
-"""Times that a record is fitted and bridged anew when there was no model to bridge its holes with."""
-MANY_HOLES_S: Final = 5.0
-"""With a hole every so many seconds, or more, the filter takes the samples one by one."""
-START_S: Final = 100.0
-"""Then they are taken from so long before the first that is looked at."""
-NOISE_KNOWN: Final = 0.95
-"""Where less of the record is known than this share, its noise is taken from the innovations: what bridges the holes
-has that of an earlier model."""
-NOISE_FACTORS: Final = (0.1, 30.0)
-"""By which the noise changes at once,"""
-NOISE_IS_KNOWN: Final = (0.8, 1.25)
-"""and need not change."""
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """Of a look at the past."""
+
+    score_memory: float = 0.7
+    """Share of the score of a length that is kept from look to look."""
+    judged_hz: float = 0.5
+    """Models are judged up to here: what the innovations are above is the end of the tail, and no matter to the
+    heave."""
+    patience: float = 3.0
+    """Log-likelihood that a length must be ahead of the next longer one: differences of this size come by chance."""
+    few_components_below_s: float = 30.0
+    """A shorter record does not bear more than two components."""
+    settle_s: float = 400.0
+    """After this nothing of the start of a filter is left, in swell of 16 s either (after two minutes it is more than
+    what models differ by): before the first sample whose innovation is looked at, a filter runs this long."""
+    same_dt: float = 1e-3
+    """Relative change of the usual interval up to which the gain of a steady filter stays as it was."""
+    whiteness_s: float = 2.0
+    """Innovations are averaged over this: engines and slams cancel, what a wrong sea leaves stays."""
+    whiteness_over_s: float = 60.0
+    """The newest so many seconds of them are held against the model."""
+    min_record_s: float = 20.0
+    """Shorter records are not looked at: they hold two waves or three."""
+    min_stretch_s: float = 30.0
+    """A record with holes that are too long to be bridged is fitted between them, and not at all when that is shorter
+    and there is a model already."""
+    long_hole_s: float = 1.0
+    """Holes are bridged up to here where there are enough stretches without them,"""
+    long_s: float = 60.0
+    """that is, stretches that long."""
+    mostly: float = 0.6
+    """Longer holes are bridged only where the stretches between them that are that long are a smaller share of the
+    record: what is drawn into three seconds may raise the skirt of a spectrum tenfold."""
+    few_in_long_holes: float = 0.1
+    """Share of the shortest window that may lie in longer holes than that, bridged, when there is a model already: more
+    of it is better not learned from. (A sensor at the end of its range loses just the highest waves.)"""
+    slowest_s: float = 0.8
+    """Samples further apart than this, in the mean, do not show the waves (up to 0.6 Hz) at all."""
+    walk_seen_s: float = 300.0
+    """An unbroken stretch that long shows how the bias of the accelerometer walks."""
+    shaken_alike_s: tuple[float, ...] = (120.0, 60.0, 30.0, 15.0, 10.0)
+    """Lengths of the past that may show what shakes the sensor."""
+    shaken_otherwise: float = 2.0
+    """Ratio of variances."""
+    noise_most_psd: float = 1e-4
+    """Of the white noise of an accelerometer that is worth its cable, (m/s2)2/Hz: what there is more of above the waves
+    is vibration, as long as there is not clearly more below them, too."""
+    noise_seen_s: float = 200.0
+    """One that long shows the noise below the waves."""
+    walk_of_noise: float = 0.03
+    """Walk of the bias, per root second, over the density of the white noise, that is expected of a sensor at least:
+    accelerometers that are noisier wander more (data sheets: 0.02 to 0.05)."""
+    bridge_seed: int = 1
+    """The same record gives the same answer."""
+    rough: int = 2
+    """Times that a record is fitted and bridged anew when there was no model to bridge its holes with."""
+    many_holes_s: float = 5.0
+    """With a hole every so many seconds, or more, the filter takes the samples one by one."""
+    start_s: float = 100.0
+    """Then they are taken from so long before the first that is looked at."""
+    noise_known: float = 0.95
+    """Where less of the record is known than this share, its noise is taken from the innovations: what bridges the
+    holes has that of an earlier model."""
+    noise_factors: tuple[float, float] = (0.1, 30.0)
+    """By which the noise changes at once,"""
+    noise_is_known: tuple[float, float] = (0.8, 1.25)
+    """and need not change."""
+
+
+TUNING: Final = Tuning()
 
 
 class Candidate(msgspec.Struct, frozen=True, kw_only=True):
@@ -178,43 +188,45 @@ class SeaFit(msgspec.Struct, frozen=True, kw_only=True):
 def look(window: SeaWindow) -> SeaFit:
     """Fit, judge, run. Never raises for what the samples may be: what is wrong is the message."""
     t, a = np.frombuffer(window.t_s), np.frombuffer(window.a_mps2)
-    if len(t) < 8 or not t[-1] - t[0] >= MIN_RECORD_S:
+    if len(t) < 8 or not t[-1] - t[0] >= TUNING.min_record_s:
         return SeaFit(number=window.number, message="the record is too short")
     if not (np.isfinite(a).all() and np.isfinite(t).all() and bool(np.all(np.diff(t) > 0.0))):
         return SeaFit(number=window.number, message="the record has gaps in its numbers")
     if float(np.ptp(a)) <= 0.0:
         return SeaFit(number=window.number, message="the record is constant")
-    if (t[-1] - t[0]) > SLOWEST_S * (len(t) - 1) and float(np.median(np.diff(t))) > SLOWEST_S:
+    if (t[-1] - t[0]) > TUNING.slowest_s * (len(t) - 1) and float(np.median(np.diff(t))) > TUNING.slowest_s:
         return SeaFit(number=window.number, message="the samples are too far apart to show waves")
     try:
-        return _look(window, sea_run.even(t, a).cut(window.cuts_s, window.spoilt_s, window.blows_s))
+        return _look(window, even(t, a).cut(window.cuts_s, window.spoilt_s, window.blows_s))
     except np.linalg.LinAlgError as error:
         return SeaFit(number=window.number, message=f"the record has no spectrum that can be fitted: {error}")
 
 
-def _look(window: SeaWindow, record: sea_run.Record) -> SeaFit:
+def _look(window: SeaWindow, record: EvenRecord) -> SeaFit:
     """
     Raises:
         LinAlgError: no model can be made of the record.
     """
     whole = _bridged(window, record, is_drawn=True)
     recent = record.last(round(min(window.windows_s) / record.dt_s))
-    drawn = whole.last(len(recent.is_known)).is_known & ~sea_bridge.closed(recent.is_known, record.dt_s, LONG_HOLE_S)
-    if window.candidates and np.mean(drawn) > FEW_IN_LONG_HOLES:
+    drawn = whole.last(len(recent.is_known)).is_known & ~gap_bridge.closed(
+        recent.is_known, record.dt_s, TUNING.long_hole_s
+    )
+    if window.candidates and np.mean(drawn) > TUNING.few_in_long_holes:
         return SeaFit(number=window.number, message="the record has too many holes")
     parts = unbroken(whole, round(max(window.windows_s) / record.dt_s))
     stretch_s = max(map(len, parts), default=0) * record.dt_s
-    if stretch_s < (MIN_STRETCH_S if window.candidates else MIN_RECORD_S) and not whole.is_known.all():
+    if stretch_s < (TUNING.min_stretch_s if window.candidates else TUNING.min_record_s) and not whole.is_known.all():
         return SeaFit(number=window.number, message="the record has too many holes")
     # What is drawn is no measurement: a filter would be surprised by the next sample, whatever its model.
     told = _bridged(window, record, is_drawn=False) if window.candidates and _has_many_holes(record) else record
     scores = _scores(window, told, record.is_known)
     fitted, shares, seconds, waves = _fit_all(window, whole, scores, record.is_known)
     # Candidates come shortest first: a longer past is exact where the sea is steady, a shorter one has to earn it.
-    chosen = max(range(len(fitted)), key=lambda rank: fitted[rank].score + PATIENCE * rank)
+    chosen = max(range(len(fitted)), key=lambda rank: fitted[rank].score + TUNING.patience * rank)
     best, share = fitted[chosen], shares[chosen]
     kept = round(window.delay_s / record.dt_s) + round(30.0 / record.dt_s)
-    judged, settle = max(kept, round(WHITENESS_OVER_S / record.dt_s)), round(SETTLE_S / record.dt_s)
+    judged, settle = max(kept, round(TUNING.whiteness_over_s / record.dt_s)), round(TUNING.settle_s / record.dt_s)
     recent = record.last(settle + judged)
     ran = _settled(best, recent, settle, judged)
     if isinstance(ran, str):
@@ -243,22 +255,22 @@ def _look(window: SeaWindow, record: sea_run.Record) -> SeaFit:
     )
 
 
-def _has_many_holes(record: sea_run.Record) -> bool:
+def _has_many_holes(record: EvenRecord) -> bool:
     """More than can be taken as exceptions."""
     known = record.is_known
-    return int(np.count_nonzero(known[:-1] & ~known[1:])) * MANY_HOLES_S > len(known) * record.dt_s
+    return int(np.count_nonzero(known[:-1] & ~known[1:])) * TUNING.many_holes_s > len(known) * record.dt_s
 
 
-def _longest_bridge(record: sea_run.Record) -> float:
+def _longest_bridge(record: EvenRecord) -> float:
     """Longest holes (s) that are bridged: as short as stretches without holes are there to be fitted."""
-    closed = sea_bridge.closed(record.is_known, record.dt_s, LONG_HOLE_S)
-    stretches = sea_run.stretches(msgspec.structs.replace(record, is_known=closed))
-    most = LONG_S / record.dt_s
+    closed = gap_bridge.closed(record.is_known, record.dt_s, TUNING.long_hole_s)
+    stretches = stretches_of(msgspec.structs.replace(record, is_known=closed))
+    most = TUNING.long_s / record.dt_s
     fitted = sum([end - first for first, end, is_known in stretches if is_known and end - first > most])
-    return LONG_HOLE_S if fitted > MOSTLY * len(closed) else sea_bridge.LONGEST_S
+    return TUNING.long_hole_s if fitted > TUNING.mostly * len(closed) else gap_bridge.TUNING.longest_s
 
 
-def _bridged(window: SeaWindow, record: sea_run.Record, *, is_drawn: bool) -> sea_run.Record:
+def _bridged(window: SeaWindow, record: EvenRecord, *, is_drawn: bool) -> EvenRecord:
     """The record with its holes bridged, as far as they are short: what a spectrum can be had of when it ``is_drawn``.
 
     The model that bridges them is the last one; without one it is found with the holes bridged by straight lines first.
@@ -266,16 +278,16 @@ def _bridged(window: SeaWindow, record: sea_run.Record, *, is_drawn: bool) -> se
     if record.is_known.all():
         return record
     best = max(window.candidates, key=lambda candidate: candidate.score, default=None)
-    rng = np.random.default_rng(BRIDGE_SEED) if is_drawn else None
+    rng = np.random.default_rng(TUNING.bridge_seed) if is_drawn else None
     longest_s = _longest_bridge(record)
     model, whole = (None if best is None else best.model), record
-    for _ in range(1 if model is not None else ROUGH):
+    for _ in range(1 if model is not None else TUNING.rough):
         if model is None:
-            lines = msgspec.structs.replace(whole, is_known=sea_bridge.closed(whole.is_known, whole.dt_s, longest_s))
+            lines = msgspec.structs.replace(whole, is_known=gap_bridge.closed(whole.is_known, whole.dt_s, longest_s))
             model = _fit_all(window, lines, {}, record.is_known)[0][-1].model
         # Not across a cut: the level is another one there.
         parts = [
-            sea_bridge.bridged(record.a_mps2[first:end], record.is_known[first:end], record.dt_s, model, rng, longest_s)
+            gap_bridge.bridged(record.a_mps2[first:end], record.is_known[first:end], record.dt_s, model, rng, longest_s)
             for first, end in itertools.pairwise([0, *record.cuts, len(record.a_mps2)])
         ]
         a, is_known = (np.concatenate(columns) for columns in zip(*parts, strict=True))
@@ -284,13 +296,13 @@ def _bridged(window: SeaWindow, record: sea_run.Record, *, is_drawn: bool) -> se
 
 
 def _settled(
-    candidate: Candidate, recent: sea_run.Record, settle: int, judged: int
-) -> tuple[Candidate, SeaSystem, Steady, sea_run.Run] | str:
+    candidate: Candidate, recent: EvenRecord, settle: int, judged: int
+) -> tuple[Candidate, SeaSystem, Steady, batch_filter.Run] | str:
     """The candidate, with the noise that its innovations show, and what its filter makes of the recent past; or why
     there is no such filter."""
-    found: tuple[Candidate, SeaSystem, Steady, sea_run.Run] | None = None
+    found: tuple[Candidate, SeaSystem, Steady, batch_filter.Run] | None = None
     excess = 1.0
-    while found is None or not NOISE_IS_KNOWN[0] <= excess <= NOISE_IS_KNOWN[1]:
+    while found is None or not TUNING.noise_is_known[0] <= excess <= TUNING.noise_is_known[1]:
         is_last, candidate = found is not None, _noisier(candidate, excess)
         system = SeaSystem(candidate.model)
         steady = system.steady(recent.dt_s)
@@ -306,20 +318,20 @@ def _settled(
 
 
 def _run(
-    system: SeaSystem, steady: Steady, recent: sea_run.Record, settle: int, judged: int
-) -> tuple[sea_run.Run, float]:
+    system: SeaSystem, steady: Steady, recent: EvenRecord, settle: int, judged: int
+) -> tuple[batch_filter.Run, float]:
     """The filter over the recent past; and variance of the innovations over the model's, where noise is known by that
     alone, else 1."""
     if not _has_many_holes(recent):
-        return sea_run.run(system, steady, recent, full_start=len(recent.a_mps2) < settle, kept=judged), 1.0
+        return batch_filter.run(system, steady, recent, full_start=len(recent.a_mps2) < settle, kept=judged), 1.0
     # It begins with all that is not known of the state: nothing has to settle.
-    recent = recent.last(judged + round(START_S / recent.dt_s))
+    recent = recent.last(judged + round(TUNING.start_s / recent.dt_s))
     f = SeaFilter(system, steady, nan, np.zeros(len(system.H)), system.stationary)
-    done, excess = sea_run.one_by_one(f, recent, judged)
-    return done, excess if np.mean(recent.is_known[-judged:]) < NOISE_KNOWN else 1.0
+    done, excess = batch_filter.one_by_one(f, recent, judged)
+    return done, excess if np.mean(recent.is_known[-judged:]) < TUNING.noise_known else 1.0
 
 
-def _delayed(window: SeaWindow, system: SeaSystem, steady: Steady, recent: sea_run.Record, settle: int) -> Array:
+def _delayed(window: SeaWindow, system: SeaSystem, steady: Steady, recent: EvenRecord, settle: int) -> Array:
     """What :attr:`SeaFit.delayed` holds."""
     count = round(window.delay_s / recent.dt_s)
     known = recent.is_known
@@ -327,7 +339,7 @@ def _delayed(window: SeaWindow, system: SeaSystem, steady: Steady, recent: sea_r
     if is_whole or not known[:-count].any():
         return np.empty((0, 3))
     last = int(np.flatnonzero(known[:-count])[-1])
-    before = sea_run.Record(
+    before = EvenRecord(
         recent.end_s - (len(known) - 1 - last) * recent.dt_s,
         recent.dt_s,
         recent.a_mps2[: last + 1],
@@ -344,18 +356,18 @@ def _delayed(window: SeaWindow, system: SeaSystem, steady: Steady, recent: sea_r
 
 def _noisier(candidate: Candidate, factor: float) -> Candidate:
     """With ``factor`` times the noise, within what it may change at once."""
-    noise_psd = candidate.model.noise_psd * min(max(factor, NOISE_FACTORS[0]), NOISE_FACTORS[1])
+    noise_psd = candidate.model.noise_psd * min(max(factor, TUNING.noise_factors[0]), TUNING.noise_factors[1])
     return msgspec.structs.replace(candidate, model=msgspec.structs.replace(candidate.model, noise_psd=noise_psd))
 
 
-def _scores(window: SeaWindow, record: sea_run.Record, is_known: NDArray[np.bool_]) -> dict[float, float]:
+def _scores(window: SeaWindow, record: EvenRecord, is_known: NDArray[np.bool_]) -> dict[float, float]:
     """Each length's score with what came since the last look; ``is_known`` (n,): what of that was measured."""
     fresh = 0
     if window.candidates and isfinite(window.looked_s):  # Not after a reset: the candidates outlive the past.
         fresh = min(len(record.a_mps2), round((record.end_s - window.looked_s) / record.dt_s))
     if fresh < 2:
         return {candidate.window_s: candidate.score for candidate in window.candidates}
-    recent = record.last(fresh + round(SETTLE_S / record.dt_s))
+    recent = record.last(fresh + round(TUNING.settle_s / record.dt_s))
     measured = is_known[-fresh:]
     if not measured.any():
         return {candidate.window_s: candidate.score for candidate in window.candidates}
@@ -366,16 +378,18 @@ def _scores(window: SeaWindow, record: sea_run.Record, is_known: NDArray[np.bool
         steady = _steady(system, candidate, record.dt_s)
         if steady is None:
             continue
-        done = sea_run.run(system, steady, recent, full_start=False, full_holes=not is_whole, kept=fresh)
+        done = batch_filter.run(system, steady, recent, full_start=False, full_holes=not is_whole, kept=fresh)
         likelihood = _likelihood(candidate.model, steady, np.where(measured, done.innovation[-fresh:], nan))
-        found[candidate.window_s] = SCORE_MEMORY * candidate.score + (likelihood if np.isfinite(likelihood) else -1e9)
+        found[candidate.window_s] = TUNING.score_memory * candidate.score + (
+            likelihood if np.isfinite(likelihood) else -1e9
+        )
     best = max(found.values(), default=0.0)
     return {window_s: score - best for window_s, score in found.items()}
 
 
 def _steady(system: SeaSystem, candidate: Candidate, dt_s: float) -> Steady | None:
     """The steady filter of a candidate: solved for again only where it was not kept, or the interval has changed."""
-    if not abs(dt_s - candidate.steady_dt_s) <= SAME_DT * dt_s:
+    if not abs(dt_s - candidate.steady_dt_s) <= TUNING.same_dt * dt_s:
         return system.steady(dt_s)
     n = len(system.H)
     return system.steady_of(dt_s, np.frombuffer(candidate.steady_P).reshape(n, n))
@@ -389,12 +403,12 @@ def _likelihood(model: SeaModel, steady: Steady, innovation: Array) -> float:
     count = max(1, int(np.count_nonzero(known)))
     white = np.abs(np.fft.rfft(np.where(known, innovation, 0.0))) ** 2 / (steady.S * count)
     f: Array = np.fft.rfftfreq(len(innovation), steady.dt_s).astype(np.float64)
-    judged = (f > 0.0) & (f <= JUDGED_HZ)
+    judged = (f > 0.0) & (f <= TUNING.judged_hz)
     return -float(np.sum(np.log(model.acceleration_spectrum(f[judged], steady.dt_s)) + white[judged]))
 
 
 def _fit_all(
-    window: SeaWindow, record: sea_run.Record, scores: dict[float, float], is_measured: NDArray[np.bool_]
+    window: SeaWindow, record: EvenRecord, scores: dict[float, float], is_measured: NDArray[np.bool_]
 ) -> tuple[tuple[Candidate, ...], list[float], list[float], float]:
     """A model for each length that the record reaches, the longest that it does not reach gets all there is; the share
     of each model's variance that was measured; seconds that each was fitted to; how much likelier than noise the waves
@@ -407,35 +421,35 @@ def _fit_all(
     for shorter, length in zip([0.0, *every], every, strict=False):
         if shorter <= seconds:
             parts = unbroken(record, round(min(length, seconds) * rate))
-            if (most := max(map(len, parts), default=0)) >= MIN_RECORD_S * rate:
+            if (most := max(map(len, parts), default=0)) >= TUNING.min_record_s * rate:
                 lengths.append(length)
                 stretches.append(parts)
                 longest.append(most)
     if not lengths:
         raise np.linalg.LinAlgError("no stretch of it is long enough")
-    passed = partial(beat.passed, period_s=window.period_s, averaged=window.averaged)
-    spectra = [sea_fit.spectrum(parts, rate, passed) for parts in stretches]
-    few = [most < FEW_COMPONENTS_BELOW_S * rate for most in longest]
+    passed = partial(down_sampler.passed, period_s=window.period_s, averaged=window.averaged)
+    spectra = [whittle_fit.spectrum(parts, rate, passed) for parts in stretches]
+    few = [most < TUNING.few_components_below_s * rate for most in longest]
     last = max(window.candidates, key=lambda one: one.window_s, default=None)
     bias_walk_psd = window.bias_walk_psd if last is None else last.model.bias_walk_psd
 
-    def fit(models: dict[float, SeaModel]) -> dict[float, sea_fit.Fitted]:
-        fitted: dict[float, sea_fit.Fitted] = {}
+    def fit(models: dict[float, SeaModel]) -> dict[float, whittle_fit.Fitted]:
+        fitted: dict[float, whittle_fit.Fitted] = {}
         for are_few in set(few):
             components = min(2, window.components) if are_few else window.components
             of = [i for i, is_few in enumerate(few) if is_few == are_few]
             warm = [models.get(lengths[i]) for i in of]
-            made = sea_fit.fit([spectra[i] for i in of], window.stages, components, bias_walk_psd, warm)
+            made = whittle_fit.fit([spectra[i] for i in of], window.stages, components, bias_walk_psd, warm)
             fitted.update(zip([lengths[i] for i in of], made, strict=True))
         return fitted
 
     # What shakes the sensor now is in the newest past: all lengths are told of it.
     if not earlier:
         earlier = {length: one.model for length, one in fit({}).items()}
-    shaking, noise_psd = sea_resonances.resonances(
+    shaking, noise_psd = noise.resonances(
         _newest_above(record, is_measured, spectra[0], passed),
         earlier.get(lengths[0]),
-        min([NOISE_MOST_PSD, *(sp.noise_psd for sp in spectra)]),
+        min([TUNING.noise_most_psd, *(sp.noise_psd for sp in spectra)]),
     )
     # A blow has power within the waves' band, too, which is no noise to a filter that knows of it.
     is_whole = bool(np.all(is_measured | ~record.is_known)) and not record.blows
@@ -444,7 +458,7 @@ def _fit_all(
             sp,
             resonances=shaking,
             noise_psd=noise_psd,
-            is_noise_known=is_whole and most >= NOISE_SEEN_S * rate,
+            is_noise_known=is_whole and most >= TUNING.noise_seen_s * rate,
         )
         for sp, most in zip(spectra, longest, strict=True)
     ]
@@ -459,39 +473,42 @@ def _fit_all(
     candidates = tuple(
         Candidate(window_s=length, model=fitted[length].model, score=scores.get(length, unknown)) for length in lengths
     )
-    shares = [sea_fit.measured_share(sp, fitted[length].model) for sp, length in zip(spectra, lengths, strict=True)]
+    shares = [whittle_fit.measured_share(sp, fitted[length].model) for sp, length in zip(spectra, lengths, strict=True)]
     return candidates, shares, [sum(map(len, parts)) / rate for parts in stretches], fitted[lengths[0]].waves
 
 
-def _walk(window: SeaWindow, record: sea_run.Record, is_measured: NDArray[np.bool_], model: SeaModel) -> float:
+def _walk(window: SeaWindow, record: EvenRecord, is_measured: NDArray[np.bool_], model: SeaModel) -> float:
     """The walk of the bias (m/s2)2/s that the record shows beside the waves of ``model``, or the one that this has."""
     measured = msgspec.structs.replace(record, is_known=is_measured)
     stretch = max(unbroken(measured, len(is_measured)), key=len, default=np.empty(0))
-    noise_psd = model.noise_psd if model.noise_psd < 0.5 * NOISE_MOST_PSD else 0.0
-    expected_psd = max(window.bias_walk_psd, WALK_OF_NOISE**2 * noise_psd)
+    noise_psd = model.noise_psd if model.noise_psd < 0.5 * TUNING.noise_most_psd else 0.0
+    expected_psd = max(window.bias_walk_psd, TUNING.walk_of_noise**2 * noise_psd)
     # Neither what bridges a hole nor a blow is noise of the sensor.
-    if len(record.a_mps2) * record.dt_s < WALK_SEEN_S:
+    if len(record.a_mps2) * record.dt_s < TUNING.walk_seen_s:
         return expected_psd
-    if len(stretch) * record.dt_s < WALK_SEEN_S or record.blows:
+    if len(stretch) * record.dt_s < TUNING.walk_seen_s or record.blows:
         return model.bias_walk_psd
-    return sea_fit.bias_walk(stretch, 1.0 / record.dt_s, model, expected_psd)
+    return whittle_fit.bias_walk(stretch, 1.0 / record.dt_s, model, expected_psd)
 
 
 def _newest_above(
-    record: sea_run.Record,
+    record: EvenRecord,
     is_measured: NDArray[np.bool_],
-    shortest: sea_fit.Spectrum,
+    shortest: whittle_fit.Spectrum,
     passed: Callable[[Array], Array],
-) -> sea_resonances.Above:
+) -> noise.Above:
     """The periodogram above the waves of what is shaken as now: that of the ``shortest`` length, or of less of it."""
-    alike_s = SHAKEN_ALIKE_S[0] if record.blows else _shaken_alike_s(record, is_measured)
+    alike_s = TUNING.shaken_alike_s[0] if record.blows else _shaken_alike_s(record, is_measured)
     parts = unbroken(record, round(alike_s / record.dt_s))
-    if alike_s == SHAKEN_ALIKE_S[0] or max(map(len, parts), default=0) * record.dt_s < 0.5 * SHAKEN_ALIKE_S[-1]:
+    if (
+        alike_s == TUNING.shaken_alike_s[0]
+        or max(map(len, parts), default=0) * record.dt_s < 0.5 * TUNING.shaken_alike_s[-1]
+    ):
         return shortest.above
-    return sea_fit.spectrum(parts, 1.0 / record.dt_s, passed).above
+    return whittle_fit.spectrum(parts, 1.0 / record.dt_s, passed).above
 
 
-def _shaken_alike_s(record: sea_run.Record, is_measured: NDArray[np.bool_]) -> float:
+def _shaken_alike_s(record: EvenRecord, is_measured: NDArray[np.bool_]) -> float:
     """How long (s) it has been shaken as it is now: the longest of some lengths in which the second differences, that
     see no waves, are on the whole as large as in the last seconds."""
     squares = np.diff(record.a_mps2, n=2) ** 2
@@ -500,29 +517,31 @@ def _shaken_alike_s(record: sea_run.Record, is_measured: NDArray[np.bool_]) -> f
     def mean(seconds: float) -> float:
         count = round(seconds / record.dt_s)
         part = known[-count:]
-        return float(np.mean(squares[-count:][part])) if np.mean(part) > MOSTLY else nan
+        return float(np.mean(squares[-count:][part])) if np.mean(part) > TUNING.mostly else nan
 
-    now = mean(SHAKEN_ALIKE_S[-1])
-    for seconds in SHAKEN_ALIKE_S:
-        if not now > SHAKEN_OTHERWISE * mean(seconds) and not mean(seconds) > SHAKEN_OTHERWISE * now:
+    now = mean(TUNING.shaken_alike_s[-1])
+    for seconds in TUNING.shaken_alike_s:
+        if not now > TUNING.shaken_otherwise * mean(seconds) and not mean(seconds) > TUNING.shaken_otherwise * now:
             return seconds
-    return SHAKEN_ALIKE_S[0]
+    return TUNING.shaken_alike_s[0]
 
 
-def unbroken(record: sea_run.Record, count: int) -> list[Array]:
+def unbroken(record: EvenRecord, count: int) -> list[Array]:
     """The stretches without a hole or a cut among the last ``count`` samples, oldest first.
 
     A spectrum cannot bridge a hole: whatever stands in it has power at low frequencies, four decades above the skirt of
     the waves that the error of the heave depends on.
     """
     newest = record.last(count)
-    return [newest.a_mps2[first:end] for first, end, is_known in sea_run.stretches(newest) if is_known]
+    return [newest.a_mps2[first:end] for first, end, is_known in stretches_of(newest) if is_known]
 
 
 def whiteness(innovation: Array, steady: Steady) -> float:
-    """Variance of innovations averaged over WHITENESS_S, in the last minute, over that of the model: 1 when it fits."""
-    each = max(1, round(WHITENESS_S / steady.dt_s))
-    count = min(round(WHITENESS_OVER_S / WHITENESS_S), int(np.count_nonzero(np.isfinite(innovation))) // each)
+    """Variance of averaged innovations, in the last minute, over that of the model: 1 when it fits."""
+    each = max(1, round(TUNING.whiteness_s / steady.dt_s))
+    count = min(
+        round(TUNING.whiteness_over_s / TUNING.whiteness_s), int(np.count_nonzero(np.isfinite(innovation))) // each
+    )
     if count < 1:
         return 1.0
     means = innovation[-count * each :].reshape(count, each).mean(axis=1)

@@ -10,6 +10,7 @@ import itertools
 from math import pi, sqrt
 from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,23 +22,32 @@ Array = NDArray[np.float64]
 
 GRID_HZ: Final = np.geomspace(0.025, 1.0, 240)
 """0.6 times to 24 times the usual peak; what lies outside is no wave."""
-TROUGH: Final = 0.5
-"""Two peaks are two systems when the spectrum between them falls below this share of the lower one."""
-LEAST_SHARE: Final = 0.01
-"""A system with less of the variance than this is not worth a name."""
-SWELL_STEEPNESS: Final = 0.010
-"""2 pi Hs / (g Tp^2): a sea under wind is steeper, a swell that has left its wind flatter (a wind sea that is just
-raised has 0.03 to 0.06; swell of 1 m at 12 s has 0.004)."""
-LEAST_MPS2: Final = 0.02
-"""Of vibration that people are told of: what is left of a clean sea above 0.8 Hz may look like half as much."""
-PUBLISHED_POINTS: Final = 40
+
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """Of what is said of the sea."""
+
+    trough: float = 0.5
+    """Two peaks are two systems when the spectrum between them falls below this share of the lower one."""
+    least_share: float = 0.01
+    """A system with less of the variance than this is not worth a name."""
+    swell_steepness: float = 0.010
+    """2 pi Hs / (g Tp^2): a sea under wind is steeper, a swell that has left its wind flatter (a wind sea that is just
+    raised has 0.03 to 0.06; swell of 1 m at 12 s has 0.004)."""
+    least_mps2: float = 0.02
+    """Of vibration that people are told of: what is left of a clean sea above 0.8 Hz may look like half as much."""
+    published_points: int = 40
+    """Of the spectrum, for people."""
+
+
+TUNING: Final = Tuning()
 
 
 def sea_state(model: SeaModel, share: float = 1.0) -> SeaState:
     """Heights (m), periods (s) and spectrum of the heave of ``model``, ``share`` of whose variance was measured."""
     f, S = GRID_HZ, share * model.heave_spectrum(GRID_HZ)
     m0, m1 = (float(np.trapezoid(S * f**i, f)) for i in (0, 1))
-    step = len(f) // PUBLISHED_POINTS
+    step = len(f) // TUNING.published_points
     return SeaState(
         significant_height_m=4.0 * sqrt(m0),
         peak_period_s=1.0 / float(f[np.argmax(S)]),
@@ -56,7 +66,7 @@ def vibration(model: SeaModel) -> tuple[Vibration, ...]:
     found = [
         Vibration(frequency_hz=one.frequency_hz, width_hz=HALF_POWER * one.damping * one.frequency_hz, rms_mps2=rms)
         for one in model.resonances
-        if not one.is_heave and (rms := sqrt(one.variance)) > LEAST_MPS2
+        if not one.is_heave and (rms := sqrt(one.variance)) > TUNING.least_mps2
     ]
     return tuple(sorted(found, key=lambda one: -one.rms_mps2))
 
@@ -72,7 +82,9 @@ def _system(f: Array, S: Array) -> WaveSystem:
     height, period = 4.0 * sqrt(float(np.trapezoid(S, f))), 1.0 / float(f[np.argmax(S)])
     steepness = 2.0 * pi * height / (GRAVITY_MPS2 * period**2)
     return WaveSystem(
-        kind="swell" if steepness < SWELL_STEEPNESS else "wind sea", significant_height_m=height, peak_period_s=period
+        kind="swell" if steepness < TUNING.swell_steepness else "wind sea",
+        significant_height_m=height,
+        peak_period_s=period,
     )
 
 
@@ -83,11 +95,13 @@ def _parts(f: Array, S: Array, m0: float) -> list[slice]:
     last = 0
     for peak in peaks[1:]:
         trough = peaks[last] + int(np.argmin(S[peaks[last] : peak]))
-        if S[trough] < TROUGH * min(S[peaks[last]], S[peak]):
+        if S[trough] < TUNING.trough * min(S[peaks[last]], S[peak]):
             cuts.append(trough)
             last = peaks.index(peak)
         elif S[peak] > S[peaks[last]]:
             last = peaks.index(peak)
     bounds = [0, *cuts, len(f) - 1]
     parts = [slice(a, b + 1) for a, b in itertools.pairwise(bounds)]
-    return [part for part in parts if float(np.trapezoid(S[part], f[part])) >= LEAST_SHARE * m0] or [slice(0, len(f))]
+    return [part for part in parts if float(np.trapezoid(S[part], f[part])) >= TUNING.least_share * m0] or [
+        slice(0, len(f))
+    ]

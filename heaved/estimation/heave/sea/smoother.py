@@ -6,28 +6,33 @@ heave), and it is a check on the real-time value that needs no laser.
 Rauch, Tung & Striebel 1965 in the form of Bryson & Frazier: with the steady gain, L = F (I - K H), y the innovations,
 
     h(k | k + J) = h(k | k - 1) + sum_j g_j y(k + j),   g_j = c P (L')^j H' / S,   variance  c P c' - S sum_j g_j^2.
+
+These weights are those of a filter that misses nothing; a hole is felt in them for a minute. What was measured around
+it says as much of the heave as ever, if each sample is weighed as the filter weighed it: the fixed-interval smoother in
+its adjoint form (Bryson & Frazier 1963; Bierman 1977, section X). With the gain K, the innovation y and its variance S
+of each sample, and F from there to the next one,
+
+    x(k | N) = x(k | k-1) + P l_k,      l_k = H' y_k / S_k + (I - K_k H)' F' l_{k+1},
+    P(k | N) = P - P L_k P,             L_k = H' H / S_k + (I - K_k H)' F' L_{k+1} F (I - K_k H).
 """
 
 from __future__ import annotations
 
 from collections import deque
-from math import isfinite, nan, sqrt
+from math import isfinite, sqrt
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.common.history import Trail
-from heaved.estimation.heave.sea.model import SeaSystem, Steady
+from heaved.estimation.heave.sea.filter import SeaFilter
+from heaved.estimation.heave.sea.model import SeaSystem, Steady, measurement_variance
+from heaved.estimation.heave.sea.record import EvenRecord
 from heaved.samples import DelayedHeave
 
 Array = NDArray[np.float64]
 
 WEIGHTS_BLOCK: Final = 64
-CHECK_TIME_S: Final = 60.0
-"""Memory of the comparison with what was published."""
-CHECK_MIN_S: Final = 20.0
-"""Seconds of it before it says anything: several waves."""
 
 
 class FixedLagSmoother:
@@ -94,41 +99,36 @@ def _weights(system: SeaSystem, steady: Steady, count: int) -> Array:
     return np.concatenate(found)[: count + 1]
 
 
-class Divergence:
-    """RMS difference of real-time and delayed heave, over the modelled standard deviation; 1 when that was right."""
+def smoothed(f: SeaFilter, record: EvenRecord, count: int) -> Array:
+    """(k, 3) time, heave (m) and its standard deviation for those of the first ``count`` samples that were measured.
 
-    def __init__(self, capacity: int = 1) -> None:
-        """``capacity``: how much that was said is kept until the delayed heave of its time is known."""
-        self._square, self._seconds, self._t_s = 1.0, 0.0, nan
-        self._square_m2 = 0.0
-        self._said = Trail(capacity)
-
-    @property
-    def ratio(self) -> float:
-        """1 until enough has been compared."""
-        return sqrt(self._square) if self._seconds >= CHECK_MIN_S else 1.0
-
-    @property
-    def rms_m(self) -> float:
-        """The same difference in metres."""
-        return sqrt(self._square_m2)
-
-    def say(self, t_s: float, realtime_m: float, modelled_std_m: float) -> None:
-        """What is said in real time for ``t_s``, later than the last one."""
-        self._said.push((t_s, realtime_m, modelled_std_m))
-
-    def check(self, delayed: DelayedHeave) -> None:
-        """:meth:`compare` with what was said for that moment, as far as it is known."""
-        _, realtime_m, modelled_std_m = self._said.at(delayed.t_s) or (delayed.t_s, nan, nan)
-        self.compare(delayed, realtime_m, modelled_std_m)
-
-    def compare(self, delayed: DelayedHeave, realtime_m: float, modelled_std_m: float) -> None:
-        """``realtime_m``: what was said in real time for the very moment of ``delayed``."""
-        dt = min(delayed.t_s - self._t_s, 1.0) if isfinite(self._t_s) else 0.0
-        self._t_s = delayed.t_s
-        if not (isfinite(realtime_m) and modelled_std_m > 0.0 and dt > 0.0):
-            return
-        self._seconds = min(self._seconds + dt, CHECK_TIME_S)
-        square = (realtime_m - delayed.heave_m) ** 2 / modelled_std_m**2
-        self._square += dt / self._seconds * (square - self._square)
-        self._square_m2 += dt / self._seconds * ((realtime_m - delayed.heave_m) ** 2 - self._square_m2)
+    f: the filter one sample before the first; it is left as it is.
+    """
+    H, heave, identity = f.system.H, f.system.heave, np.eye(len(f.system.H))
+    R = measurement_variance(f.system.model.noise_psd, record.dt_s)
+    x, P, before = f.x, f.covariance, -1
+    passed = []
+    changes = sorted({*record.cuts, *record.blows})
+    for place in np.flatnonzero(record.is_known).tolist():
+        F, Q = f.moves(place - before)
+        x, P = F.dot(x), F.dot(P).dot(F.T) + Q
+        while changes and changes[0] <= place:
+            P = record.opened(f.system, P, changes.pop(0))
+        PH = P.dot(H)
+        S, y = float(H.dot(PH)) + R, float(record.a_mps2[place]) - float(H.dot(x))
+        row = heave.dot(P)
+        passed.append((place, F, PH / S, S, y, float(heave.dot(x)), row, float(row.dot(heave))))
+        x, P, before = x + PH * (y / S), P - np.outer(PH, PH) / S, place
+        P = 0.5 * (P + P.T)
+    adjoint, information = np.zeros(len(H)), np.zeros_like(identity)
+    found = []
+    for place, F, K, S, y, predicted_m, row, variance_m2 in reversed(passed):
+        kept = identity - np.outer(K, H)
+        adjoint = kept.T.dot(adjoint) + H * (y / S)
+        information = kept.T.dot(information).dot(kept) + np.outer(H, H) / S
+        if place < count:
+            left_m2 = variance_m2 - float(row.dot(information).dot(row))
+            t_s = record.end_s - (len(record.a_mps2) - 1 - place) * record.dt_s
+            found.append((t_s, predicted_m + float(row.dot(adjoint)), sqrt(max(left_m2, 0.0))))
+        adjoint, information = F.T.dot(adjoint), F.T.dot(information).dot(F)
+    return np.array(found[::-1]).reshape(-1, 3)

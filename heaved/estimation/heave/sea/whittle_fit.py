@@ -29,78 +29,108 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.heave.sea.drift import DRIFTS_S, drift_variances, drift_weights
+from heaved.estimation.heave.sea.drift import TUNING as DRIFT
+from heaved.estimation.heave.sea.drift import drift_variances, drift_weights
 from heaved.estimation.heave.sea.model import Resonance, SeaModel, shaking_spectrum
 from heaved.estimation.heave.sea.noise import Above, groups
 
 Array = NDArray[np.float64]
 
-BAND_HZ: Final = (0.02, 0.8)
-"""Where the likelihood is summed."""
-BAND_OF_NYQUIST: Final = 0.7
-"""A slow sensor's band ends at this share of its Nyquist frequency."""
-MAIN_LOBE: Final = 2.6
-"""Ordinates below this over the length of a segment are left out: Hann's main lobe reaches two bins."""
-SEGMENT_S: Final = 300.0
-"""Longest segment of the averaged periodogram: finer than that, the fit only becomes slower."""
-LEAST_PASSED: Final = 0.01
-HIGHEST_OF_NYQUIST: Final = 0.99
-"""What shakes the sensor is looked for up to here."""
-INDEPENDENT: Final = 1.9
-"""Independent periodograms in a length of a segment: Hann's window, three quarters of overlap."""
-SHORTENED: Final = 0.6
-"""Segments may be that much shorter than they could be, so that more stretches of a broken record hold one."""
-NOISE_OVER_HZ: Final = 0.8
-"""The sensor's noise is looked for above."""
-NOISE_BANDS: Final = 4
-"""In that many bands of equal ratio; the quietest counts, because an engine fills one of them, not all."""
-FLOOR_WIDTH: Final = 1.4
-FLOOR_ORDINATES: Final = 6
-CHANCE: Final = 3.0
-"""The noise is no more than the lowest part of the periodogram within the waves' band, which has so many standard
-deviations of chance: what shakes the sensor may fill all the bands above."""
-LEAST_OF_MEAN: Final = 0.2
-WALK_BELOW_HZ: Final = 0.035
-"""The walk of the bias is looked for below: no wave that counts is longer."""
-DRIFTS: Final = 4.5
-"""Standard deviations of a drift that is none of the walk."""
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """Of the fit."""
+
+    band_hz: tuple[float, float] = (0.02, 0.8)
+    """Where the likelihood is summed."""
+    band_of_nyquist: float = 0.7
+    """A slow sensor's band ends at this share of its Nyquist frequency."""
+    main_lobe: float = 2.6
+    """Ordinates below this over the length of a segment are left out: Hann's main lobe reaches two bins."""
+    segment_s: float = 300.0
+    """Longest segment of the averaged periodogram: finer than that, the fit only becomes slower."""
+    least_passed: float = 0.01
+    """Share of white noise: where less of it is left nothing can be said of it."""
+    highest_of_nyquist: float = 0.99
+    """What shakes the sensor is looked for up to here."""
+    independent: float = 1.9
+    """Independent periodograms in a length of a segment: Hann's window, three quarters of overlap."""
+    shortened: float = 0.6
+    """Segments may be that much shorter than they could be, so that more stretches of a broken record hold one."""
+    noise_over_hz: float = 0.8
+    """The sensor's noise is looked for above."""
+    noise_bands: int = 4
+    """In that many bands of equal ratio; the quietest counts, because an engine fills one of them, not all."""
+    floor_width: float = 1.4
+    """Ratio of the frequencies of a band within that of the waves that is looked at for noise,"""
+    floor_ordinates: int = 6
+    """and how many ordinates it holds at least."""
+    chance: float = 3.0
+    """The noise is no more than the lowest part of the periodogram within the waves' band, which has so many standard
+    deviations of chance: what shakes the sensor may fill all the bands above."""
+    least_of_mean: float = 0.2
+    """Of the mean, what chance leaves of it at the least."""
+    walk_below_hz: float = 0.035
+    """The walk of the bias is looked for below: no wave that counts is longer."""
+    drifts: float = 4.5
+    """Standard deviations of a drift that is none of the walk."""
+    walk_spreads: tuple[float, float] = (0.3, 2.5)
+    """Of the logarithm of that variance, before anything is seen:"""
+    walk_is_other: float = 0.02
+    """the first of these, a data sheet's, but in one of fifty sensors the second: a fluctuation of a few ordinates
+    changes little, a bias that does walk a hundred times more is believed."""
+    independent_ordinates: float = 0.7
+    """Of neighbouring ordinates, under Hann's window."""
+    weighed_from_hz: float = 0.15
+    """f_1: ordinates at this frequency have the weight 1."""
+    weight_power: float = 0.7
+    """0: each ordinate weighs the same; 1: each octave does."""
+    steps: int = 25
+    """Of Fisher scoring, all of which are made."""
+    longest_step: float = 0.7
+    """Of any logarithm. Longer steps find lower costs, in corners that the heave is worse for."""
+    starts: tuple[tuple[float, ...], ...] = (
+        (1.0, 1.6, 2.6, 0.7),
+        (1.2, 0.5, 2.2, 1.7),
+        (1.0, 1.2, 0.7, 2.0),
+        (1.0, 1.13, 0.88, 1.3),
+    )
+    """First frequencies of the components, over that of the velocity's peak; the second also tries a swell."""
+    swell_hz: float = 0.05
+    """Where the swell of the second start is."""
+    line_damping: float = 0.07
+    """Of the last start: a wave train is a few lines side by side."""
+    damping_guess: float = 0.3
+    """Of the other starts, and the centre of its prior."""
+    pooled: float = 0.03
+    """Ordinates nearer together than this share of their frequency are pooled: the model is a straight line over
+    that."""
+    frequency_limits_hz: tuple[float, float] = (0.033, 0.6)
+    damping_limits: tuple[float, float] = (0.05, 1.0)
+    """A chain that is damped less than that is a line, and costs digits; one that is damped more has a pole far above
+    the waves, and its past cannot be computed back."""
+    level_limits_m2phz: tuple[float, float] = (1e-10, 1e5)
+    noise_limits_psd: tuple[float, float] = (1e-12, 1e2)
+    """(m/s2)2/Hz"""
+    frequency_prior: float = 0.05
+    """Weight of a weak prior on its logarithm, 1/variance, around the start;"""
+    damping_prior: float = 0.2
+    """around ``damping_guess``;"""
+    level_prior: float = 1e-3
+    """around the start, both"""
+    noise_prior: float = 1e-3
+    """and this."""
+    noise_is_known: float = 20.0
+    """That of the noise where what shakes the sensor is known: then N is what the record shows above the waves, unless
+    there is clearly more within their band. Before, it soaks up what the components cannot follow there."""
+
+
+TUNING: Final = Tuning()
 WALKS: Final = np.linspace(-3.0, 10.0, 66)
 """Logarithms of the variances of a walk, over that which is expected, that are tried."""
-WALK_SPREADS: Final = (0.3, 2.5)
-WALK_IS_OTHER: Final = 0.02
-"""Before anything is seen, that logarithm has the first of the spreads, a data sheet's, but in one of fifty sensors the
-second: a fluctuation of a few ordinates changes little, a bias that does walk a hundred times more is believed."""
 WALK_PRIOR: Final = np.log(
-    (1.0 - WALK_IS_OTHER) / WALK_SPREADS[0] * np.exp(-0.5 * (WALKS / WALK_SPREADS[0]) ** 2)
-    + WALK_IS_OTHER / WALK_SPREADS[1] * np.exp(-0.5 * (WALKS / WALK_SPREADS[1]) ** 2)
+    (1.0 - TUNING.walk_is_other) / TUNING.walk_spreads[0] * np.exp(-0.5 * (WALKS / TUNING.walk_spreads[0]) ** 2)
+    + TUNING.walk_is_other / TUNING.walk_spreads[1] * np.exp(-0.5 * (WALKS / TUNING.walk_spreads[1]) ** 2)
 )
-INDEPENDENT_ORDINATES: Final = 0.7
-"""Of neighbouring ordinates, under Hann's window."""
-WEIGHED_FROM_HZ: Final = 0.15
-"""f_1: ordinates at this frequency have the weight 1."""
-WEIGHT_POWER: Final = 0.7
-"""0: each ordinate weighs the same; 1: each octave does."""
-STEPS: Final = 25
-LONGEST_STEP: Final = 0.7
-"""Of any logarithm. Longer steps find lower costs, in corners that the heave is worse for."""
-STARTS: Final = ((1.0, 1.6, 2.6, 0.7), (1.2, 0.5, 2.2, 1.7), (1.0, 1.2, 0.7, 2.0), (1.0, 1.13, 0.88, 1.3))
-"""First frequencies of the components, over that of the velocity's peak; the second also tries a swell at 0.05 Hz."""
-SWELL_HZ: Final = 0.05
-LINE_DAMPING: Final = 0.07
-"""Of the last start: a wave train is a few lines side by side."""
-DAMPING_GUESS: Final = 0.3
-
-POOLED: Final = 0.03
-"""Ordinates nearer together than this share of their frequency are pooled: over that the model is a straight line."""
-
-LIMITS: Final = {"frequency_hz": (0.033, 0.6), "damping": (0.05, 1.0), "level": (1e-10, 1e5), "noise": (1e-12, 1e2)}
-"""A chain that is damped less than that is a line, and costs digits; one that is damped more has a pole far above the
-waves, and its past cannot be computed back."""
-PRIOR: Final = {"frequency": 0.05, "damping": 0.2, "level": 1e-3, "noise": 1e-3}
-"""Weights of weak priors on the logarithms, 1/variance: around the start, and around DAMPING_GUESS."""
-NOISE_IS_KNOWN: Final = 20.0
-"""That of the noise where what shakes the sensor is known: then N is what the record shows above the waves, unless
-there is clearly more within their band. Before, it soaks up what the components cannot follow there."""
 
 
 class Spectrum(msgspec.Struct, frozen=True, eq=False):
@@ -122,7 +152,7 @@ class Spectrum(msgspec.Struct, frozen=True, eq=False):
     @property
     def weight(self) -> Array:
         """(n,) of each ordinate in the likelihood."""
-        return np.asarray((WEIGHED_FROM_HZ / self.f_hz) ** WEIGHT_POWER)
+        return np.asarray((TUNING.weighed_from_hz / self.f_hz) ** TUNING.weight_power)
 
 
 def spectrum(
@@ -133,17 +163,17 @@ def spectrum(
     passed: share of white noise that is left at some frequencies, where what is sampled are means.
     """
     parts = [stretches] if isinstance(stretches, np.ndarray) else stretches
-    n = _segment_length([len(part) for part in parts], round(SEGMENT_S * rate_hz))
+    n = _segment_length([len(part) for part in parts], round(TUNING.segment_s * rate_hz))
     f, power = _welch([part for part in parts if len(part) >= n], rate_hz, n)
-    top = min(BAND_HZ[1], BAND_OF_NYQUIST * 0.5 * rate_hz)
-    inside = (f >= max(BAND_HZ[0], MAIN_LOBE * rate_hz / n)) & (f <= top)
-    edges = np.geomspace(min(NOISE_OVER_HZ, 0.6 * 0.5 * rate_hz), 0.9 * 0.5 * rate_hz, NOISE_BANDS + 1)
-    white = np.concatenate(([1.0], np.maximum(passed(f[1:]), LEAST_PASSED)))
+    top = min(TUNING.band_hz[1], TUNING.band_of_nyquist * 0.5 * rate_hz)
+    inside = (f >= max(TUNING.band_hz[0], TUNING.main_lobe * rate_hz / n)) & (f <= top)
+    edges = np.geomspace(min(TUNING.noise_over_hz, 0.6 * 0.5 * rate_hz), 0.9 * 0.5 * rate_hz, TUNING.noise_bands + 1)
+    white = np.concatenate(([1.0], np.maximum(passed(f[1:]), TUNING.least_passed)))
     bands = [(power / white)[(f >= low) & (f < high)] for low, high in itertools.pairwise(edges)]
     quiet = min(float(np.mean(band)) for band in bands if len(band))
-    low, high = LIMITS["noise"]
-    outside = (f > top) & (f <= HIGHEST_OF_NYQUIST * 0.5 * rate_hz)
-    averages = max(1.0, INDEPENDENT * sum([len(part) for part in parts if len(part) >= n]) / n - 1.0)
+    low, high = TUNING.noise_limits_psd
+    outside = (f > top) & (f <= TUNING.highest_of_nyquist * 0.5 * rate_hz)
+    averages = max(1.0, TUNING.independent * sum([len(part) for part in parts if len(part) >= n]) / n - 1.0)
     quiet = min(quiet, _floor(f[inside], power[inside], averages))
     above = Above(f[outside], np.maximum(power[outside], 1e-300), white[outside], averages, 1.0 / rate_hz)
     return Spectrum(f[inside], np.maximum(power[inside], 1e-300), min(max(quiet, low), high), above)
@@ -152,21 +182,21 @@ def spectrum(
 def _floor(f: Array, power: Array, averages: float) -> float:
     """What white noise is hardly above: the least mean of the periodogram over a band within the waves', so far up that
     chance would not have put it below."""
-    ends = np.maximum(np.searchsorted(f, f * FLOOR_WIDTH), np.arange(len(f)) + FLOOR_ORDINATES)
+    ends = np.maximum(np.searchsorted(f, f * TUNING.floor_width), np.arange(len(f)) + TUNING.floor_ordinates)
     starts = np.flatnonzero(ends < len(f))
     if not len(starts):
         return inf
     ends, sums = ends[starts], np.concatenate(([0.0], np.cumsum(power)))
-    count = (ends - starts) * averages * INDEPENDENT_ORDINATES
+    count = (ends - starts) * averages * TUNING.independent_ordinates
     # The cube root of a mean of exponential variables is normal (Wilson & Hilferty 1931).
-    least = np.maximum(1.0 - 1.0 / (9.0 * count) - CHANCE / (3.0 * np.sqrt(count)), LEAST_OF_MEAN) ** 3
+    least = np.maximum(1.0 - 1.0 / (9.0 * count) - TUNING.chance / (3.0 * np.sqrt(count)), TUNING.least_of_mean) ** 3
     return float(np.min((sums[ends] - sums[starts]) / (ends - starts) / least))
 
 
 def _segment_length(lengths: Sequence[int], longest: int) -> int:
     """Length of the segments, the longest that there can be, or somewhat less where more of the record is seen then."""
     most = min(max(lengths), longest)
-    usable = {min(length, longest) for length in lengths if length >= SHORTENED * most}
+    usable = {min(length, longest) for length in lengths if length >= TUNING.shortened * most}
     return max(usable, key=lambda n: (sum([length for length in lengths if length >= n]), n))
 
 
@@ -194,7 +224,7 @@ def _welch(stretches: Sequence[Array], rate_hz: float, n: int) -> tuple[Array, A
 
 def _pooled(sp: Spectrum) -> tuple[Spectrum, Array]:
     """Means of neighbouring ordinates, and the weight of each in the likelihood: the sum of theirs."""
-    first, count = groups(sp.f_hz, POOLED)
+    first, count = groups(sp.f_hz, TUNING.pooled)
     f, power = (np.add.reduceat(values, first) / count for values in (sp.f_hz, sp.power))
     return msgspec.structs.replace(sp, f_hz=f, power=power), np.add.reduceat(sp.weight, first)
 
@@ -257,19 +287,19 @@ def bias_walk(stretch: Array, rate_hz: float, model: SeaModel, expected_psd: flo
     quiet = msgspec.structs.replace(model, bias_walk_psd=0.0)
     cost = -WALK_PRIOR
     f, power = _welch([stretch], rate_hz, len(stretch))
-    inside = (f >= MAIN_LOBE * rate_hz / len(stretch)) & (f <= WALK_BELOW_HZ)
+    inside = (f >= TUNING.main_lobe * rate_hz / len(stretch)) & (f <= TUNING.walk_below_hz)
     if inside.any():
         f, power = f[inside], power[inside]
         S = quiet.acceleration_spectrum(f, 1.0 / rate_hz) + levels[:, None] * (2.0 / (2.0 * pi * f) ** 2)
-        cost = cost + INDEPENDENT_ORDINATES * np.sum(np.log(S) + power / S, axis=1)
+        cost = cost + TUNING.independent_ordinates * np.sum(np.log(S) + power / S, axis=1)
     walked = float(levels[np.argmin(cost)])
-    for seconds in DRIFTS_S:
+    for seconds in DRIFT.drifts_s:
         weights = drift_weights(round(seconds * rate_hz))
         if len(weights) > len(stretch):
             break
         rest, walk = drift_variances(weights, 1.0 / rate_hz, model)
         square = float(weights @ stretch[-len(weights) :]) ** 2
-        if square > DRIFTS**2 * (rest + walked * walk):
+        if square > TUNING.drifts**2 * (rest + walked * walk):
             walked = (square - rest) / walk
     return walked
 
@@ -294,13 +324,13 @@ def _starts(sp: Spectrum, components: int, warm: SeaModel | None) -> Array:
     heave = sp.power / (2.0 * pi * f) ** 4
     peak = float(f[np.argmax(heave * f**2)])
     rows = []
-    for ratios in STARTS:
+    for ratios in TUNING.starts:
         f0 = peak * np.resize(np.array(ratios), components)
-        if ratios is STARTS[1] and components > 1:
-            f0[1] = SWELL_HZ
-        f0 = np.clip(f0, *LIMITS["frequency_hz"])
-        level = np.clip(0.7 * np.interp(f0, f, heave), *LIMITS["level"])
-        guess = LINE_DAMPING if ratios is STARTS[3] else DAMPING_GUESS
+        if ratios is TUNING.starts[1] and components > 1:
+            f0[1] = TUNING.swell_hz
+        f0 = np.clip(f0, *TUNING.frequency_limits_hz)
+        level = np.clip(0.7 * np.interp(f0, f, heave), *TUNING.level_limits_m2phz)
+        guess = TUNING.line_damping if ratios is TUNING.starts[3] else TUNING.damping_guess
         rows.append(np.concatenate((np.log(f0), np.full(components, log(guess)), np.log(level))))
     if warm is not None and len(warm.damping) == components:
         rows.append(np.log(np.array((*warm.frequency_hz, *warm.damping, *warm.level_m2phz))))
@@ -331,7 +361,7 @@ class _Whittle:
         ]
         f, self.power, self.weight, shaking = padded
         known = np.array([sp.is_noise_known for sp, _ in spectra])[rows]
-        self.prior_noise = np.where(known, NOISE_IS_KNOWN, PRIOR["noise"])
+        self.prior_noise = np.where(known, TUNING.noise_is_known, TUNING.noise_prior)
         self._stages = stages
         self._f2 = f[:, None, :] ** 2
         w2 = (2.0 * pi * f) ** 2
@@ -376,12 +406,14 @@ def _score(whittle: _Whittle, starts: Array) -> tuple[Array, Array]:
     """Fisher scoring with Levenberg's damping from each row of ``starts`` (s, p): their ends, and cost (s,)."""
     K = (starts.shape[1] - 1) // 3
     sizes = (K, K, K, 1)
-    low, high = (np.log(np.repeat([limits[end] for limits in LIMITS.values()], sizes)) for end in (0, 1))
-    prior = np.tile(np.repeat(list(PRIOR.values()), sizes), (len(starts), 1))
+    limits = (TUNING.frequency_limits_hz, TUNING.damping_limits, TUNING.level_limits_m2phz, TUNING.noise_limits_psd)
+    low, high = (np.log(np.repeat([pair[end] for pair in limits], sizes)) for end in (0, 1))
+    priors = (TUNING.frequency_prior, TUNING.damping_prior, TUNING.level_prior, TUNING.noise_prior)
+    prior = np.tile(np.repeat(priors, sizes), (len(starts), 1))
     prior[:, -1] = whittle.prior_noise
     theta = np.clip(starts, low, high)
     centre = theta.copy()
-    centre[:, K : 2 * K] = log(DAMPING_GUESS)
+    centre[:, K : 2 * K] = log(TUNING.damping_guess)
     eye = np.eye(starts.shape[1])
 
     def costs(S: Array, ratio: Array, at: Array) -> Array:
@@ -392,12 +424,12 @@ def _score(whittle: _Whittle, starts: Array) -> tuple[Array, Array]:
     ratio = whittle.power / S
     cost = costs(S, ratio, theta)
     damping = np.full(len(theta), 1e-2)
-    for _ in range(STEPS):
+    for _ in range(TUNING.steps):
         JW = J * whittle.weight[:, None, :]
         slope = np.matmul(JW, (ratio - 1.0)[:, :, None])[:, :, 0] - prior * (theta - centre)
         fisher = np.matmul(JW, J.transpose(0, 2, 1)) + prior[:, :, None] * eye
         fisher += damping[:, None, None] * (fisher * eye)
-        step = np.clip(np.linalg.solve(fisher, slope[:, :, None])[:, :, 0], -LONGEST_STEP, LONGEST_STEP)
+        step = np.clip(np.linalg.solve(fisher, slope[:, :, None])[:, :, 0], -TUNING.longest_step, TUNING.longest_step)
         trial = np.clip(theta + step, low, high)
         S, trial_J = whittle.spectrum(trial)
         trial_ratio = whittle.power / S

@@ -61,7 +61,7 @@ def test_a_shift_is_a_power_of_the_transition_matrix(components: int) -> None:
     H = np.array([1.0, 0.0] * components)
 
     def row(shift: float) -> np.ndarray:
-        return H @ rotation(omega, shift)[:-1, :-1]
+        return np.asarray(H @ rotation(omega, shift)[:-1, :-1])
 
     known = 0.9 * np.arange(2 * components)
     x = np.linalg.solve(np.array([row(s) for s in known]), [observer.at(s).heave_m for s in known])

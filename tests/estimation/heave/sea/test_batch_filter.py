@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from seas import Kalman, model, simulated
 
-from heaved.estimation.heave.sea.batch_filter import BLOCK, FULL_S, UNSURE, Record, even, run
+from heaved.estimation.heave.sea.batch_filter import BLOCK, TUNING, run
 from heaved.estimation.heave.sea.model import SeaSystem, Steady, measurement_variance
+from heaved.estimation.heave.sea.record import EvenRecord
 
 DT_S = 0.05
 Array = np.ndarray
@@ -32,8 +33,8 @@ def sea(system: SeaSystem) -> tuple[Array, Array]:
     return states @ system.heave, a
 
 
-def record(a: Array, known: Array | None = None) -> Record:
-    return Record(DT_S * (len(a) - 1), DT_S, a, np.ones(len(a), dtype=np.bool_) if known is None else known)
+def record(a: Array, known: Array | None = None) -> EvenRecord:
+    return EvenRecord(DT_S * (len(a) - 1), DT_S, a, np.ones(len(a), dtype=np.bool_) if known is None else known)
 
 
 @pytest.mark.parametrize("count", [8000, 8000 - 1, 8000 - BLOCK + 1, 5])
@@ -84,15 +85,17 @@ def test_a_careful_start_is_the_whole_filter(
     done = run(system, steady, record(a))
     known_m = float(np.sqrt(system.heave @ theirs.P @ system.heave))
     P = steady.P - np.outer(steady.K, steady.K) * steady.S if done.P is None else done.P
-    assert (done.P is None) == (seconds > FULL_S)
+    assert (done.P is None) == (seconds > TUNING.full_s)
     closeness = 1e-5 if done.P is not None else 0.05
     assert abs(system.heave @ (done.x - theirs.x)) < closeness * known_m
     assert float(np.sqrt(system.heave @ P @ system.heave)) == pytest.approx(known_m, rel=closeness)
     assert abs(system.heave @ done.x - heave[-1]) < 4.0 * known_m
     started = np.isfinite(done.predicted_m)
-    assert started.sum() == max(count - round(FULL_S / DT_S), 0)
+    assert started.sum() == max(count - round(TUNING.full_s / DT_S), 0)
     assert np.array_equal(started, np.isfinite(done.innovation))
-    assert np.std((done.predicted_m - heave)[started][-200:]) < 5.0 * known_m if seconds > FULL_S + 10.0 else True
+    assert (
+        np.std((done.predicted_m - heave)[started][-200:]) < 5.0 * known_m if seconds > TUNING.full_s + 10.0 else True
+    )
 
 
 @pytest.mark.parametrize("hole_s", [1.0, 10.0, 60.0])
@@ -137,8 +140,8 @@ def test_after_a_hole_predictions_and_innovations_are_those_of_the_whole_filter(
         if i >= end:
             assert abs(done.innovation[i] - y * np.sqrt(steady.S / S)) < 1e-3 * np.sqrt(steady.S)
             least = max(std_m / usual_m, float(np.sqrt(S / steady.S)))
-            if abs(least / UNSURE - 1.0) > 1e-3:
-                assert np.isfinite(done.predicted_m[i]) == (least < UNSURE)
+            if abs(least / TUNING.unsure - 1.0) > 1e-3:
+                assert np.isfinite(done.predicted_m[i]) == (least < TUNING.unsure)
             if np.isfinite(done.predicted_m[i]):
                 assert abs(done.predicted_m[i] - before) < 0.01 * usual_m
     assert np.isfinite(done.predicted_m[end + 600 :]).all()
@@ -167,55 +170,3 @@ def test_a_record_that_begins_with_a_hole_begins_after_it(
     theirs, _ = full(system, sea[1][:4000], known)
     assert np.isfinite(done.x).all()
     assert abs(system.heave @ (done.x - theirs.x)) < 0.02 * np.std(sea[0])
-
-
-# --- an even grid ----------------------------------------------------------------------------------------------------
-
-
-def signal(t: Array) -> Array:
-    return np.asarray(0.8 * np.sin(0.8 * t) + 0.3 * np.sin(2.2 * t + 1.0))
-
-
-def grid_of(made: Record) -> Array:
-    return made.end_s - made.dt_s * np.arange(len(made.a_mps2) - 1, -1, -1.0)
-
-
-@pytest.mark.parametrize("jitter", [0.0, 1e-4, 0.05, 0.2])
-def test_jittered_samples_are_put_on_the_grid(jitter: float) -> None:
-    rng = np.random.default_rng(3)
-    t = 1e4 + DT_S * (np.arange(4000) + rng.uniform(-jitter, jitter, 4000))
-    made = even(t, signal(t))
-    assert made.end_s == t[-1]
-    assert made.dt_s == pytest.approx(DT_S, rel=1e-3)
-    assert len(made.a_mps2) == pytest.approx(4000, abs=2)
-    assert made.is_known.all()
-    inner = slice(20, -20)
-    assert np.max(np.abs(made.a_mps2 - signal(grid_of(made)))[inner]) < (1e-4 if jitter > 1e-3 else 2e-5)
-
-
-@pytest.mark.parametrize("jitter", [0.0, 0.1])
-def test_missing_samples_are_filled_and_holes_are_holes(jitter: float) -> None:
-    rng = np.random.default_rng(4)
-    kept = rng.random(4000) > 0.05
-    kept[1000:1060] = kept[2000:2200] = False
-    kept[[0, 999, 1060, 1999, 2200, 3999]] = True
-    i = np.flatnonzero(kept)
-    t = DT_S * (i + rng.uniform(-jitter, jitter, len(i)))
-    made = even(t, signal(t))
-    at = grid_of(made)
-    deep = ((at > 50.2) & (at < 52.7)) | ((at > 100.2) & (at < 109.7))
-    near = ((at > 49.8) & (at < 53.2)) | ((at > 99.7) & (at < 110.2))
-    assert not made.is_known[deep].any()
-    assert made.is_known[~near].all()
-    inner = ~near & (at > 1.0) & (at < 199.0)
-    assert np.max(np.abs(made.a_mps2 - signal(at))[inner]) < 3e-3
-    assert np.sqrt(np.mean((made.a_mps2 - signal(at))[inner] ** 2)) < 2e-4
-    assert np.max(np.abs(made.a_mps2)) < 1.2  # nothing swings in a hole
-
-
-def test_a_clock_that_drifts_is_followed() -> None:
-    """One part in a thousand fast: over ten minutes that is twelve samples."""
-    t = DT_S * 1.001 * np.arange(12_000)
-    made = even(t, signal(t))
-    assert made.dt_s == pytest.approx(DT_S * 1.001, rel=1e-6)
-    assert np.max(np.abs(made.a_mps2 - signal(grid_of(made)))) < 1e-4

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from heaved.estimation.heave.sea.blows import Blows
+from heaved.estimation.heave.sea.blows import BlowDetector
 from heaved.simulate.seaway import seaway
 
 DT_S, COUNT = 0.05, 6000
-T = DT_S * np.arange(COUNT)
+T = DT_S * np.arange(COUNT, dtype=np.float64)
 Array = np.ndarray
 
 
@@ -21,9 +21,9 @@ def ringing(at_s: float, size_mps2: float, f_hz: float = 2.2, tau_s: float = 1.0
 def struck(added: Array, seed: int = 1) -> list[float]:
     noise = 3e-3 * np.random.default_rng(seed).standard_normal(COUNT)
     waves = seaway("S6", seed, attitude=False).motion(T).heave_acceleration_mps2
-    blows, found = Blows(), []
+    blows, found = BlowDetector(), []
     for t_s, a in zip(T.tolist(), (waves + noise + added).tolist(), strict=True):
-        if blows.take(t_s, a) > 0.0:
+        if blows.step(t_s, a) > 0.0:
             found.append(t_s)
     return found
 
@@ -54,8 +54,8 @@ def test_what_is_steady_is_no_blow(added: Array) -> None:
 
 
 def test_neither_is_what_follows_a_gap() -> None:
-    blows = Blows()
+    blows = BlowDetector()
     noise = 1e-3 * np.random.default_rng(3).standard_normal(COUNT)
     later = T > 100.0
-    taken = [blows.take(t, a) for t, a in zip((T + 5.0 * later).tolist(), (noise + 2.0 * later).tolist(), strict=True)]
+    taken = [blows.step(t, a) for t, a in zip((T + 5.0 * later).tolist(), (noise + 2.0 * later).tolist(), strict=True)]
     assert not any(taken)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from seas import model, simulated
 
-from heaved.estimation.heave.sea.disturbances import BURST_S, Guard
+from heaved.estimation.heave.sea.disturbances import TUNING, DisturbanceDetector
 from heaved.estimation.heave.sea.filter import SeaFilter
 from heaved.estimation.heave.sea.model import SeaSystem
 
@@ -37,15 +37,16 @@ def ran(system: SeaSystem, sea: tuple[Array, Array], added: Array) -> Ran:
     states, a = sea
     steady = system.steady(DT_S)
     assert steady is not None
-    f, guard = SeaFilter(system, steady, -DT_S, np.zeros(len(system.H)), system.stationary.copy()), Guard()
+    f = SeaFilter(system, steady, -DT_S, np.zeros(len(system.H)), system.stationary.copy())
+    detector = DisturbanceDetector()
     error, std, steps, burst = [], [], [], []
     for k in range(COUNT):
-        guard.step(f, k * DT_S, a[k] + added[k])
-        if guard.step_s is not None:
-            steps.append(guard.step_s)
+        detector.step(f, k * DT_S, a[k] + added[k])
+        if detector.step_s is not None:
+            steps.append(detector.step_s)
         error.append(float(system.heave @ (f.x - states[k])))
         std.append(float(np.sqrt(system.heave @ f.covariance @ system.heave)))
-        burst.append(guard.is_burst)
+        burst.append(detector.is_burst)
     return Ran(np.array(error), np.array(std), steps, np.array(burst))
 
 
@@ -105,7 +106,7 @@ def test_in_a_burst_of_noise_the_heave_is_as_unsure_as_it_then_is(
 def test_noise_that_stays_is_left_to_the_fits(system: SeaSystem, sea: tuple[Array, Array]) -> None:
     noise = 0.3 * np.random.default_rng(4).standard_normal(COUNT) * from_(BEGIN)
     done = ran(system, sea, noise)
-    assert not done.burst[BEGIN + round((BURST_S + 1.0) / DT_S) :].any()
+    assert not done.burst[BEGIN + round((TUNING.burst_s + 1.0) / DT_S) :].any()
     assert np.max(np.abs(done.error_m[BEGIN + 20 :]) / done.std_m[BEGIN + 20 :]) < 4.5
 
 

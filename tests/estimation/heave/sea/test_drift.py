@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from seas import model, simulated
 
-from heaved.estimation.heave.sea import whittle_fit as sea_fit
-from heaved.estimation.heave.sea.drift import DRIFTS_S, DriftWatch, drift_variances, drift_weights
+from heaved.estimation.heave.sea import whittle_fit
+from heaved.estimation.heave.sea.drift import TUNING, DriftDetector, drift_variances, drift_weights
 from heaved.estimation.heave.sea.model import SeaSystem
+from heaved.estimation.heave.sea.record import SeaRecord
 
 DT_S, COUNT = 0.05, 12_000
 T = DT_S * np.arange(COUNT)
@@ -20,7 +21,7 @@ def sea() -> Array:
     return simulated(SeaSystem(model()), DT_S, COUNT, seed=5)[1]
 
 
-@pytest.mark.parametrize("seconds", DRIFTS_S)
+@pytest.mark.parametrize("seconds", TUNING.drifts_s)
 def test_the_sum_of_a_model_has_the_variance_that_it_is_said_to_have(seconds: float, sea: Array) -> None:
     weights = drift_weights(round(seconds / DT_S))
     sums = np.correlate(sea, weights, mode="valid")[:: round(5.0 / DT_S)]
@@ -40,17 +41,19 @@ def test_a_step_of_the_level_is_one_and_a_line_half_its_length() -> None:
 def test_a_warm_up_is_seen_within_half_a_minute(slope: float, sea: Array) -> None:
     begin = 8000
     a = sea + slope * np.maximum(T - T[begin], 0.0)
-    watch = DriftWatch(model(), DT_S)
-    seen = []
-    for k in range(4000, COUNT, 20):
-        watch.look(T[k], np.column_stack((T, a))[max(0, k - 2500) : k + 1])
-        seen.append(watch.is_drifting)
-    assert not any(seen[: (begin - 4000) // 20])
+    detector = DriftDetector(model(), DT_S)
+    record, seen = SeaRecord(130.0, 40.0, 30.0), []
+    for k in range(1500, COUNT, 20):
+        for i in range(k - 20, k):
+            record.push(T[i], a[i])
+        detector.step(T[k - 1], record)
+        seen.append(detector.is_drifting)
+    assert not any(seen[: (begin - 1500) // 20])
     if slope == 0.0:
         assert not any(seen)
     else:
-        assert any(seen[(begin - 4000) // 20 : (begin - 4000) // 20 + 40])
-        assert watch.factor > 3.0
+        assert any(seen[(begin - 1500) // 20 : (begin - 1500) // 20 + 40])
+        assert detector.factor > 3.0
 
 
 @pytest.mark.parametrize("walk", [3e-5, 2e-4, 1e-3])
@@ -59,12 +62,12 @@ def test_the_walk_of_the_bias_is_learned(walk: float, sea: Array) -> None:
     rng, found = np.random.default_rng(8), []
     for _ in range(6):
         bias = walk * np.sqrt(DT_S) * np.cumsum(rng.standard_normal(COUNT))
-        found.append(sea_fit.bias_walk(sea + bias, 1.0 / DT_S, model(), 3e-5**2))
+        found.append(whittle_fit.bias_walk(sea + bias, 1.0 / DT_S, model(), 3e-5**2))
     assert 0.5 * walk < np.sqrt(np.exp(np.mean(np.log(found)))) < 2.0 * walk
 
 
 def test_a_straight_drift_opens_the_walk(sea: Array) -> None:
     drifting = sea + 3e-4 * np.maximum(T - T[-1200], 0.0)
-    assert sea_fit.bias_walk(drifting, 1.0 / DT_S, model(), 3e-5**2) > 10.0 * sea_fit.bias_walk(
+    assert whittle_fit.bias_walk(drifting, 1.0 / DT_S, model(), 3e-5**2) > 10.0 * whittle_fit.bias_walk(
         sea, 1.0 / DT_S, model(), 3e-5**2
     )

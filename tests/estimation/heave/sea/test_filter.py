@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from seas import Kalman, model, simulated
 
-from heaved.estimation.heave.sea.filter import GATE_LASTS, WANDERS, GaugeError, SeaFilter
+from heaved.estimation.heave.sea.filter import TUNING, GaugeError, SeaFilter
 from heaved.estimation.heave.sea.model import SeaSystem, measurement_variance
 
 DT_S = 0.05
@@ -174,16 +174,16 @@ def test_what_lasts_is_taken_after_ten_samples_and_nothing_is_thought_known(
     for i in range(2000):
         ours.step(t[i], a[i])
     trusted = float(system.heave @ ours.covariance @ system.heave)
-    for i in range(2000, 2000 + GATE_LASTS):
+    for i in range(2000, 2000 + TUNING.gate_lasts):
         assert ours.step(t[i], a[i] + 3.0)[1] == 0.0
-    assert ours.rejected == GATE_LASTS
+    assert ours.rejected == TUNING.gate_lasts
     assert ours.step(t[2010], a[2010] + 3.0)[1] != 0.0
-    assert ours.rejected == GATE_LASTS
+    assert ours.rejected == TUNING.gate_lasts
     assert float(system.heave @ ours.covariance @ system.heave) > 100.0 * trusted
     assert ours.surprise > 9.0
     for i in range(2011, 6000):
         ours.step(t[i], a[i] + 3.0)
-    assert ours.rejected < 2 * GATE_LASTS
+    assert ours.rejected < 2 * TUNING.gate_lasts
     assert ours.x[-1] == pytest.approx(3.0, abs=0.01)
     assert ours.surprise < 3.0
 
@@ -246,10 +246,10 @@ def test_the_error_of_a_gauge_is_estimated_as_by_the_textbooks_augmented_filter(
             row = rows[i % 2]
             laser_m = 12.0 + 1.02 * heave_m[i] + 0.002 * rng.standard_normal()
             ours.gauge.wander(3.0 * DT_S)
-            P[n:, n:] += np.diag(np.square(WANDERS)) * 3.0 * DT_S / 60.0
+            P[n:, n:] += np.diag(np.square(TUNING.wanders)) * 3.0 * DT_S / 60.0
             moving = row @ system.A
             expected_m = x[n] + (1.0 + x[n + 1]) * (row @ x[:n]) + x[n + 2] * (moving @ x[:n])
-            jacobian = np.concatenate(((1.0 + x[n + 1]) * row + x[n + 2] * moving, (1.0, row @ x[:n], moving @ x[:n])))
+            jacobian = np.append((1.0 + x[n + 1]) * row + x[n + 2] * moving, [1.0, row @ x[:n], moving @ x[:n]])
             y, variance = ours.laser_innovation(row, laser_m)
             assert (y, variance) == pytest.approx((laser_m - expected_m, jacobian @ P @ jacobian), rel=1e-6, abs=1e-9)
             ours.aid(row, laser_m, 4e-6)

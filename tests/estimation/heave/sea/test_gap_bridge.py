@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from seas import model, simulated, stationary, whole
 
-from heaved.estimation.heave.sea.gap_bridge import LONGEST_S, bridged, closed
+from heaved.estimation.heave.sea.gap_bridge import TUNING, bridged, closed
 from heaved.estimation.heave.sea.model import SeaSystem
 
 DT_S, COUNT = 0.05, 900
@@ -44,7 +44,7 @@ def test_holes_hold_the_conditional_mean_of_all_the_rest(length: int) -> None:
 
 def test_a_long_hole_is_left_as_it_is() -> None:
     known = np.ones(1000, dtype=bool)
-    longest = round(LONGEST_S / DT_S)
+    longest = round(TUNING.longest_s / DT_S)
     known[200 : 200 + longest] = known[500 : 500 + longest + 1] = False
     a = np.random.default_rng(1).standard_normal(1000)
     filled, known_then = bridged(a, known, DT_S, model(), None)

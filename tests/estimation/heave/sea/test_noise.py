@@ -9,15 +9,15 @@ from scipy.signal import lfilter
 from seas import model
 
 from heaved.estimation.common.down_sampler import passed
-from heaved.estimation.heave.sea import whittle_fit as sea_fit
+from heaved.estimation.heave.sea import whittle_fit
 from heaved.estimation.heave.sea.model import Resonance, SeaModel, SeaSystem
-from heaved.estimation.heave.sea.noise import HALF_POWER, NARROWEST, _Whittle, resonances
+from heaved.estimation.heave.sea.noise import HALF_POWER, TUNING, _Whittle, resonances
 from heaved.estimation.heave.sea.sea_state import vibration
 from heaved.simulate.seaway import seaway
 
 DT_S, RATE_HZ, COUNT = 0.05, 20.0, 12_000
 NOISE_PSD = 1e-6
-T = DT_S * np.arange(COUNT)
+T = DT_S * np.arange(COUNT, dtype=np.float64)
 Array = np.ndarray
 
 
@@ -82,8 +82,8 @@ def acceleration(added: Array, sea: str = "S6") -> Array:
 
 
 def found(a: Array) -> tuple[tuple[Resonance, ...], float]:
-    sp = sea_fit.spectrum(a, RATE_HZ)
-    waves = sea_fit.fit([sp], 7, 3, 9e-10)[0].model
+    sp = whittle_fit.spectrum(a, RATE_HZ)
+    waves = whittle_fit.fit([sp], 7, 3, 9e-10)[0].model
     return resonances(sp.above, waves, sp.noise_psd)
 
 
@@ -127,8 +127,8 @@ def test_two_lines_are_two_and_no_narrower_than_they_may_wander() -> None:
     two = 0.2 * np.sin(2 * np.pi * 3.4 * T) + 0.3 * np.sin(2 * np.pi * 5.1 * T)
     shaking, _ = found(acceleration(two))
     assert sorted(one.frequency_hz for one in shaking[:2]) == pytest.approx([3.4, 5.1], rel=0.02)
-    assert all(one.damping >= 0.999 * NARROWEST for one in shaking)
-    assert HALF_POWER * NARROWEST > 0.03
+    assert all(one.damping >= 0.999 * TUNING.narrowest for one in shaking)
+    assert HALF_POWER * TUNING.narrowest > 0.03
 
 
 def test_a_broad_band_is_no_white_noise_of_the_sensor() -> None:
@@ -161,7 +161,7 @@ def test_white_noise_of_means_is_taken_for_white() -> None:
     weights = np.convolve(np.ones(5), np.ones(5)) / 25.0
     means = np.convolve(fast, weights, mode="valid")[::5][:COUNT]
     waves = seaway("S6", 2, attitude=False).motion(T).heave_acceleration_mps2
-    sp = sea_fit.spectrum(waves + means, RATE_HZ, lambda f: passed(f, 0.01, 5))
-    shaking, noise_psd = resonances(sp.above, sea_fit.fit([sp], 7, 3, 9e-10)[0].model, sp.noise_psd)
+    sp = whittle_fit.spectrum(waves + means, RATE_HZ, lambda f: passed(f, 0.01, 5))
+    shaking, noise_psd = resonances(sp.above, whittle_fit.fit([sp], 7, 3, 9e-10)[0].model, sp.noise_psd)
     assert noise_psd == pytest.approx(NOISE_PSD, rel=0.15)
     assert sum(one.variance for one in shaking) < 0.02**2

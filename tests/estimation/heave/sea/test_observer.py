@@ -18,7 +18,7 @@ from seas import model as some_model
 from heaved.estimation.heave.observer import SavedObserver
 from heaved.estimation.heave.params import SeaParams
 from heaved.estimation.heave.sea.model import SeaSystem
-from heaved.estimation.heave.sea.observer import OVERCONFIDENCE, SeaObserver
+from heaved.estimation.heave.sea.observer import TUNING, SeaObserver
 from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow, look
 from heaved.samples import GRAVITY_MPS2
 from heaved.simulate.seaway import seaway
@@ -137,7 +137,8 @@ def test_it_settles_within_a_minute(name: str) -> None:
 @pytest.mark.parametrize("name", ["S4", "S6", "SL"])
 def test_a_new_model_takes_over_without_a_jump(name: str) -> None:
     """From sample to sample the heave is the integral of its velocity, at a fit as in the second before it; what
-    is left is what each sample teaches, at first more than later."""
+    is left is what each sample teaches, at first more than later.
+    """
     r = result(name, IRREGULAR[name][0])
     heave, velocity, t = r.heave_m[:, 0], r.velocity_mps, r.case.recording.t_s
     jump = np.abs(np.diff(heave) - 0.05 * 0.5 * (velocity[1:] + velocity[:-1]))
@@ -360,7 +361,7 @@ def test_the_published_std_is_the_modelled_one_and_a_margin() -> None:
     """While innovations and the delayed heave have nothing to say against it."""
     observer, *_ = warm()
     assert observer.model is not None
-    modelled = observer.error_std_m(0.0) / OVERCONFIDENCE
+    modelled = observer.error_std_m(0.0) / TUNING.overconfidence
     system = SeaSystem(observer.model)
     steady = system.steady(0.05)
     assert steady is not None

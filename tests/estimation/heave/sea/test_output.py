@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from math import isnan
+from math import inf, isnan, nan
 
 import numpy as np
 import pytest
 from scipy.linalg import expm, solve_discrete_lyapunov
 from seas import model, simulated, whole
 
-from heaved.estimation.heave.sea.bumpless_transfer import LEAST_M, NO_SPLICE, Splice
 from heaved.estimation.heave.sea.filter import SeaFilter
-from heaved.estimation.heave.sea.forecasts import SeaForecasts
 from heaved.estimation.heave.sea.model import SeaSystem
-from heaved.estimation.heave.sea.output import CONVERGED, STALE_BEAT_S, SeaHeave
+from heaved.estimation.heave.sea.output import NO_TRANSFER, TUNING, BumplessTransfer, SeaHeave
 
 DT_S = 0.05
 HORIZONS_S = (0.1, 0.5, 2.0)
@@ -75,46 +73,26 @@ def test_standard_deviations_are_those_of_the_covariance_moved_on(heave: SeaHeav
 
 def test_forecasts_are_heave_and_deviation_of_each_horizon(heave: SeaHeave) -> None:
     """With a model before that has just been left, and one that is as good as forgotten."""
-    for splice in (None, Splice(0.2, -0.1, BEAT_S - 1.0), Splice(0.2, -0.1, BEAT_S - 14.0)):
-        heave.splice = splice or heave.splice
+    for transfer in (None, BumplessTransfer(0.2, -0.1, BEAT_S - 1.0), BumplessTransfer(0.2, -0.1, BEAT_S - 14.0)):
+        heave.transfer = transfer or heave.transfer
         heave.set_lead(0.01)
         t_s = BEAT_S + 0.03
         found = heave.forecast(t_s, 3.0, 0.9)
         assert [f.horizon_s for f in found] == list(HORIZONS_S)
         assert [f.heave_m for f in found] == pytest.approx(
-            [0.9 * heave.at(t_s, h).heave_m for h in HORIZONS_S], rel=1e-12, abs=LEAST_M
+            [0.9 * heave.at(t_s, h).heave_m for h in HORIZONS_S], rel=1e-12, abs=1e-12
         )
-        left = [heave.splice.at(t_s + h)[0] for h in HORIZONS_S]
-        heave.splice = NO_SPLICE
+        left = [heave.transfer.at(t_s + h)[0] for h in HORIZONS_S]
+        heave.transfer = NO_TRANSFER
         modelled = [heave.std_m(t_s, h - 0.005) for h in HORIZONS_S]  # 0.025 s after the beat: half of its length
-        assert [f.std_m for f in found] == pytest.approx(
-            (0.9 * 3.0 * np.hypot(modelled, left)).tolist(), rel=1e-12, abs=LEAST_M
-        )
-
-
-def test_forecasts_of_many_moments_are_those_of_each(heave: SeaHeave) -> None:
-    """Of several beats and models, some with something left of a model before, some with the laser's scale."""
-    heave.set_lead(0.0)
-    forecasts = []
-    for k in range(12):
-        if k % 3 == 0:
-            heave.filter.x, heave.filter.t_s = 1.1 * heave.filter.x, BEAT_S + k
-            heave.moved()
-        if k == 6:
-            heave.splice = Splice(0.2, -0.1, BEAT_S + k)
-        forecasts.append(heave.forecast(BEAT_S + k - k % 3 + 0.011 * k, 1.0 + 0.1 * k, 1.0 - 0.01 * k))
-    assert isinstance(forecasts[0], SeaForecasts)
-    together = SeaForecasts.numbers(forecasts)
-    assert together.shape == (12, len(HORIZONS_S), 2)
-    for one, row in zip(forecasts, together, strict=True):
-        assert row == pytest.approx(np.array([(f.heave_m, f.std_m) for f in one]), rel=1e-12)
+        assert [f.std_m for f in found] == pytest.approx((0.9 * 3.0 * np.hypot(modelled, left)).tolist(), rel=1e-12)
 
 
 def test_what_is_left_of_the_old_model_is_in_heave_velocity_and_deviation(heave: SeaHeave) -> None:
     heave.set_lead(0.0)
     plain, std_m = heave.at(BEAT_S, 0.5), heave.std_m(BEAT_S, 0.5)
-    heave.splice = Splice(0.2, -0.1, BEAT_S - 1.0)
-    left_m, left_mps = heave.splice.at(BEAT_S + 0.5)
+    heave.transfer = BumplessTransfer(0.2, -0.1, BEAT_S - 1.0)
+    left_m, left_mps = heave.transfer.at(BEAT_S + 0.5)
     found = heave.at(BEAT_S, 0.5)
     assert (found.heave_m, found.velocity_mps) == pytest.approx((plain.heave_m + left_m, plain.velocity_mps + left_mps))
     assert heave.std_m(BEAT_S, 0.5) == pytest.approx(np.sqrt(std_m**2 + left_m**2))
@@ -136,7 +114,7 @@ def test_a_state_that_has_moved_gives_other_numbers(heave: SeaHeave) -> None:
 
 def test_it_is_converged_when_the_heave_is_nearly_as_sure_as_it_will_be(heave: SeaHeave) -> None:
     assert heave.is_converged
-    for factor, expected in ((0.98 * CONVERGED, True), (1.02 * CONVERGED, False)):
+    for factor, expected in ((0.98 * TUNING.converged, True), (1.02 * TUNING.converged, False)):
         heave.filter.P = factor**2 * heave.filter.steady_covariance
         heave.moved()
         assert heave.state_std_m == pytest.approx(factor * heave.steady_std_m)
@@ -144,7 +122,7 @@ def test_it_is_converged_when_the_heave_is_nearly_as_sure_as_it_will_be(heave: S
 
 
 def test_without_a_beat_for_too_long_nothing_is_known(heave: SeaHeave) -> None:
-    t_s = BEAT_S + STALE_BEAT_S + 0.01
+    t_s = BEAT_S + TUNING.stale_s + 0.01
     assert isnan(heave.at(t_s, 0.0).heave_m)
     assert isnan(heave.std_m(t_s, 0.5))
     forecast = heave.forecast(t_s)
@@ -168,3 +146,36 @@ def test_a_disturbance_is_in_every_standard_deviation(heave: SeaHeave, system: S
     assert all(one.std_m**2 > more_m2 for one in heave.forecast(BEAT_S))
     heave.disturb(f_hz, np.zeros(len(f_hz)))
     assert [heave.std_m(BEAT_S + 0.02, shift_s) for shift_s in (0.0, LEAD_S, 0.3)] == before_m
+
+
+# --- from one model to the next ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("heave_m", "velocity_mps"), [(0.3, 0.0), (0.0, -0.2), (-0.1, 0.4)])
+def test_a_transfer_begins_as_the_difference_and_is_critically_damped(heave_m: float, velocity_mps: float) -> None:
+    transfer = BumplessTransfer(heave_m, velocity_mps, BEAT_S)
+    assert transfer.at(BEAT_S) == pytest.approx((heave_m, velocity_mps))
+    h = 1e-3
+    for t_s in np.linspace(BEAT_S + 0.1, BEAT_S + 10.0, 25).tolist():
+        before, now, after = (transfer.at(t_s + d)[0] for d in (-h, 0.0, h))
+        slope, bend = (after - before) / (2.0 * h), (after - 2.0 * now + before) / h**2
+        assert transfer.at(t_s)[1] == pytest.approx(slope, abs=1e-6)
+        assert bend + 2.0 * slope / TUNING.time_s + now / TUNING.time_s**2 == pytest.approx(0.0, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("heave_m", "velocity_mps"), [(1.0, 0.5), (-1e-3, 2e-3), (0.0, -0.3), (1e-3, -1e-3 / TUNING.time_s)]
+)
+def test_a_transfer_is_over_when_next_to_nothing_is_left(heave_m: float, velocity_mps: float) -> None:
+    transfer = BumplessTransfer(heave_m, velocity_mps, BEAT_S)
+    assert 0.0 < abs(transfer.at(transfer.until_s - 1e-6)[0]) < 1.001 * TUNING.least_m
+    assert abs(transfer.at(transfer.until_s - 1.5 * TUNING.time_s)[0]) > TUNING.least_m
+    assert transfer.at(transfer.until_s) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("difference", [(0.0, 0.0), (0.5 * TUNING.least_m, 0.0), (nan, 0.0), (0.0, nan), (inf, 0.0)])
+def test_a_difference_that_is_nothing_or_not_known_is_none(difference: tuple[float, float]) -> None:
+    transfer = BumplessTransfer(*difference, BEAT_S)
+    assert transfer.until_s == BEAT_S
+    assert transfer.at(BEAT_S) == (0.0, 0.0)
+    assert NO_TRANSFER.at(-1e9) == (0.0, 0.0)

@@ -8,9 +8,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from heaved.estimation.heave.sea.batch_filter import Record, even
 from heaved.estimation.heave.sea.model import SeaSystem
-from heaved.estimation.heave.sea.observer import OVERCONFIDENCE
+from heaved.estimation.heave.sea.observer import TUNING
+from heaved.estimation.heave.sea.record import EvenRecord, even
 from heaved.estimation.heave.sea.refit import Candidate, SeaFit, SeaWindow, look, unbroken, whiteness
 from heaved.simulate.seaway import seaway
 
@@ -20,7 +20,7 @@ Array = np.ndarray
 
 def sea(name: str, seconds: float, seed: int = 1) -> tuple[Array, Array, Array]:
     """Times, heave and noisy acceleration (sensor A)."""
-    t = DT_S * np.arange(round(seconds / DT_S))
+    t = DT_S * np.arange(round(seconds / DT_S), dtype=np.float64)
     made = seaway(name, seed, attitude=False).motion(t)
     noise = 1e-3 * np.sqrt(0.5 / DT_S) * np.random.default_rng(seed).standard_normal(len(t))
     return t, made.heave_m, made.heave_acceleration_mps2 + noise
@@ -54,7 +54,7 @@ def test_the_state_that_is_handed_over_is_the_heave_of_the_last_sample(s6: tuple
     assert fit.model is not None
     system = SeaSystem(fit.model)
     x = np.frombuffer(fit.x)
-    assert (fit.t_s, fit.dt_s) == (pytest.approx(t[11_999]), pytest.approx(DT_S))
+    assert (fit.t_s, fit.dt_s) == pytest.approx((t[11_999], DT_S))
     assert fit.record_s == pytest.approx(600.0, abs=0.1)
     assert abs(system.heave @ x - heave[11_999]) < 0.05 * np.std(heave)
     predicted = np.frombuffer(fit.predicted_m)
@@ -144,11 +144,11 @@ def test_candidates_that_outlive_their_past_are_no_reason_to_fail(s6: tuple[Arra
 def test_a_record_falls_into_its_stretches(
     holes: list[tuple[float, float]], cuts: list[tuple[float, float]], expected: list[tuple[float, float]]
 ) -> None:
-    t = DT_S * np.arange(8000)
+    t = DT_S * np.arange(8000, dtype=np.float64)
     known = np.ones(8000, dtype=np.bool_)
     for first, end in holes:
         known[(t >= first - 1e-9) & (t < end - 1e-9)] = False
-    found = unbroken(Record(t[-1], DT_S, t, known).cut(cuts), 8000)
+    found = unbroken(EvenRecord(t[-1], DT_S, t, known).cut(cuts), 8000)
     assert [(part[0], part[-1] + DT_S) for part in found] == [pytest.approx(part) for part in expected]
 
 
@@ -207,7 +207,7 @@ def test_a_record_with_holes_has_the_sea_of_the_whole_one(
     system = SeaSystem(holed.model)
     P = np.frombuffer(holed.P or holed.steady_P).reshape(len(system.H), -1)
     error_m = float(system.heave @ np.frombuffer(holed.x)) - heave[-1]
-    assert abs(error_m) < 4.0 * OVERCONFIDENCE * np.sqrt(system.heave @ P @ system.heave)
+    assert abs(error_m) < 4.0 * TUNING.overconfidence * np.sqrt(system.heave @ P @ system.heave)
     assert abs(error_m) < 0.1 * np.std(heave)
 
 

@@ -7,9 +7,9 @@ import pytest
 from seas import model, simulated
 
 from heaved.estimation.heave.sea.filter import SeaFilter
-from heaved.estimation.heave.sea.model import SeaSystem, Steady
-from heaved.estimation.heave.sea.smoother import CHECK_MIN_S, Divergence, FixedLagSmoother
-from heaved.samples import DelayedHeave
+from heaved.estimation.heave.sea.model import SeaSystem, Steady, measurement_variance
+from heaved.estimation.heave.sea.record import EvenRecord
+from heaved.estimation.heave.sea.smoother import FixedLagSmoother, smoothed
 
 DT_S = 0.1
 LAG_S = 12.0
@@ -31,7 +31,8 @@ def steady(system: SeaSystem) -> Steady:
 def rauch_tung_striebel(system: SeaSystem, steady: Steady, x: Array, a: Array) -> tuple[Array, float]:
     """Forwards and backwards over the whole of ``a``: heave (k,), and the variance of the first one.
 
-    x_k|N = x_k + C (x_k+1|N - x_k+1|k), C = P F' inv(P-)."""
+    x_k|N = x_k + C (x_k+1|N - x_k+1|k), C = P F' inv(P-).
+    """
     F, Q, H = steady.F, steady.Q, system.H
     R = steady.S - float(H @ steady.P @ H)
     n, count = len(H), len(a)
@@ -129,14 +130,40 @@ def test_a_record_fills_it_as_samples_would(system: SeaSystem, steady: Steady) -
     assert FixedLagSmoother(system, steady, LAG_S).value() is None
 
 
-def test_divergence_is_the_rms_over_the_modelled_error() -> None:
-    rng = np.random.default_rng(7)
-    check = Divergence()
-    for k in range(3000):
-        t = 0.05 * k
-        check.compare(DelayedHeave(t_s=t, heave_m=0.0, std_m=0.001), float(0.03 * rng.standard_normal()), 0.01)
-        assert check.ratio == 1.0 or t >= CHECK_MIN_S - 0.1
-    assert check.ratio == pytest.approx(3.0, rel=0.1)
-    for value in (nan, 0.0):
-        check.compare(DelayedHeave(t_s=200.0, heave_m=0.0, std_m=0.001), value, value)
-    assert check.ratio == pytest.approx(3.0, rel=0.1)
+COARSE_S = 0.2
+HOLES = {"none": (), "one": ((20, 30),), "many": ((3, 4), (10, 13), (25, 40), (52, 53))}
+
+
+@pytest.mark.parametrize("name", HOLES)
+def test_across_holes_it_is_the_conditional_mean_given_all_samples(name: str) -> None:
+    system = SeaSystem(model(stages=4))
+    steady = system.steady(COARSE_S)
+    assert steady is not None
+    count, n = 60, len(system.H)
+    _, a = simulated(system, COARSE_S, count, seed=9)
+    known = np.ones(count, dtype=bool)
+    for first, end in HOLES[name]:
+        known[first:end] = False
+    f = SeaFilter(system, steady, 0.0, np.zeros(n), system.stationary.copy())
+    found = smoothed(f, EvenRecord(COARSE_S * count, COARSE_S, a, known), count)
+    # cov(x_i, x_j) = F^(i-j) P_j; all states side by side.
+    F, Q = system.transition(COARSE_S)
+    P, powers = [F @ system.stationary @ F.T + Q], [np.eye(n)]
+    for _ in range(count - 1):
+        P.append(F @ P[-1] @ F.T + Q)
+        powers.append(F @ powers[-1])
+    H, heave, R = system.H, system.heave, measurement_variance(system.model.noise_psd, COARSE_S)
+    zz, hz = np.empty((count, count)), np.empty((count, count))
+    for i in range(count):
+        for j in range(count):
+            joint = powers[i - j] @ P[j] if i >= j else P[i] @ powers[j - i].T
+            zz[i, j], hz[i, j] = H @ joint @ H, heave @ joint @ H
+    zz = zz[np.ix_(known, known)] + R * np.eye(int(known.sum()))
+    hz = hz[np.ix_(known, known)]
+    mean = hz @ np.linalg.solve(zz, a[known])
+    variance = np.array([heave @ P[i] @ heave for i in np.flatnonzero(known)])
+    variance -= np.sum(hz * np.linalg.solve(zz, hz.T).T, axis=1)
+    assert found[:, 0] == pytest.approx(COARSE_S * (1.0 + np.flatnonzero(known)))
+    np.testing.assert_allclose(found[:, 1], mean, atol=1e-5)
+    np.testing.assert_allclose(found[:, 2], np.sqrt(variance), rtol=1e-3)
+    assert len(smoothed(f, EvenRecord(COARSE_S * count, COARSE_S, a, known), 10)) == known[:10].sum()

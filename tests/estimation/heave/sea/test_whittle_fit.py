@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import detrend, welch
 from seas import model, simulated
 
-from heaved.estimation.heave.sea import whittle_fit as sea_fit
+from heaved.estimation.heave.sea import whittle_fit
 from heaved.estimation.heave.sea.model import Resonance, SeaModel, SeaSystem
 from heaved.estimation.heave.sea.noise import Above
 from heaved.simulate.seaway import heave_spectrum, seaway
@@ -31,8 +31,8 @@ def test_slopes_are_differences_of_the_logarithm(stages: int) -> None:
     f = np.linspace(0.02, 0.8, 60)
     none = np.empty(0)
     shaking = (Resonance(frequency_hz=1.1, damping=0.3, level=1e-3),)
-    sp = sea_fit.Spectrum(f, np.ones(60), 1e-5, Above(none, none, none, 1.0, 1 / RATE_HZ), shaking)
-    whittle = sea_fit._Whittle([(sp, np.ones(60))], np.zeros(4, int), stages, WALK)
+    sp = whittle_fit.Spectrum(f, np.ones(60), 1e-5, Above(none, none, none, 1.0, 1 / RATE_HZ), shaking)
+    whittle = whittle_fit._Whittle([(sp, np.ones(60))], np.zeros(4, int), stages, WALK)
     rng = np.random.default_rng(2)
     parts = [rng.uniform(*limits, (4, 2)) for limits in ((0.06, 0.3), (0.1, 0.9), (0.1, 3.0))]
     theta = np.log(np.column_stack((*parts, np.full(4, 1e-5))))
@@ -53,9 +53,10 @@ def test_slopes_are_differences_of_the_logarithm(stages: int) -> None:
 @pytest.mark.parametrize("seconds", [60.0, 120.0, 600.0])
 def test_pooling_keeps_the_sums_and_leaves_the_low_ordinates_alone(seconds: float) -> None:
     """Of weights and frequencies; groups as wide as 3 % of their frequency, and the likelihood of a smooth sea as it
-    was, to a hundredth: how closely two models can be told apart."""
-    sp = sea_fit.spectrum(acceleration("S6", seconds), RATE_HZ)
-    pooled, weight = sea_fit._pooled(sp)
+    was, to a hundredth: how closely two models can be told apart.
+    """
+    sp = whittle_fit.spectrum(acceleration("S6", seconds), RATE_HZ)
+    pooled, weight = whittle_fit._pooled(sp)
     spacing = sp.f_hz[1] - sp.f_hz[0]
     single = sp.f_hz < 2.0 * spacing / 0.03 - 1e-9
     count = int(np.count_nonzero(single))
@@ -75,13 +76,14 @@ def test_pooling_keeps_the_sums_and_leaves_the_low_ordinates_alone(seconds: floa
 @pytest.mark.parametrize("name", ["S4", "S6", "S6S"])
 def test_the_spectrum_of_a_jonswap_sea_is_found(name: str) -> None:
     """1800 s: Kullback's divergence of the acceleration's spectrum, r - 1 - log r on average over the band (five
-    decades of it), r = true over fitted: a factor of two everywhere would be 0.3. The measured height to a tenth."""
-    sp = sea_fit.spectrum(acceleration(name, 1800.0), RATE_HZ)
-    fitted = sea_fit.fit([sp], 8, 3, WALK)[0].model
+    decades of it), r = true over fitted: a factor of two everywhere would be 0.3. The measured height to a tenth.
+    """
+    sp = whittle_fit.spectrum(acceleration(name, 1800.0), RATE_HZ)
+    fitted = whittle_fit.fit([sp], 8, 3, WALK)[0].model
     f = np.linspace(0.02, 0.8, 800)
     r = ((2 * np.pi * f) ** 4 * heave_spectrum(name, f) + 1e-6) / fitted.acceleration_spectrum(f, 1 / RATE_HZ)
     assert np.mean(r - 1.0 - np.log(r)) < 0.15
-    height = np.sqrt(sea_fit.measured_share(sp, fitted) * np.trapezoid(fitted.heave_spectrum(f), f))
+    height = np.sqrt(whittle_fit.measured_share(sp, fitted) * np.trapezoid(fitted.heave_spectrum(f), f))
     realised = np.std(seaway(name, 1, attitude=False).motion(np.arange(18_000) / 10.0).heave_m)
     assert height == pytest.approx(realised, rel=0.1)
 
@@ -89,8 +91,8 @@ def test_the_spectrum_of_a_jonswap_sea_is_found(name: str) -> None:
 def test_the_cost_is_whittles_with_its_weights_and_no_worse_than_that_of_the_truth() -> None:
     m = model(6, 2)
     _, a = simulated(SeaSystem(m), 1 / RATE_HZ, 24_000, seed=5)
-    sp = sea_fit.spectrum(a, RATE_HZ)
-    fitted = sea_fit.fit([sp], 6, 2, WALK)[0]
+    sp = whittle_fit.spectrum(a, RATE_HZ)
+    fitted = whittle_fit.fit([sp], 6, 2, WALK)[0]
 
     def whittle(of: SeaModel) -> float:
         S = of.acceleration_spectrum(sp.f_hz, 1 / RATE_HZ)
@@ -103,11 +105,11 @@ def test_the_cost_is_whittles_with_its_weights_and_no_worse_than_that_of_the_tru
 
 @pytest.mark.parametrize("noise", [1e-3, 1e-2])
 def test_the_noise_floor_is_that_above_the_waves(noise: float) -> None:
-    sp = sea_fit.spectrum(acceleration("S4", 600.0, noise=noise), RATE_HZ)
+    sp = whittle_fit.spectrum(acceleration("S4", 600.0, noise=noise), RATE_HZ)
     assert sp.noise_psd == pytest.approx(noise**2, rel=0.15)
     t = np.arange(12_000) / RATE_HZ
     engine = 0.05 * np.sin(2 * np.pi * 6.3 * t)
-    sp = sea_fit.spectrum(acceleration("S4", 600.0, noise=noise) + engine, RATE_HZ)
+    sp = whittle_fit.spectrum(acceleration("S4", 600.0, noise=noise) + engine, RATE_HZ)
     assert sp.noise_psd == pytest.approx(noise**2, rel=0.15)
 
 
@@ -115,7 +117,7 @@ def test_the_noise_floor_is_that_above_the_waves(noise: float) -> None:
 def test_the_periodogram_is_welchs(seconds: float) -> None:
     """Three overlapping segments, or one, of an even or an odd number of samples."""
     a = acceleration("S6", seconds) + 1e-3 * np.arange(round(seconds * RATE_HZ))
-    sp = sea_fit.spectrum(a, RATE_HZ)
+    sp = whittle_fit.spectrum(a, RATE_HZ)
     n = min(6000, len(a))
     f, power = welch(a, RATE_HZ, nperseg=n, noverlap=3 * n // 4, detrend=lambda part: detrend(part, type="linear"))
     kept = (f >= max(0.02, 2.6 * RATE_HZ / n) - 1e-12) & (f <= 0.8 + 1e-12)
@@ -126,22 +128,22 @@ def test_the_periodogram_is_welchs(seconds: float) -> None:
 @pytest.mark.parametrize("name", ["S4", "S6S", "SL"])
 def test_a_warm_start_is_never_worse(name: str) -> None:
     a = acceleration(name, 620.0)
-    earlier = sea_fit.fit([sea_fit.spectrum(a[:12_000], RATE_HZ)], 8, 3, WALK)[0].model
-    sp = sea_fit.spectrum(a[-12_000:], RATE_HZ)
-    cold, warm = sea_fit.fit([sp], 8, 3, WALK)[0], sea_fit.fit([sp], 8, 3, WALK, [earlier])[0]
+    earlier = whittle_fit.fit([whittle_fit.spectrum(a[:12_000], RATE_HZ)], 8, 3, WALK)[0].model
+    sp = whittle_fit.spectrum(a[-12_000:], RATE_HZ)
+    cold, warm = whittle_fit.fit([sp], 8, 3, WALK)[0], whittle_fit.fit([sp], 8, 3, WALK, [earlier])[0]
     assert warm.cost <= cold.cost + 1e-9
     other = model(8, 2)  # of another size: passed over
-    assert sea_fit.fit([sp], 8, 3, WALK, [other]) == [cold]
+    assert whittle_fit.fit([sp], 8, 3, WALK, [other]) == [cold]
 
 
 def test_spectra_side_by_side_are_fitted_as_each_by_itself() -> None:
     """Of different lengths, one with a warm start: what is padded weighs nothing."""
     a = acceleration("S6S", 620.0)
-    spectra = [sea_fit.spectrum(a[-round(seconds * RATE_HZ) :], RATE_HZ) for seconds in (60.0, 120.0, 600.0)]
+    spectra = [whittle_fit.spectrum(a[-round(seconds * RATE_HZ) :], RATE_HZ) for seconds in (60.0, 120.0, 600.0)]
     warm = [None, model(7, 3), None]
-    together = sea_fit.fit(spectra, 7, 3, WALK, warm)
+    together = whittle_fit.fit(spectra, 7, 3, WALK, warm)
     for fitted, sp, earlier in zip(together, spectra, warm, strict=True):
-        alone = sea_fit.fit([sp], 7, 3, WALK, [earlier])[0]
+        alone = whittle_fit.fit([sp], 7, 3, WALK, [earlier])[0]
         assert fitted.cost == pytest.approx(alone.cost, abs=0.5)
         assert fitted.waves == pytest.approx(alone.waves, rel=0.02)
 
@@ -165,9 +167,13 @@ RECORDS = {
 @pytest.mark.parametrize(("stages", "components"), [(6, 2), (8, 3)])
 def test_what_is_no_sea_gives_a_model_all_the_same(name: str, stages: int, components: int) -> None:
     """Finite, within its limits, and one whose steady filter exists."""
-    m = sea_fit.fit([sea_fit.spectrum(RECORDS[name], RATE_HZ)], stages, components, WALK)[0].model
-    for field, values in (("frequency_hz", m.frequency_hz), ("damping", m.damping), ("level", m.level_m2phz)):
-        low, high = sea_fit.LIMITS[field]
+    m = whittle_fit.fit([whittle_fit.spectrum(RECORDS[name], RATE_HZ)], stages, components, WALK)[0].model
+    tuning = whittle_fit.TUNING
+    for (low, high), values in (
+        (tuning.frequency_limits_hz, m.frequency_hz),
+        (tuning.damping_limits, m.damping),
+        (tuning.level_limits_m2phz, m.level_m2phz),
+    ):
         assert all(low * 0.999 <= v <= high * 1.001 for v in values)
     assert np.isfinite(m.acceleration_spectrum(np.linspace(0.02, 0.8, 50), 1 / RATE_HZ)).all()
     assert SeaSystem(m).steady(1 / RATE_HZ) is not None
@@ -176,8 +182,8 @@ def test_what_is_no_sea_gives_a_model_all_the_same(name: str, stages: int, compo
 @pytest.mark.parametrize("rate_hz", [2.0, 5.0, 10.0, 20.0])
 def test_a_slow_sensor_is_fitted_in_the_band_that_it_has(rate_hz: float) -> None:
     a = acceleration("S6", 600.0)[:: round(RATE_HZ / rate_hz)]
-    sp = sea_fit.spectrum(a, rate_hz)
+    sp = whittle_fit.spectrum(a, rate_hz)
     assert sp.f_hz[-1] <= 0.36 * rate_hz
-    found = sea_fit.fit([sp], 8, 2, WALK)[0].model
+    found = whittle_fit.fit([sp], 8, 2, WALK)[0].model
     f = np.linspace(0.02, 0.6, 600)
     assert np.trapezoid(found.heave_spectrum(f), f) == pytest.approx(np.trapezoid(heave_spectrum("S6", f), f), rel=0.5)

@@ -1,0 +1,159 @@
+"""The one table of what is published of the motion: which quantities of which record, in which order and unit.
+
+The stream, the table of a replay and the status read it, so that a quantity is called, converted and rounded alike
+wherever it leaves the house. The rule that makes it short: a name ends in its unit, outside as inside, and but for the
+unit it is the same name. So ``roll_deg`` is the ``roll_rad`` of a record in degrees. Pure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import pi
+from operator import attrgetter, itemgetter, mul
+from typing import Final, Generic, TypeVar
+
+import msgspec
+
+from heaved.samples import (
+    CraftMotion,
+    DelayedHeave,
+    HeaveForecast,
+    HullAngles,
+    MotionFrame,
+    PointMotion,
+    RockPrediction,
+    RockScore,
+)
+
+R = TypeVar("R")
+
+_LIMIT: Final = 1e15
+"""Units of the last decimal. Nothing that is published comes near it: what is beyond is as unknown as infinity."""
+_ROUND: Final = 1.5 * 2.0**52
+"""Adding it to a double below 2**51 and taking it away again rounds to a whole number: a third of the time of round(),
+which matters for the ninety numbers of a frame."""
+
+
+class Unit(msgspec.Struct, frozen=True):
+    """How a number inside becomes the one outside."""
+
+    inside: str
+    """Unit in which it is kept inside, as names end in it."""
+    per_inside: float
+    """Outside, per unit inside."""
+    decimals: int = 6
+    """That are sent."""
+
+
+UNITS: Final = {
+    "deg": Unit("rad", 180.0 / pi),
+    "degps": Unit("radps", 180.0 / pi),
+    "arcsec": Unit("rad", 3600.0 * 180.0 / pi, decimals=3),
+}
+"""By the ending of a name outside; all others are the same inside, SI."""
+
+
+def _unit(name: str) -> Unit:
+    ending = name.rpartition("_")[2]
+    return UNITS.get(ending, Unit(ending, 1.0))
+
+
+def _inside(name: str) -> str:
+    """Name of a quantity inside, by that outside."""
+    return name.removesuffix(name.rpartition("_")[2]) + _unit(name).inside
+
+
+class Fields(Generic[R]):
+    """Some quantities, two at least, of the records of kind ``R``; all are sent with as many decimals.
+
+    Attributes:
+        names: outside, in the order in which they are sent.
+        inside: values of a record in that order, in their units inside.
+        per_inside: factors from those units to the ones outside.
+    """
+
+    def __init__(self, *names: str, values: Callable[[R], tuple[float, ...]] | None = None) -> None:
+        """``values``: of a record, in the order of the names; None: its attributes by their names inside."""
+        units = [_unit(name) for name in names]
+        (decimals,) = {unit.decimals for unit in units}
+        self.names = names
+        self.inside: Callable[[R], tuple[float, ...]] = values or attrgetter(*map(_inside, names))
+        self.per_inside = tuple(unit.per_inside for unit in units)
+        self._wholes = 10.0**decimals
+        self._factors = tuple(unit.per_inside * self._wholes for unit in units)
+
+    def only(self, *names: str) -> Fields[R]:
+        """Some of them.
+
+        Raises:
+            ValueError: one is not of the table.
+        """
+        pick = itemgetter(*map(self.names.index, names))
+        if isinstance(self.inside, attrgetter):
+            return Fields(*names)
+        return Fields(*names, values=lambda record: pick(self.inside(record)))
+
+    def sent(self, record: R) -> list[float | None]:
+        """All of them, rounded as they are sent; None: not known (nan, infinite, absurd)."""
+        wholes = self._wholes
+        return [
+            (value + _ROUND - _ROUND) / wholes if -_LIMIT < value < _LIMIT else None
+            for value in map(mul, self.inside(record), self._factors)
+        ]
+
+    def known(self, record: R) -> dict[str, float]:
+        """Those that are known, by name, rounded as they are sent."""
+        return {name: value for name, value in zip(self.names, self.sent(record), strict=True) if value is not None}
+
+
+def rounded(value: float) -> float | None:
+    """A number of SI units to the sixth decimal, as those of the table; None when it is not known."""
+    millionths = value * 1e6
+    return (millionths + _ROUND - _ROUND) / 1e6 if -_LIMIT < millionths < _LIMIT else None
+
+
+# ---- the table -------------------------------------------------------------------------------------------------------
+
+_AXES: Final = ("roll", "pitch", "yaw")
+
+MOTION: Final = Fields[MotionFrame](
+    "heave_m",
+    "heave_std_m",
+    "heave_velocity_mps",
+    "heave_acceleration_mps2",
+    "observer_m",
+    "correction_m",
+    "lead_s",
+    "reference_m",
+    *(f"{axis}_deg" for axis in _AXES),
+    *(f"crane_{axis}_deg" for axis in _AXES),
+)
+POINT: Final = Fields[PointMotion]("heave_m", "heave_std_m", "heave_velocity_mps")
+ROCK: Final = Fields[RockPrediction](
+    *(f"{axis}_deg" for axis in _AXES),
+    *(f"{axis}_std_deg" for axis in _AXES),
+    *(f"{axis}_interval_deg" for axis in _AXES),
+)
+ROCK_SCORE: Final = Fields[RockScore]("error_deg", "coverage")
+FORECAST: Final = Fields[HeaveForecast]("heave_m", "std_m")
+DELAYED: Final = Fields[DelayedHeave]("heave_m", "std_m")
+HULL: Final = Fields[HullAngles](
+    *(f"{kind}{axis}_deg" for kind in ("", "static_", "dynamic_") for axis in "xyz"),
+    "delay_s",
+    "delay_std_s",
+    values=lambda hull: (*hull.total_rad, *hull.static_rad, *hull.dynamic_rad, hull.delay_s, hull.delay_std_s),
+)
+HULL_STD: Final = Fields[HullAngles](
+    *(f"{axis}_{kind}arcsec" for kind in ("std_", "reachable_std_") for axis in "xyz"),
+    values=lambda hull: (*hull.std_rad, *hull.reachable_std_rad),
+)
+ATTITUDE: Final = Fields[CraftMotion](
+    "heave_m",
+    "heave_std_m",
+    "heave_velocity_mps",
+    "heave_velocity_std_mps",
+    "pitch_deg",
+    "pitch_std_deg",
+    "pitch_rate_degps",
+    "pitch_rate_std_degps",
+)

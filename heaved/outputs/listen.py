@@ -1,0 +1,226 @@
+"""Where the two servers listen, and for whom: loopback always, other machines only from networks that the configuration
+names. Connections are let in one by one, and only while there is room for them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import ipaddress
+import resource
+import socket
+import sys
+from collections.abc import Callable, Iterable
+from typing import Final
+
+import structlog
+
+Network = ipaddress.IPv4Network | ipaddress.IPv6Network
+
+_MAPPED: Final = ipaddress.IPv6Network("::ffff:0:0/96")
+"""IPv4 addresses in IPv6 (RFC 4291, section 2.5.5.2)."""
+_BACKLOG: Final = 100
+"""Connections that may wait to be let in; as many are let in at once."""
+_PAUSE_S: Final = 1.0
+"""Without a descriptor for the next connection it waits so long: it would make the loop spin."""
+_RESERVED: Final = 16
+"""Descriptors that no connection gets: for sensors that come back, worker processes, the state file. (A quarter of a
+small number.)"""
+_EXHAUSTED: Final = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+
+_log = structlog.get_logger(__name__)
+
+
+# ---- who may connect -------------------------------------------------------------------------------------------------
+
+
+class ListenError(OSError):
+    """A server cannot listen where it was told to; the message says where and what to do."""
+
+
+def parse_networks(entries: Iterable[str]) -> tuple[Network, ...]:
+    """Networks of CIDR texts such as ``192.168.10.0/24`` (a bare address is a network of one).
+
+    One of IPv4 addresses as IPv6 writes them (``::ffff:10.0.0.0/104``) is that of the IPv4 addresses.
+
+    Raises:
+        ValueError: names the entry and what is wrong with it.
+    """
+    networks = []
+    for entry in entries:
+        try:
+            networks.append(_unmapped(ipaddress.ip_network(entry)))
+        except ValueError as error:
+            raise ValueError(f"allow: {entry!r} is not a network such as 192.168.10.0/24: {error}") from error
+    return tuple(networks)
+
+
+def _unmapped(network: Network) -> Network:
+    if isinstance(network, ipaddress.IPv6Network) and network.subnet_of(_MAPPED):
+        first = int(network.network_address) - int(_MAPPED.network_address)
+        return ipaddress.IPv4Network((first, network.prefixlen - _MAPPED.prefixlen))
+    return network
+
+
+def is_allowed(address: str, networks: Iterable[Network]) -> bool:
+    """Whether a peer at ``address`` may connect. Anything that is not an IP address may not."""
+    try:
+        peer = ipaddress.ip_address(address)
+    except ValueError:
+        return False
+    if isinstance(peer, ipaddress.IPv6Address) and peer.ipv4_mapped is not None:
+        peer = peer.ipv4_mapped  # How an IPv4 peer looks to a socket that listens on both.
+    return peer.is_loopback or any(peer in network for network in networks)
+
+
+def is_loopback_host(host: str) -> bool:
+    """Whether listening on ``host`` (an address or a name) stays within this machine."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def checked_networks(section: str, host: str, allow: Iterable[str]) -> tuple[Network, ...]:
+    """The networks that may reach a server which listens on ``host``; ``section`` of the configuration.
+
+    Raises:
+        ValueError: an entry is not a network, or ``host`` reaches beyond this machine and no network is named.
+    """
+    try:
+        networks = parse_networks(allow)
+    except ValueError as error:
+        raise ValueError(f"[{section}] {error}") from error
+    if not networks and not is_loopback_host(host):
+        raise ValueError(
+            f"[{section}] host {host} can be reached from other machines: name the networks that may connect, "
+            f'for example allow = ["192.168.10.0/24"], or set host = "127.0.0.1"'
+        )
+    return networks
+
+
+# ---- sockets ---------------------------------------------------------------------------------------------------------
+
+
+class Listener:
+    """Accepts connections on one address. (asyncio's own server, at a loss for a descriptor, logs a traceback for each
+    connection that waits, and again a second later, twice as often.)
+    """
+
+    def __init__(self, section: str, host: str, port: int, protocol: Callable[[str], asyncio.Protocol]) -> None:
+        """``section`` of the configuration, for messages; ``protocol``: makes what serves a peer, told its address."""
+        self._section = section
+        self._host = host
+        self._port = port
+        self._protocol = protocol
+        self._sockets: list[socket.socket] = []
+        self._pauses: dict[socket.socket, asyncio.TimerHandle] = {}
+        self._joining: set[asyncio.Task[None]] = set()
+
+    async def start(self) -> tuple[str, int]:
+        """Listen; returns the address that was bound (port 0 lets the system choose one).
+
+        Raises:
+            ListenError: the address cannot be bound; says what to do.
+        """
+        loop = asyncio.get_running_loop()
+        try:
+            found = await loop.getaddrinfo(self._host, self._port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+            for family, _, _, _, address in dict.fromkeys(found):
+                self._sockets.append(_listening(family, address))
+        except (OSError, UnicodeError) as error:  # The latter for what no host can be called.
+            self.close()
+            reason = error if isinstance(error, OSError) else OSError(errno.EINVAL, f"no such host: {error}")
+            raise _listen_error(self._section, self._host, self._port, reason) from error
+        for listening in self._sockets:
+            loop.add_reader(listening, self._accept, listening)
+        host, port, *_ = self._sockets[0].getsockname()
+        return host, port
+
+    def close(self) -> None:
+        """No more connections; those that there are go on."""
+        for pause in self._pauses.values():
+            pause.cancel()
+        for joining in self._joining:
+            joining.cancel()
+        self._pauses.clear()
+        for listening in self._sockets:
+            asyncio.get_running_loop().remove_reader(listening)
+            listening.close()
+        self._sockets.clear()
+
+    def _accept(self, listening: socket.socket) -> None:
+        for _ in range(_BACKLOG):
+            try:
+                connection, address = listening.accept()
+            except (BlockingIOError, InterruptedError, ConnectionAbortedError):
+                return
+            except OSError as error:
+                self._pause(listening, error)
+                return
+            if connection.fileno() >= _highest_descriptor():
+                connection.close()
+                self._complain("no descriptor to spare")
+                continue
+            self._let_in(connection, str(address[0]))
+
+    def _let_in(self, connection: socket.socket, address: str) -> None:
+        connection.setblocking(False)
+        loop = asyncio.get_running_loop()
+        joining = loop.create_task(self._join(connection, address))
+        self._joining.add(joining)
+        joining.add_done_callback(self._joining.discard)
+
+    async def _join(self, connection: socket.socket, address: str) -> None:
+        try:
+            await asyncio.get_running_loop().connect_accepted_socket(lambda: self._protocol(address), connection)
+        except OSError:  # It has gone again.
+            connection.close()
+
+    def _pause(self, listening: socket.socket, error: OSError) -> None:
+        loop = asyncio.get_running_loop()
+        loop.remove_reader(listening)
+        self._pauses[listening] = loop.call_later(_PAUSE_S, self._go_on, listening)
+        self._complain(str(error.strerror or error), is_expected=error.errno in _EXHAUSTED)
+
+    def _go_on(self, listening: socket.socket) -> None:
+        del self._pauses[listening]
+        asyncio.get_running_loop().add_reader(listening, self._accept, listening)
+
+    def _complain(self, reason: str, *, is_expected: bool = True) -> None:
+        hint = "raise the limit on open files (ulimit -n, LimitNOFILE), or let fewer clients connect"
+        _log.warning(
+            "a connection cannot be let in", server=self._section, reason=reason, hint=hint if is_expected else ""
+        )
+
+
+def _listening(family: int, address: tuple[object, ...]) -> socket.socket:
+    listening = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if family == socket.AF_INET6:
+            listening.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+        listening.bind(address)
+        listening.listen(_BACKLOG)
+        listening.setblocking(False)
+    except OSError:
+        listening.close()
+        raise
+    return listening
+
+
+def _highest_descriptor() -> int:
+    """A connection's descriptor is below this. The system gives the lowest that is free, so it tells how many are."""
+    most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    return sys.maxsize if most == resource.RLIM_INFINITY else most - min(_RESERVED, most // 4)
+
+
+def _listen_error(section: str, host: str, port: int, error: OSError) -> ListenError:
+    """What a failed bind means for the person at the machine."""
+    if error.errno == errno.EADDRINUSE:
+        advice = f"the port is in use: stop the other program or change [{section}] port"
+    elif error.errno in (errno.EACCES, errno.EPERM):
+        advice = f"not permitted: choose a [{section}] port above 1023"
+    else:
+        advice = f"{error.strerror or error}: change [{section}] host"
+    return ListenError(f"[{section}] cannot listen on {host}:{port}: {advice}")

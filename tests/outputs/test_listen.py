@@ -1,0 +1,111 @@
+"""Letting connections in: also when there is no descriptor for one."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import os
+import resource
+import socket
+import sys
+from collections.abc import AsyncIterator
+
+import pytest
+from structlog.testing import capture_logs
+
+from heaved.outputs import listen as listen_module
+from heaved.outputs.listen import Listener, ListenError
+
+
+class Greeter(asyncio.Protocol):
+    """Says the address of its peer, and nothing else."""
+
+    def __init__(self, address: str) -> None:
+        self._address = address
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        transport.write(self._address.encode())
+        transport.close()
+
+
+@pytest.fixture
+async def address() -> AsyncIterator[tuple[str, int]]:
+    listener = Listener("stream", "127.0.0.1", 0, Greeter)
+    yield await listener.start()
+    listener.close()
+
+
+async def said(address: tuple[str, int]) -> bytes:
+    reader, writer = await asyncio.open_connection(*address)
+    try:
+        return await reader.read()
+    except ConnectionResetError:
+        return b""
+    finally:
+        writer.close()
+
+
+async def test_who_comes_is_let_in(address: tuple[str, int]) -> None:
+    assert await asyncio.gather(*(said(address) for _ in range(90))) == [b"127.0.0.1"] * 90
+
+
+async def test_the_last_descriptors_are_kept_for_others(
+    address: tuple[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(listen_module, "_highest_descriptor", lambda: 3)
+    with capture_logs() as logs:
+        assert await said(address) == b""
+    monkeypatch.undo()
+    assert await said(address) == b"127.0.0.1"
+    assert [line["reason"] for line in logs] == ["no descriptor to spare"]
+    assert "ulimit -n" in logs[0]["hint"]
+
+
+@pytest.mark.parametrize(
+    ("limit", "highest"), [(32, 24), (64, 48), (1024, 1008), (resource.RLIM_INFINITY, sys.maxsize)]
+)
+def test_how_many_descriptors_there_are(monkeypatch: pytest.MonkeyPatch, limit: int, highest: int) -> None:
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: (limit, limit))
+    assert listen_module._highest_descriptor() == highest
+
+
+@pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EPROTO])
+async def test_what_cannot_be_accepted_waits(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    """One line for each attempt, not one for each that waits, and nobody is lost."""
+    faults = [OSError(number, os.strerror(number))] * 2
+
+    ordinary = socket.socket
+
+    class Exhausted(socket.socket):
+        def accept(self) -> tuple[socket.socket, object]:
+            if faults:
+                raise faults.pop()
+            return super().accept()
+
+    monkeypatch.setattr(listen_module, "_PAUSE_S", 0.0)
+    monkeypatch.setattr(socket, "socket", Exhausted)
+    listener = Listener("http", "127.0.0.1", 0, Greeter)
+    address = await listener.start()
+    monkeypatch.setattr(socket, "socket", ordinary)
+    with capture_logs() as logs:
+        assert await asyncio.gather(*(said(address) for _ in range(20))) == [b"127.0.0.1"] * 20
+    listener.close()
+    assert [line["reason"] for line in logs] == [os.strerror(number)] * 2
+    assert {line["server"] for line in logs} == {"http"}
+
+
+async def test_closed_while_it_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    listener = Listener("stream", "127.0.0.1", 0, Greeter)
+    address = await listener.start()
+    listener._pause(listener._sockets[0], OSError(errno.EMFILE, "none left"))
+    listener.close()
+    listener.close()
+    with pytest.raises(ConnectionRefusedError):
+        await said(address)
+
+
+@pytest.mark.parametrize("host", ["nowhere.invalid", "a" * 300, "192.0.2.1"])
+async def test_where_it_cannot_listen(host: str) -> None:
+    with pytest.raises(ListenError, match=r"\[stream\] cannot listen on .*: change \[stream\] host"):
+        await Listener("stream", host, 0, Greeter).start()
