@@ -6,10 +6,9 @@ fit of the sea, an estimate that is not renewed), it is NaN.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import zip_longest
 from math import nan
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from prometheus_client import (
     CollectorRegistry,
@@ -32,6 +31,9 @@ from heaved.samples import (
     RockScore,
     SeaState,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 _SHORT_S: Final = (0.00005, 0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.1)
 """Work on the event loop: 50 µs is well, 10 ms is a whole sample period."""

@@ -102,7 +102,7 @@ class RefitJob(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """All that a refit needs, copied: it may be computed anywhere."""
 
     rows: Array
-    """(n, 7): t, midships rates, local rates; nan where missing. Contiguous."""
+    """(n, 9): as of :class:`SlowPair`; nan where missing. Contiguous."""
     pair: SlowPair
     """As it stands at the last row."""
     method: Method
