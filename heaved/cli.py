@@ -45,11 +45,15 @@ app = typer.Typer(
 
 
 class LogFormat(StrEnum):
+    """How events are logged."""
+
     human = "human"
     json = "json"
 
 
 class LinkKind(StrEnum):
+    """How simulated devices are reached."""
+
     tcp = "tcp"
     rtu = "rtu"
 
@@ -99,7 +103,7 @@ def options(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
-    pass
+    """Take the options that stand before a command."""
 
 
 # ---- the daemon ------------------------------------------------------------------------------------------------------
@@ -184,14 +188,14 @@ def status(
 ) -> None:
     """Say how a daemon is. Answers within a second; exit code 69 if there is none."""
     from heaved.client import report
-    from heaved.client.stream_client import Snapshot, Unreachable, fetch_status
+    from heaved.client.stream_client import Snapshot, UnreachableError, fetch_status
 
     if json and check:
         raise typer.BadParameter("--json and --check exclude each other")
-    result: Snapshot | Unreachable
+    result: Snapshot | UnreachableError
     try:
         result = fetch_status(host, port)
-    except Unreachable as error:
+    except UnreachableError as error:
         result = error
     if check:
         state, line = report.check_line(result)
@@ -203,7 +207,7 @@ def status(
         _say(report.table(result))
     else:
         _say(str(result), err=True)
-    if isinstance(result, Unreachable):
+    if isinstance(result, UnreachableError):
         raise typer.Exit(EX_UNAVAILABLE)
 
 
@@ -214,13 +218,13 @@ def wait(
     port: Port = PORT,
 ) -> None:
     """Wait until a daemon gives a heave that can be used."""
-    from heaved.client.stream_client import Unreachable, fetch_status, wait_until_ready
+    from heaved.client.stream_client import UnreachableError, fetch_status, wait_until_ready
 
     if wait_until_ready(host, port, timeout):
         return
     try:
         quality = fetch_status(host, port).status.quality
-    except Unreachable as error:
+    except UnreachableError as error:
         _fail(str(error), EX_UNAVAILABLE)
     reasons = f" ({', '.join(quality.reasons)})" if quality.reasons else ""
     _fail(f"{host}:{port}: not ready after {timeout:g} s: heave {quality.heave.value}{reasons}", 1)

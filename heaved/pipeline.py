@@ -84,8 +84,8 @@ class Pipeline:
         self._t_s = nan
         self._out_of_order = 0
         self._accepted_t_s = self._fitted_t_s = nan
-        self._trained: Counter[str] = Counter()
-        self._fitted: Counter[str] = Counter()
+        self._trained: Counter[Verdict] = Counter()
+        self._fitted: Counter[Verdict] = Counter()
 
     # --- samples in, frames out --------------------------------------------------------------------------------------
 
@@ -106,7 +106,8 @@ class Pipeline:
         up = self.vertical.step(readings, rock, lag_s=self.laser.lag_s, bias_mps2=self.heave.observer.bias_mps2)
         if up is not None:
             self.heave.step(up)
-        self.laser.step(t_s, self.heave.observer)
+        if self.heave.has_laser:
+            self.laser.step(t_s, self.heave.observer)
         self.stages.push(readings.sample)
         frame = self._frame(t_s, rock)
         if self.check is not None:
@@ -127,14 +128,14 @@ class Pipeline:
     # --- what is learned ---------------------------------------------------------------------------------------------
 
     def training_due(self) -> TrainingWindow | None:
-        """A window for the trainer, when it is time for one; each is given out once."""
+        """A window for the trainer, when it is time for one that a network may gain by; each is given out once."""
         return self.heave.training_due()
 
-    def accept(self, network: TrainedNetwork) -> str:
+    def accept(self, network: TrainedNetwork) -> Verdict:
         """Judge what the trainer made of a window."""
         verdict = self.heave.correction.accept(network)
         self._trained[verdict] += 1
-        if verdict == "accepted":
+        if verdict is Verdict.ACCEPTED:
             self._accepted_t_s = self.heave.t_s
         return verdict
 
@@ -196,11 +197,12 @@ class Pipeline:
             laser_constant_m=self.laser.reference.constant_m,
             laser_error_rms_m=self.laser.reference.error_rms_m(),
             training_windows=correction.windows,
-            trained_accepted=self._trained["accepted"],
-            trained_rejected=self._trained["rejected"],
-            trained_failed=self._trained["failed"],
+            windows_with_nothing_to_learn=correction.nothing_to_learn,
+            trained_accepted=self._trained[Verdict.ACCEPTED],
+            trained_rejected=self._trained[Verdict.REJECTED],
+            trained_failed=self._trained[Verdict.FAILED],
             last_accepted_t_s=self._accepted_t_s,
-            fitted=dict(self._fitted),
+            fitted={verdict.value: count for verdict, count in self._fitted.items()},
             last_fitted_t_s=self._fitted_t_s,
             out_of_order=self._out_of_order,
             spikes=self.conditioner.spikes,
@@ -280,6 +282,9 @@ class PipelineSummary(msgspec.Struct, frozen=True, kw_only=True):
     laser_constant_m: float
     laser_error_rms_m: float
     training_windows: int
+    """That were handed out to be trained on."""
+    windows_with_nothing_to_learn: int
+    """That were not: a regression has shown that no network would be accepted."""
     trained_accepted: int
     trained_rejected: int
     trained_failed: int

@@ -97,21 +97,14 @@ class StuckDetector:
         spread: RMS of the readings about their mean of some seconds.
     """
 
-    def __init__(
-        self,
-        *,
-        rests: bool = False,
-        must_live: bool = False,
-        by_chance: bool = False,
-        tuning: Tuning = TUNING,
-    ) -> None:
+    def __init__(self, *, rests: bool = False, must_live: bool = False, by_chance: bool = False) -> None:
         """``rests``: the range has no end that the motion may reach, as with angles and the smaller accelerations.
         ``must_live``: a value that has never been another is stuck, too; no vessel has nothing of this.
         ``by_chance``: a repetition alone may be chance, and to lose a reading would cost more.
         """
         self.is_stuck = False
         self.spread = 0.0
-        self._rests, self._must_live, self._by_chance, self._tuning = rests, must_live, by_chance, tuning
+        self._rests, self._must_live, self._by_chance = rests, must_live, by_chance
         self._run = Unchanged()
         self._value = self._before = nan
         """The latest reading, and the one before that was another."""
@@ -132,7 +125,7 @@ class StuckDetector:
             if not isfinite(value):
                 self.is_stuck = False
                 return False
-            if run.repeats or t_s - self._learnt_s >= self._tuning.learns_every_s:
+            if run.repeats or t_s - self._learnt_s >= TUNING.learns_every_s:
                 self._learn(t_s, value)
             self._before, self._value = self._value, value
             run.push(t_s, value)
@@ -146,47 +139,46 @@ class StuckDetector:
             return self.is_stuck
         if self.is_stuck:
             self._stops[value] = t_s
-            if len(self._stops) > self._tuning.most_stops:
+            if len(self._stops) > TUNING.most_stops:
                 del self._stops[min(self._stops, key=lambda stop: self._stops[stop])]
         elif self._is_known_stop(t_s, value):
             self.is_stuck = True
         return self.is_stuck
 
     def _is_known_stop(self, t_s: float, value: float) -> bool:
-        return t_s - self._stops.get(value, -inf) < self._tuning.stop_memory_s
+        return t_s - self._stops.get(value, -inf) < TUNING.stop_memory_s
 
     def _patience_s(self, moves: bool, is_first: bool) -> float:
         """For how long a reading may repeat, this being its first repetition or not."""
-        tuning = self._tuning
-        runs_s = (tuning.rests if self._rests else tuning.runs) * self._run_s
-        if self.spread > tuning.moves * self._resolution:
-            never_repeats = self._rests and self._run_s == 0.0 and self._changes >= tuning.well_known
+        runs_s = (TUNING.rests if self._rests else TUNING.runs) * self._run_s
+        if self.spread > TUNING.moves * self._resolution:
+            never_repeats = self._rests and self._run_s == 0.0 and self._changes >= TUNING.well_known
             if never_repeats:
                 return inf if is_first and self._by_chance else 0.0
-            return tuning.soon_s + runs_s
+            return TUNING.soon_s + runs_s
         if not self._rests:
-            return tuning.longest_s if self._changes > 0 or self._must_live else inf
+            return TUNING.longest_s if self._changes > 0 or self._must_live else inf
         if not moves:
             return inf
-        return tuning.soon_s + runs_s if self._run_s > 0.0 else tuning.longest_s
+        return TUNING.soon_s + runs_s if self._run_s > 0.0 else TUNING.longest_s
 
     def _learn(self, t_s: float, value: float) -> None:
         """From a new reading: what the last one and its run say."""
-        tuning, run = self._tuning, self._run
+        run = self._run
         since_last_s, self._learnt_s = t_s - self._learnt_s, t_s
         elapsed_s = t_s - run.since_s
         if not isfinite(elapsed_s):
             self._mean = value
             return
         if self._run_s > 0.0:
-            self._run_s *= exp(-elapsed_s / tuning.run_memory_s)
+            self._run_s *= exp(-elapsed_s / TUNING.run_memory_s)
         run_s, step = run.t_s - run.since_s, value - self._value
         size = abs(step)
         self._resolution = min(self._resolution, size)
         if run_s > self._run_s and self._is_honest(run_s, elapsed_s, step):
             self._run_s = run_s
-        self._step += tuning.step_memory * (size - self._step)
-        weight = min(1.0, since_last_s / tuning.spread_time_s)
+        self._step += TUNING.step_memory * (size - self._step)
+        weight = min(1.0, since_last_s / TUNING.spread_time_s)
         self._mean += weight * (value - self._mean)
         off = value - self._mean
         self._mean_square += weight * (off * off - self._mean_square)
@@ -194,10 +186,9 @@ class StuckDetector:
 
     def _is_honest(self, run_s: float, elapsed_s: float, step: float) -> bool:
         """Whether a run of repetitions that has just ended was the motion seen through a coarse register."""
-        tuning = self._tuning
-        if elapsed_s >= 2.0 * run_s + tuning.soon_s:
+        if elapsed_s >= 2.0 * run_s + TUNING.soon_s:
             return False
         if self._rests:
-            is_usual = abs(step) < tuning.usual_steps * max(self._step, self._resolution)
-            return self._changes >= tuning.known and run_s < tuning.longest_rest_s and is_usual
-        return run_s < tuning.longest_run_s and step * (self._value - self._before) > 0.0
+            is_usual = abs(step) < TUNING.usual_steps * max(self._step, self._resolution)
+            return self._changes >= TUNING.known and run_s < TUNING.longest_rest_s and is_usual
+        return run_s < TUNING.longest_run_s and step * (self._value - self._before) > 0.0

@@ -39,7 +39,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> LoadScopeSch
 
     class OneRoomEach(LoadScopeScheduling):  # type: ignore[misc]  # xdist comes without types
         def _split_scope(self, nodeid: str) -> str:
-            file = PurePath(nodeid.split("::")[0])
+            file = PurePath(nodeid.split("::", maxsplit=1)[0])
             return "live" if any(file.is_relative_to(PurePath("tests", part)) for part in LIVE) else str(file)
 
     return OneRoomEach(config, log)

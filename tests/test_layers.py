@@ -1,15 +1,81 @@
-"""The import rules of pyproject.toml hold."""
+"""The import rules of pyproject.toml hold, and no module is free of them."""
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+CONTRACTS: list[dict[str, Any]] = PROJECT["tool"]["importlinter"]["contracts"]
+
+
+def lint(root: Path) -> subprocess.CompletedProcess[str]:
+    """In a process of its own: import-linter configures logging for the whole process, and keeps modules loaded."""
+    script = (
+        "import sys; sys.path.insert(0, '.'); from importlinter.cli import lint_imports; "
+        "sys.exit(lint_imports(no_cache=True))"
+    )
+    return subprocess.run([sys.executable, "-c", script], cwd=root, capture_output=True, text=True, check=False)
 
 
 def test_import_contracts_hold() -> None:
-    # In a process of its own: import-linter configures logging for the whole process, and keeps modules loaded.
-    script = "import sys; from importlinter.cli import lint_imports; sys.exit(lint_imports(no_cache=True))"
-    root = Path(__file__).parent.parent
-    done = subprocess.run([sys.executable, "-c", script], cwd=root, capture_output=True, text=True, check=False)
+    done = lint(ROOT)
     assert done.returncode == 0, done.stdout
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The package and its rules, to be spoiled."""
+    root = tmp_path_factory.mktemp("copy")
+    shutil.copytree(ROOT / "heaved", root / "heaved", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", root)
+    return root
+
+
+@pytest.mark.parametrize(
+    ("module", "content", "said"),
+    [
+        ("newcomer.py", "", "heaved.newcomer"),
+        ("newcomers/__init__.py", "", "heaved.newcomers"),
+        ("samples_too.py", "import heaved.pipeline\n", "heaved.samples_too"),
+        ("estimation/clock.py", "import time\n", "heaved.estimation.clock -> time"),
+        ("estimation/heave/sea/torch_fit.py", "import torch\n", "heaved.estimation.heave.sea.torch_fit -> torch"),
+        ("devices/heave_sensor.py", "import heaved.estimation.stages\n", "heaved.devices.heave_sensor"),
+        ("outputs/learner.py", "import torch\n", "heaved.outputs.learner -> torch"),
+        ("workers/poller.py", "import pymodbus\n", "heaved.workers.poller -> pymodbus"),
+        ("outputs/gauges.py", "import prometheus_client\n", "heaved.outputs.gauges -> prometheus_client"),
+        ("config/outlook.py", "import heaved.daemon.daemon\n", "heaved.config.outlook"),
+    ],
+)
+def test_a_new_module_is_covered_the_day_it_is_made(copy: Path, module: str, content: str, said: str) -> None:
+    """One that stands in no layer, and one in each room that imports what that room may not."""
+    path = copy / "heaved" / module
+    is_new_room = not path.parent.exists()
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(content)
+    try:
+        done = lint(copy)
+    finally:
+        if is_new_room:
+            shutil.rmtree(path.parent)
+        else:
+            path.unlink()
+    assert done.returncode == 1
+    assert said in done.stdout
+
+
+def test_every_room_has_its_layer() -> None:
+    """What a forbidden-contract is about is a whole package: its modules are not listed one by one."""
+    for contract in CONTRACTS:
+        for name in contract.get("source_modules", ()):
+            assert (ROOT / name.replace(".", "/")).is_dir(), name
+    (layers,) = (contract for contract in CONTRACTS if contract["type"] == "layers")
+    assert layers["exhaustive"]
+    assert layers["containers"] == ["heaved"]

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 import stat
 import subprocess
 import sys
 import venv
 import zipfile
+from email import message_from_bytes
 from pathlib import Path
 
 import msgspec
@@ -86,3 +88,34 @@ def test_the_scripts_of_the_checkout_can_be_run() -> None:
         assert path.read_text().startswith("#!/usr/bin/env bash\n")
         subprocess.run(["bash", "-n", str(path)], check=True)
     subprocess.run(["bash", "-n", str(ROOT / "tools/setup.sh")], check=True)
+
+
+def test_the_wheel_says_what_it_is_and_under_which_licence(wheel: Path) -> None:
+    archive = zipfile.ZipFile(wheel)
+    information = f"heaved-{__version__}.dist-info"
+    metadata = message_from_bytes(archive.read(f"{information}/METADATA"))
+    assert (metadata["Name"], metadata["Version"], metadata["License-Expression"]) == (
+        "heaved",
+        __version__,
+        "Apache-2.0",
+    )
+    assert metadata.get_all("License-File") == ["LICENSE"]
+    assert archive.read(f"{information}/licenses/LICENSE") == (ROOT / "LICENSE").read_bytes()
+    assert b"Version 2.0, January 2004" in (ROOT / "LICENSE").read_bytes()
+    assert {"heave", "Modbus"} <= set(metadata["Keywords"].split(","))
+    assert {"Operating System :: POSIX :: Linux", "Typing :: Typed"} <= set(metadata.get_all("Classifier", []))
+    assert metadata["Requires-Python"] == ">=3.11"
+    assert archive.read(f"{information}/entry_points.txt").decode().split() == [
+        "[console_scripts]", "heaved", "=", "heaved.cli:main",
+    ]  # fmt: skip
+    assert "heaved/py.typed" in archive.namelist()
+
+
+def test_what_is_checked_before_a_commit_is_what_tools_test_checks() -> None:
+    """Without network: every hook is a program of the checkout's own environment."""
+    hooks = re.findall(r"entry: \.venv/bin/(.*)", (ROOT / ".pre-commit-config.yaml").read_text())
+    checks = re.findall(r"^\$bin/(.*)", (ROOT / "tools/test").read_text(), re.MULTILINE)
+    assert "repo: local" in (ROOT / ".pre-commit-config.yaml").read_text()
+    assert {hook.replace(" --quiet", "") for hook in hooks} == {
+        check.replace(" --quiet", "") for check in checks if "pytest" not in check
+    }

@@ -15,7 +15,6 @@ import asyncio
 import multiprocessing
 import os
 import re
-import subprocess
 import sys
 import tempfile
 import time
@@ -27,6 +26,9 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+from evidence import results
+from evidence.daemon import running_daemon
+from evidence.results import Report
 from numpy.typing import NDArray
 
 from heaved.config.read import data_directory, load
@@ -126,30 +128,10 @@ def child(target: Callable[..., None], *arguments: object) -> Iterator[Connectio
         process.kill()
 
 
-@contextmanager
-def daemon_process(config: Path) -> Iterator[subprocess.Popen[str]]:
-    command = [sys.executable, "-m", "heaved", "run", "--config", str(config)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        yield process
-    finally:
-        process.terminate()
-        process.wait(5.0)
-
-
-def write_config(directory: Path, links: list[str], *, training: bool, fifo: int) -> Path:
-    demo = load(data_directory() / "demo.toml")
-    lines = []
-    for device, link in zip(demo.device, links, strict=True):
-        lines += ["[[device]]", f'name = "{device.name}"', f'role = "{device.role}"', f'link = "{link}"']
-        lines += [f'profile = "{device.profile.name}"', f"device_id = {device.device_id}"]
-        lines += [f"rate_hz = {device.rate_hz}"]
-    lines += ["[correction]", f"enabled = {str(training).lower()}", "min_laser_s = 20", "period_s = 5"]
-    lines += ["[stream]", "port = 0", "[http]", "port = 0", "[state]", f'directory = "{directory}/state"']
-    lines += ["[runtime]", f"fifo_priority = {fifo}"]
-    path = directory / "heaved.toml"
-    path.write_text("\n".join(lines) + "\n")
-    return path
+def settings(*, training: bool, fifo: int) -> str:
+    """Tables of the daemon's configuration."""
+    correction = f"[correction]\nenabled = {str(training).lower()}\nmin_laser_s = 20\nperiod_s = 5\n"
+    return f"{correction}[runtime]\nfifo_priority = {fifo}\n"
 
 
 # ---- what the system and the daemon say ------------------------------------------------------------------------------
@@ -192,23 +174,12 @@ def trainings(read: dict[str, float]) -> float:
 # ---- measuring -------------------------------------------------------------------------------------------------------
 
 
-def first_frame_s(process: subprocess.Popen[str], started_s: float) -> tuple[dict[str, tuple[str, int]], float]:
-    """The daemon's addresses, and the time from its start to the first frame that a client can have."""
-    assert process.stdout is not None
-    addresses = {}
-    for _ in range(2):
-        name, _, where = process.stdout.readline().strip().partition(" ")
-        host, _, port = where.rpartition(":")
-        addresses[name] = (host, int(port))
-
-    async def wait() -> None:
-        reader, writer = await asyncio.open_connection(*addresses["stream"])
-        while b'"MOTION"' not in await reader.readline():
-            pass
-        writer.close()
-
-    asyncio.run(wait())
-    return addresses, time.monotonic() - started_s
+async def first_frame(host: str, port: int) -> None:
+    """Wait for the first frame that a client can have."""
+    reader, writer = await asyncio.open_connection(host, port)
+    while b'"MOTION"' not in await reader.readline():
+        pass
+    writer.close()
 
 
 def wait_for_training(address: tuple[str, int]) -> None:
@@ -219,27 +190,32 @@ def wait_for_training(address: tuple[str, int]) -> None:
         time.sleep(1.0)
 
 
-def measure(name: str, arguments: argparse.Namespace, *, training: bool, wait_training: bool) -> Row:
+async def measure(name: str, arguments: argparse.Namespace, *, training: bool, wait_training: bool) -> Row:
+    """Run one daemon and its clients; nothing else runs on this loop, so that it may block."""
     with child(serve_plant, arguments.sea) as plant, tempfile.TemporaryDirectory() as directory:
-        path = write_config(Path(directory), plant.recv(), training=training, fifo=arguments.fifo)
+        demo = load(data_directory() / "demo.toml").device
+        devices = [msgspec.structs.replace(device, link=link) for device, link in zip(demo, plant.recv(), strict=True)]
+        tables = settings(training=training, fifo=arguments.fifo)
         started_s = time.monotonic()
-        with daemon_process(path) as process:
-            addresses, first_s = first_frame_s(process, started_s)
+        async with running_daemon(devices, Path(directory), tables, http=True) as daemon:
+            await first_frame(*daemon.addresses["stream"])
+            first_s = time.monotonic() - started_s
+            http = daemon.addresses["http"]
             if wait_training:
-                wait_for_training(addresses["http"])
-            with child(listen, *addresses["stream"], arguments.clients, arguments.duration) as clients:
-                time.sleep(max(0.0, clients.recv() - time.monotonic()))
-                before, cpu_before_s, at_s = metrics(addresses["http"]), cpu_s(process.pid), time.monotonic()
+                wait_for_training(http)
+            with child(listen, *daemon.addresses["stream"], arguments.clients, arguments.duration) as clients:
+                await asyncio.sleep(max(0.0, clients.recv() - time.monotonic()))
+                before, cpu_before_s, at_s = metrics(http), cpu_s(daemon.pid), time.monotonic()
                 heard = [Heard(np.array(ages_s), lost) for ages_s, lost in clients.recv()]
-                cpu_percent = 100.0 * (cpu_s(process.pid) - cpu_before_s) / (time.monotonic() - at_s)
-            after = metrics(addresses["http"])
+                cpu_percent = 100.0 * (cpu_s(daemon.pid) - cpu_before_s) / (time.monotonic() - at_s)
+            after = metrics(http)
             return Row(
                 name=name,
                 heard=heard,
                 first_frame_s=first_s,
                 cpu_percent=cpu_percent,
-                rss_mb=rss_mb(process.pid),
-                trainer_rss_mb=sum(rss_mb(pid) for pid in children(process.pid)),
+                rss_mb=rss_mb(daemon.pid),
+                trainer_rss_mb=sum(rss_mb(pid) for pid in children(daemon.pid)),
                 lateness=lateness_shares(before, after),
                 trainings=trainings(after) - trainings(before),
             )
@@ -274,16 +250,21 @@ def main() -> None:
     parser.add_argument("--sea", default="S4")
     parser.add_argument("--fifo", type=int, default=0, help="real-time priority of the daemon")
     parser.add_argument("--compare-training", action="store_true")
+    parser.add_argument("--record", action="store_true", help="put the table into tools/RESULTS.md")
     arguments = parser.parse_args()
+    begun_s = time.monotonic()
+    named = {f"{arguments.clients} clients": (True, False)}
     if arguments.compare_training:
-        rows = [
-            measure("no training", arguments, training=False, wait_training=False),
-            measure("training", arguments, training=True, wait_training=True),
-        ]
-    else:
-        rows = [measure(f"{arguments.clients} clients", arguments, training=True, wait_training=False)]
-    print(f"{arguments.duration:g} s, sea {arguments.sea}, IMU 100 Hz, laser 20 Hz, {arguments.clients} clients")
-    print(table(rows))
+        named = {"no training": (False, False), "training": (True, True)}
+    rows = [
+        asyncio.run(measure(name, arguments, training=training, wait_training=wait_training))
+        for name, (training, wait_training) in named.items()
+    ]
+    what = f"{arguments.duration:g} s, sea {arguments.sea}, IMU 100 Hz, laser 20 Hz, {arguments.clients} clients"
+    report = Report(f"{what}\n\n{table(rows)}", (1,))
+    print(report.text)
+    if arguments.record:
+        results.record(__file__, sys.argv[1:], report, time.monotonic() - begun_s)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,9 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+from evidence import results
 from evidence.daemon import running_daemon
+from evidence.results import Report
 from numpy.typing import NDArray
 from recordings import FADE_S, hebrides, sea
 
@@ -58,9 +60,9 @@ def make(options: argparse.Namespace) -> Recording:
     return sea(options.name, duration_s=duration_s, rate_hz=100.0, sensor=options.sensor, laser=options.laser)
 
 
-async def listen(port: int, until_s: float) -> list[Line]:
+async def listen(host: str, port: int, until_s: float) -> list[Line]:
     """MOTION lines until a moment of the monotonic clock."""
-    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    reader, writer = await asyncio.open_connection(host, port)
     decoder = msgspec.json.Decoder(Line)
     lines = []
     while time.monotonic() < until_s:
@@ -87,8 +89,8 @@ async def run(options: argparse.Namespace, folder: Path) -> tuple[list[Line], fl
     await plant.start()
     zero_s = float(columns["t_s"][from_start][0]) + plant.time_s() - time.monotonic()
     try:
-        async with running_daemon(plant.devices, folder) as port:
-            lines = await listen(port, time.monotonic() + options.duration)
+        async with running_daemon(plant.devices, folder) as daemon:
+            lines = await listen(*daemon.addresses["stream"], time.monotonic() + options.duration)
     finally:
         await plant.stop()
     return lines, zero_s, recording
@@ -134,10 +136,15 @@ def main() -> int:
     parser.add_argument("--sensor", default="A", metavar="A|B|ideal")
     parser.add_argument("--laser", default="50%", metavar="PATTERN")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--record", action="store_true", help="put the table into tools/RESULTS.md")
     options = parser.parse_args()
+    started = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="heaved-live-") as folder:
         lines, zero_s, recording = asyncio.run(run(options, Path(folder)))
-        print(report(lines, zero_s, recording))
+        found = Report(f"```\n{report(lines, zero_s, recording)}\n```", (options.seed,))
+        print(found.text)
+        if options.record:
+            results.record(__file__, sys.argv[1:], found, time.monotonic() - started)
         print((Path(folder) / "log").read_text(), file=sys.stderr)
     return 0
 

@@ -5,24 +5,27 @@ What a daemon says may come from anywhere: no character of it reaches a terminal
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from enum import IntEnum
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from heaved.client.stream_client import Snapshot, Trouble, Unreachable
-from heaved.outputs.records import (
-    DeviceStatus,
-    MotionRecord,
-    ObserverStatus,
-    QuietStatus,
-    RockRecord,
-    RockStatus,
-    StatusRecord,
-)
+from heaved.client.stream_client import Snapshot, Trouble, UnreachableError
 from heaved.samples import Fault, HeaveState, vibration_in_words
 from heaved.text import printable
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from heaved.outputs.records import (
+        DeviceStatus,
+        MotionRecord,
+        ObserverStatus,
+        QuietStatus,
+        RockRecord,
+        RockStatus,
+        StatusRecord,
+    )
 
 _FRESH_S: Final = 1.0
 """A frame older than this is no real-time heave."""
@@ -42,9 +45,9 @@ class CheckState(IntEnum):
 # --- for a program ---------------------------------------------------------------------------------------------------
 
 
-def json_text(result: Snapshot | Unreachable) -> str:
+def json_text(result: Snapshot | UnreachableError) -> str:
     """One JSON object: ``reachable``, and either ``version``, ``status``, ``motion`` or ``trouble`` and ``message``."""
-    if isinstance(result, Unreachable):
+    if isinstance(result, UnreachableError):
         body = {"reachable": False, "trouble": result.trouble.name.lower(), "message": str(result)}
     else:
         body = {"reachable": True, **msgspec.to_builtins(result)}
@@ -67,13 +70,13 @@ def _escaped(letter: str) -> str:
 # --- for a monitoring system -----------------------------------------------------------------------------------------
 
 
-def check_line(result: Snapshot | Unreachable) -> tuple[CheckState, str]:
+def check_line(result: Snapshot | UnreachableError) -> tuple[CheckState, str]:
     """Exit code and the one line ``STATE - text | performance data``.
 
     CRITICAL: no daemon, no fresh frame, heave invalid. WARNING: heave degraded or settling, a device down. UNKNOWN:
     what answers is no daemon of ours, or the host has no address, so the check itself is set up wrongly.
     """
-    if isinstance(result, Unreachable):
+    if isinstance(result, UnreachableError):
         is_misdirected = result.trouble in (Trouble.NOT_HEAVED, Trouble.NO_ADDRESS)
         state = CheckState.UNKNOWN if is_misdirected else CheckState.CRITICAL
         return state, f"{state.name} - {_plain(str(result))}"
@@ -219,8 +222,9 @@ def _correction_rows(status: StatusRecord) -> Iterator[str]:
     if correction is None:
         return
     last = "" if correction.last_result is None else f", the last {correction.last_result}"
+    spared = f", {correction.nothing_to_learn} times nothing to learn" if correction.nothing_to_learn else ""
     age = "" if correction.age_s is None else f", network in use since {duration(correction.age_s)}"
-    yield _row("correction", f"{correction.state.value}, {correction.runs} trainings{last}{age}")
+    yield _row("correction", f"{correction.state.value}, {correction.runs} trainings{last}{spared}{age}")
 
 
 def _stage_rows(status: StatusRecord) -> Iterator[str]:

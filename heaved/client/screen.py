@@ -5,15 +5,17 @@ from __future__ import annotations
 import shutil
 import time
 from collections import deque
-from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Final, TextIO
+from typing import TYPE_CHECKING, Final, TextIO
 
 from heaved.client.report import accelerometer_text, duration, signed, spread
-from heaved.client.stream_client import SILENCE_S, StreamConnection, Trouble, Unreachable
+from heaved.client.stream_client import SILENCE_S, StreamConnection, Trouble, UnreachableError
 from heaved.outputs.records import DeviceStatus, MotionRecord, StatusRecord
 from heaved.samples import HeaveState
 from heaved.text import printable
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 _REDRAW_S: Final = 0.2
 _RETRY_S: Final = 0.5
@@ -67,14 +69,17 @@ class View:
         self._heaves: deque[tuple[float, float]] = deque()  # (time, |heave|) within the window of the bar.
 
     def connected(self, release: str, now_s: float) -> None:
+        """A daemon answers."""
         self._release, self._trouble = release, None
         self._connections += 1
         self._connected_at_s = now_s
 
     def lost(self, trouble: str) -> None:
+        """It does not any more, and why."""
         self._trouble = trouble
 
-    def take(self, record: object, now_s: float) -> None:
+    def push(self, record: object, now_s: float) -> None:
+        """One record of the stream."""
         if isinstance(record, StatusRecord):
             self._status = record
         elif isinstance(record, MotionRecord):
@@ -170,7 +175,7 @@ def watch(host: str, port: int, out: TextIO) -> None:
         while True:
             try:
                 _follow(view, host, port, out)
-            except Unreachable as error:
+            except UnreachableError as error:
                 view.lost(str(error))
                 _draw(view, out)
                 time.sleep(_RETRY_S)
@@ -180,7 +185,7 @@ def _follow(view: View, host: str, port: int, out: TextIO) -> None:
     """Show one connection until it is lost.
 
     Raises:
-        Unreachable: it is.
+        UnreachableError: it is.
     """
     _draw(view, out)
     with StreamConnection(host, port, deadline_s=time.monotonic() + _CONNECT_S) as connection:
@@ -197,9 +202,9 @@ def _follow(view: View, host: str, port: int, out: TextIO) -> None:
             now_s = time.monotonic()
             if record is not None:
                 heard_s = now_s
-                view.take(record, now_s)
+                view.push(record, now_s)
             elif now_s - heard_s > SILENCE_S:
-                raise Unreachable(Trouble.SILENT, f"{host}:{port}: nothing said for {SILENCE_S:g} s")
+                raise UnreachableError(Trouble.SILENT, f"{host}:{port}: nothing said for {SILENCE_S:g} s")
             if now_s - drawn_s >= _REDRAW_S:
                 _draw(view, out)
                 drawn_s = now_s

@@ -5,9 +5,8 @@ from __future__ import annotations
 import contextlib
 import socket
 import time
-from collections.abc import Callable, Iterator
 from enum import Enum
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
@@ -15,6 +14,9 @@ from heaved.outputs.records import PROTO_MAJOR, MotionRecord, StatusRecord, Vers
 from heaved.outputs.wire import decode
 from heaved.samples import HeaveState
 from heaved.text import printable_lines
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
 
 _MAX_LINE_BYTES: Final = 1 << 20
 """A STATUS line of many devices has some 10 kB; what sends more without a line end is no daemon of ours."""
@@ -34,7 +36,7 @@ class Trouble(Enum):
     NOT_HEAVED = "not a heaved daemon"
 
 
-class Unreachable(Exception):
+class UnreachableError(Exception):
     """The daemon cannot be reached, or what answers is not one. The message says where, what and what to do."""
 
     def __init__(self, trouble: Trouble, message: str) -> None:
@@ -58,7 +60,7 @@ class StreamConnection:
         """Connect and read the daemon's VERSION.
 
         Raises:
-            Unreachable: not by ``deadline_s`` (on ``clock``), or the daemon speaks another version of the protocol.
+            UnreachableError: not by ``deadline_s`` (on ``clock``), or the daemon speaks another protocol.
         """
         self._where = f"{host}:{port}"
         self._clock = clock
@@ -67,7 +69,7 @@ class StreamConnection:
         self._socket = self._connect(host, port, deadline_s)
         try:
             self.version = self._greeting(deadline_s)
-        except Unreachable:
+        except UnreachableError:
             self._socket.close()
             raise
 
@@ -86,7 +88,7 @@ class StreamConnection:
         """The next record of those classes (others are passed over); None when there is none by ``deadline_s``.
 
         Raises:
-            Unreachable: the connection is gone, the daemon turned us away, or what comes is not the stream.
+            UnreachableError: the connection is gone, the daemon turned us away, or what comes is not the stream.
         """
         while True:
             for line in self._lines:
@@ -105,24 +107,28 @@ class StreamConnection:
         except TimeoutError:
             return
         except OSError as error:
-            raise Unreachable(Trouble.CLOSED, f"{self._where}: connection lost: {error.strerror or error}") from error
+            raise UnreachableError(
+                Trouble.CLOSED, f"{self._where}: connection lost: {error.strerror or error}"
+            ) from error
         if not data:
-            raise Unreachable(Trouble.CLOSED, f"{self._where}: the daemon closed the connection")
+            raise UnreachableError(Trouble.CLOSED, f"{self._where}: the daemon closed the connection")
         *lines, self._rest = (self._rest + data).split(b"\n")
         if len(self._rest) > _MAX_LINE_BYTES:
-            raise Unreachable(Trouble.NOT_HEAVED, f"{self._where}: not a heaved daemon: a line without end")
+            raise UnreachableError(Trouble.NOT_HEAVED, f"{self._where}: not a heaved daemon: a line without end")
         self._lines = iter(lines)
 
     def _greeting(self, deadline_s: float) -> VersionRecord:
         record = self.read(deadline_s)
         if record is None:
             advice = "it hangs, or something else listens there"
-            raise Unreachable(Trouble.SILENT, f"{self._where}: connected, but nothing is said: {advice}")
+            raise UnreachableError(Trouble.SILENT, f"{self._where}: connected, but nothing is said: {advice}")
         if not isinstance(record, VersionRecord):
-            raise Unreachable(Trouble.NOT_HEAVED, f"{self._where}: not a heaved daemon: no VERSION at first")
+            raise UnreachableError(Trouble.NOT_HEAVED, f"{self._where}: not a heaved daemon: no VERSION at first")
         if record.proto_major != PROTO_MAJOR:
             versions = f"protocol {record.proto_major} (release {record.release}), this program {PROTO_MAJOR}"
-            raise Unreachable(Trouble.NOT_HEAVED, f"{self._where}: the daemon speaks {versions}: update the older one")
+            raise UnreachableError(
+                Trouble.NOT_HEAVED, f"{self._where}: the daemon speaks {versions}: update the older one"
+            )
         return record
 
     def _connect(self, host: str, port: int, deadline_s: float) -> socket.socket:
@@ -130,7 +136,7 @@ class StreamConnection:
             addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
         except (OSError, UnicodeError) as error:  # The latter for what no host can be called.
             message = f"{self._where}: no such host: {error}"
-            raise Unreachable(Trouble.NO_ADDRESS, message) from error
+            raise UnreachableError(Trouble.NO_ADDRESS, message) from error
         failure: OSError = TimeoutError("timed out")
         for family, kind, protocol, _, address in addresses:
             connection = socket.socket(family, kind, protocol)
@@ -143,16 +149,16 @@ class StreamConnection:
             else:
                 return connection
         if isinstance(failure, TimeoutError):
-            raise Unreachable(Trouble.SILENT, f"{self._where}: no answer to the connection: is the host up?")
+            raise UnreachableError(Trouble.SILENT, f"{self._where}: no answer to the connection: is the host up?")
         message = f"{self._where}: {failure.strerror or failure}: is heaved running, and with this [stream] port?"
-        raise Unreachable(Trouble.REFUSED, message) from failure
+        raise UnreachableError(Trouble.REFUSED, message) from failure
 
 
 def decode_record(line: bytes, where: str) -> VersionRecord | MotionRecord | StatusRecord | None:
     """One line as a record; None for a class that is not for us.
 
     Raises:
-        Unreachable: the line is not of the stream, or is an ERROR.
+        UnreachableError: the line is not of the stream, or is an ERROR.
     """
     try:
         fields = decode(line)
@@ -164,18 +170,18 @@ def decode_record(line: bytes, where: str) -> VersionRecord | MotionRecord | Sta
             case "STATUS":
                 return msgspec.convert(fields, StatusRecord)
             case "ERROR":
-                raise Unreachable(Trouble.TURNED_AWAY, f"{where}: the daemon says: {fields.get('message')}")
+                raise UnreachableError(Trouble.TURNED_AWAY, f"{where}: the daemon says: {fields.get('message')}")
             case _:
                 return None
     except (ValueError, msgspec.ValidationError) as error:
-        raise Unreachable(Trouble.NOT_HEAVED, f"{where}: not a heaved daemon: {error}") from error
+        raise UnreachableError(Trouble.NOT_HEAVED, f"{where}: not a heaved daemon: {error}") from error
 
 
 def fetch_status(host: str, port: int, timeout_s: float = 0.5) -> Snapshot:
     """Ask the daemon for its state, and wait for one frame as well; returns by ``timeout_s``, whatever happens.
 
     Raises:
-        Unreachable: no daemon, or no STATUS in time.
+        UnreachableError: no daemon, or no STATUS in time.
     """
     deadline_s = time.monotonic() + timeout_s
     status: StatusRecord | None = None
@@ -188,13 +194,14 @@ def fetch_status(host: str, port: int, timeout_s: float = 0.5) -> Snapshot:
             elif isinstance(record, MotionRecord):
                 motion = record
         if status is None:
-            raise Unreachable(Trouble.SILENT, f"{host}:{port}: connected, but ?STATUS is not answered")
+            raise UnreachableError(Trouble.SILENT, f"{host}:{port}: connected, but ?STATUS is not answered")
         return Snapshot(version=connection.version, status=status, motion=motion)
 
 
 def is_ready(motion: MotionRecord, fresh_s: float = 1.0) -> bool:
     """Whether a compensator may start on this frame: its heave is an estimate to be used (valid, or degraded but with
-    a standard deviation that says so; not settling, not invalid), and it is no older than ``fresh_s``."""
+    a standard deviation that says so; not settling, not invalid), and it is no older than ``fresh_s``.
+    """
     usable = motion.quality.heave in (HeaveState.VALID, HeaveState.DEGRADED) and motion.heave_m is not None
     return usable and motion.age_s is not None and motion.age_s <= fresh_s
 
@@ -211,7 +218,7 @@ def wait_until_ready(host: str, port: int, timeout_s: float) -> bool:
                 while (record := connection.read(_patience_s(deadline_s))) is not None:
                     if isinstance(record, MotionRecord) and is_ready(record):
                         return True
-        except Unreachable:
+        except UnreachableError:
             time.sleep(max(0.0, min(_RETRY_S, deadline_s - time.monotonic())))
     return False
 

@@ -31,7 +31,8 @@ LONG_TIMEOUT_S: Final = 1.0
 
 class Written(msgspec.Struct, frozen=True, kw_only=True):
     """A file as it is written, and what is right of it in itself: enough to check the rest against each other although
-    something else is wrong."""
+    something else is wrong.
+    """
 
     tree: Mapping[str, Any]
     devices: dict[int, DeviceSpec]
@@ -90,7 +91,8 @@ def rule_faults(file: Written) -> list[str]:
 
 def run_faults(file: Written) -> list[str]:
     """What a file must not lack to be run: see :func:`stage_faults`. A device that is not sound counts for what it is
-    meant to be, so that nothing is missed which is only wrong."""
+    meant to be, so that nothing is missed which is only wrong.
+    """
     carried: dict[str, Collection[str]] = {device.role: _quantities(device) for device in file.devices.values()}
     is_complete = "device" not in file.wrong
     for i, device in enumerate(file.listed("device")):
@@ -260,7 +262,8 @@ def overload_faults(devices: tuple[DeviceSpec, ...]) -> list[str]:
 
 def _port_faults(devices: Mapping[int, DeviceSpec]) -> list[str]:
     """Serial ports that go by two names, such as /dev/ttyUSB0 and its link under /dev/serial/by-id: the second could
-    not be opened beside the first."""
+    not be opened beside the first.
+    """
     faults = []
     first: dict[str, tuple[int, str]] = {}
     for i, device in devices.items():

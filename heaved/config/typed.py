@@ -20,9 +20,8 @@ def check(kind: Any, value: Any, path: str, faults: list[str]) -> None:
     if struct is not None and isinstance(value, dict):
         hints = get_type_hints(struct, include_extras=True)
         fields = {field.name: field for field in msgspec.structs.fields(struct)}
-        for key in value:
-            if key not in fields:
-                faults.append(f"{_join(path, key)}: unknown key; known here: {', '.join(fields)}")
+        unknown = [key for key in value if key not in fields]
+        faults += [f"{_join(path, key)}: unknown key; known here: {', '.join(fields)}" for key in unknown]
         for name, field in fields.items():
             if name in value:
                 check(hints[name], value[name], _join(path, name), faults)
@@ -53,6 +52,7 @@ def _convert(kind: Any, value: Any, path: str, faults: list[str]) -> None:
 
 
 def shown(value: Any) -> str:
+    """As Python writes it, cut where it grows long."""
     text = repr(value)
     return text if len(text) <= 80 else text[:80] + "…"
 

@@ -13,18 +13,15 @@ import os
 import threading
 import time
 from collections import Counter
-from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from functools import partial
 from math import nan
-from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import structlog
 
 from heaved import __version__
-from heaved.config import Config
 from heaved.config.read import ConfigError, load_to_run
 from heaved.config.rules import rate_faults
 from heaved.daemon.acquisition import Acquisition
@@ -40,15 +37,21 @@ from heaved.daemon.supervise import cancelled, in_time, supervise
 from heaved.daemon.utc_clock import UtcClock
 from heaved.devices.bus import Bus
 from heaved.devices.link import buses
-from heaved.devices.profile import DeviceSpec
 from heaved.devices.timer import Heartbeat
 from heaved.estimation.stages import Stages
 from heaved.outputs.http import HttpServer, liveness, readiness
 from heaved.outputs.listen import ListenError
-from heaved.outputs.records import StatusRecord
 from heaved.outputs.stream import Publisher
 from heaved.pipeline import Pipeline, PipelineState, assemble, check_state
-from heaved.samples import MotionFrame
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
+    from pathlib import Path
+
+    from heaved.config import Config
+    from heaved.devices.profile import DeviceSpec
+    from heaved.outputs.records import StatusRecord
+    from heaved.samples import MotionFrame
 
 __all__ = ["Daemon", "configure_logging", "run"]
 
@@ -107,7 +110,7 @@ class Daemon:
         self._heartbeat = Heartbeat(self._beat)
         self.memory = Memory(
             StateFile(state_directory(config.state.directory), PipelineState, check_state),
-            lambda: self.acquisition.pipeline.state(),
+            self._learned,
             count_save=lambda result: self.metrics.state_saves.labels(result).inc(),
             count_load=lambda result: self.metrics.state_loads.labels(result).inc(),
             realtime=realtime,
@@ -242,10 +245,14 @@ class Daemon:
             self.acquisition.pipeline = make_pipeline(self.config, self.acquisition.pipeline.stages)
             raise error if isinstance(error, ValueError) else ValueError(repr(error)) from error
 
+    def _learned(self) -> PipelineState:
+        """What a restart shall remember."""
+        return self.acquisition.pipeline.state()
+
     def _replace_pipeline(self) -> None:
         pipeline = make_pipeline(self.config, self.acquisition.pipeline.stages)
         try:
-            pipeline.restore(self.acquisition.pipeline.state())
+            pipeline.restore(self._learned())
         except ValueError as error:
             _log.warning("what was learned does not fit the new parameters: estimators start cold", reason=str(error))
             self.acquisition.accepted_s = self.acquisition.fitted_s = nan

@@ -43,6 +43,7 @@ class RateMeter:
         self._per_s = 0.0
 
     def count(self, t_s: float) -> None:
+        """One event."""
         elapsed_s = t_s - self._since_s
         if elapsed_s >= _RATE_WINDOW_S:
             self._per_s = self._count / elapsed_s if elapsed_s < 2.0 * _RATE_WINDOW_S else 0.0

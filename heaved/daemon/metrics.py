@@ -6,10 +6,9 @@ fit of the sea, an estimate that is not renewed), it is NaN.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import zip_longest
 from math import nan
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from prometheus_client import (
     CollectorRegistry,
@@ -32,6 +31,9 @@ from heaved.samples import (
     RockScore,
     SeaState,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 _SHORT_S: Final = (0.00005, 0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.1)
 """Work on the event loop: 50 µs is well, 10 ms is a whole sample period."""
@@ -59,15 +61,18 @@ class DeviceMetrics:
         self._poll_duration.observe(duration_s)
 
     def set_up(self, up: bool) -> None:
+        """Whether it gives good samples."""
         self._up.set(up)
 
     def count_reconnect(self) -> None:
+        """Its connection was opened again."""
         self._reconnects.inc()
 
 
 class _Table:
     """Makes the metrics of one registry. Series exist from the start where their labels are known: a rate over a
-    counter that appears with its first event misses that event."""
+    counter that appears with its first event misses that event.
+    """
 
     def __init__(self, registry: CollectorRegistry) -> None:
         self._registry = registry
@@ -134,7 +139,7 @@ class Metrics:
         self.lead = table.unknown("heaved_lead_seconds", "Lead of the inertial displacement over the truth.")
         self.quality = table.gauge("heaved_quality", "1 for the present state of the heave, 0 for the others.", "state")
         self._quality_states = {state: self.quality.labels(state.value) for state in HeaveState}
-        self._quality: HeaveState | None = None
+        self._last_frame: MotionFrame | None = None
         self._now = (self.heave, self.heave_std, self.reference_error, self.lead)
 
     def _have_learning(self, table: _Table) -> None:
@@ -241,6 +246,10 @@ class Metrics:
         """One frame. ``age_s``: validity to publication; ``step_s``: what the pipeline took for it."""
         self.sample_age.observe(age_s)
         self.step_duration.observe(step_s)
+        self._last_frame = frame
+
+    def _show(self, frame: MotionFrame) -> None:
+        """Set the gauges that describe the last frame, which nobody sees but when they are asked for."""
         is_known = frame.quality.heave is not HeaveState.INVALID
         error_m = frame.heave_m - frame.reference_m if frame.quality.laser is LaserState.VALID else nan
         _set(self._now, (frame.heave_m, frame.heave_std_m, error_m, frame.lead_s) if is_known else ())
@@ -248,6 +257,7 @@ class Metrics:
 
     def record_no_frame(self) -> None:
         """There is none, or no new one: nothing that frames describe is known."""
+        self._last_frame = None
         self._set_quality(HeaveState.INVALID)
         _set((*self._now, self.delayed_heave, *self._attitude, self.training_age), ())
         self._set_sea(None)
@@ -256,10 +266,8 @@ class Metrics:
         self.record_quiet(None)
 
     def _set_quality(self, quality: HeaveState) -> None:
-        if quality is not self._quality:
-            self._quality = quality
-            for state, gauge in self._quality_states.items():
-                gauge.set(state is quality)
+        for state, gauge in self._quality_states.items():
+            gauge.set(state is quality)
 
     def record_sea(self, frame: MotionFrame) -> None:
         """What changes slowly: sea state and delayed heave."""
@@ -312,19 +320,25 @@ class Metrics:
     # What the stream's publisher counts.
 
     def set_clients(self, clients: int) -> None:
+        """Connections to the stream now."""
         self.clients.set(clients)
 
     def count_sent(self, frames: int) -> None:
+        """So many frames were handed to clients."""
         self.frames_sent.inc(frames)
 
     def count_dropped(self, reason: str) -> None:
+        """A line was dropped."""
         self.frames_dropped.labels(reason).inc()
 
     def count_client_error(self, reason: str) -> None:
+        """A client was turned away or misunderstood."""
         self.client_errors.labels(reason).inc()
 
     def render(self) -> bytes:
         """Everything, in the text format of Prometheus, version 0.0.4."""
+        if self._last_frame is not None:
+            self._show(self._last_frame)
         return generate_latest(self._registry)
 
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import os
 import socket
-from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 
 class Notifier:
@@ -36,6 +39,7 @@ class Notifier:
         return True
 
     def close(self) -> None:
+        """Nothing more is told."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None

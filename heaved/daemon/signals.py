@@ -7,10 +7,12 @@ import os
 import signal
 import socket
 import threading
-from types import FrameType, TracebackType
-from typing import Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
 import structlog
+
+if TYPE_CHECKING:
+    from types import FrameType, TracebackType
 
 _STOP: Final = (signal.SIGTERM, signal.SIGINT)
 _AGAIN: Final = signal.SIGHUP
@@ -72,6 +74,7 @@ class Signals:
                 numbers = self._ours.recv(64)
                 if not numbers:
                     return
+                numbers = bytes(number for number in numbers if number in self._handlers)  # Others are not ours.
                 with self._lock:
                     self._seen.update(numbers)
                     if self._loop is not None and not self._loop.is_closed():

@@ -11,17 +11,19 @@ import hashlib
 import os
 import stat
 import time
-from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
 from math import isfinite, nan
 from pathlib import Path
-from typing import Final, Generic, TypeVar
+from typing import TYPE_CHECKING, Final, Generic, TypeVar
 
 import msgspec
 import structlog
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
 
 VERSION: Final = 3
 """Of the file's layout and of what its numbers mean; a file of another version is set aside."""
@@ -83,7 +85,7 @@ class StateFile(Generic[T]):
     Encoding is quick and belongs to whoever owns the state; the rest waits for the disk and belongs in a thread.
     """
 
-    def __init__(self, directory: Path, kind: type[T], check: Callable[[T], None] = lambda state: None) -> None:
+    def __init__(self, directory: Path, kind: type[T], check: Callable[[T], None] = lambda _state: None) -> None:
         """``check``: raises ValueError for a record whose numbers cannot be."""
         self.path = directory / FILE_NAME
         self._kind = kind
@@ -217,7 +219,8 @@ class Memory(Generic[T]):
     ) -> None:
         """``state``: what there is to remember now. ``count_save`` is told ``saved`` or ``failed`` for each save,
         ``count_load`` what came of the restoring: ``restored``, ``absent`` or ``refused``. ``realtime``: UTC, seconds
-        since 1970. ``load_s`` and ``save_s``: what the disk may take."""
+        since 1970. ``load_s`` and ``save_s``: what the disk may take.
+        """
         self.file = file
         self._state = state
         self._count_save = count_save
@@ -309,6 +312,7 @@ class Memory(Generic[T]):
         self.file.write(self.file.encode(state, saved_s))
 
     async def keep_saving(self, period_s: float) -> None:
+        """Save once a period until cancelled."""
         while True:
             await asyncio.sleep(period_s)
             await self.save()

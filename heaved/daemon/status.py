@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from math import isfinite
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from heaved import __version__
-from heaved.config import Config
-from heaved.daemon.acquisition import Acquisition
-from heaved.daemon.utc_clock import UtcClock
 from heaved.outputs import wire
-from heaved.outputs.fields import ATTITUDE, HULL, MOTION, rounded
+from heaved.outputs.fields import ATTITUDE, HULL, HULL_STD, MOTION, rounded
 from heaved.outputs.records import (
     AttitudeStatus,
     ClockStatus,
@@ -23,11 +20,16 @@ from heaved.outputs.records import (
 )
 from heaved.samples import CorrectionState, Fault, HeaveState, LaserState, MotionFrame, Quality, SeaState
 
+if TYPE_CHECKING:
+    from heaved.config import Config
+    from heaved.daemon.acquisition import Acquisition
+    from heaved.daemon.utc_clock import UtcClock
+
 _SHOWN_S: Final = (0.15, 1.0)
 """Horizons whose predictions the status judges."""
 _HEAVE: Final = MOTION.only("heave_m", "heave_std_m")
 _ATTITUDE: Final = ATTITUDE.only("heave_m", "heave_std_m", "pitch_deg", "pitch_std_deg")
-_HULL_STDS: Final = ("x_std_arcsec", "y_std_arcsec", "z_std_arcsec")
+_HULL_STD: Final = HULL_STD.only("x_std_arcsec", "y_std_arcsec", "z_std_arcsec")
 _NO_QUALITY: Final = Quality(
     heave=HeaveState.INVALID, laser=LaserState.OFF, correction=CorrectionState.OFF, reasons=("no frame yet",)
 )
@@ -113,11 +115,11 @@ def _observer(acquisition: Acquisition, config: Config, sea: SeaState | None, no
 def _hull(frame: MotionFrame | None) -> HullStatus:
     if frame is None or frame.hull is None:
         return HullStatus(state="no rates of both IMUs yet")
-    hull, known = frame.hull, HULL.known(frame.hull)
+    hull = frame.hull
     return HullStatus(
         state=hull.state,
-        z_deg=known.get("z_deg"),
-        std_arcsec=max((known[name] for name in _HULL_STDS if name in known), default=None),
+        z_deg=HULL.known(hull).get("z_deg"),
+        std_arcsec=max(_HULL_STD.known(hull).values(), default=None),
         warnings=hull.warnings,
         resets=hull.resets,
     )
@@ -163,4 +165,5 @@ def _correction(acquisition: Acquisition, frame: MotionFrame | None, now_s: floa
         runs=acquisition.trainings,
         last_result=acquisition.last_training or None,
         age_s=round(age_s, 3) if isfinite(age_s) else None,
+        nothing_to_learn=acquisition.pipeline.summary().windows_with_nothing_to_learn,
     )

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
 from math import sqrt
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from heaved.client.stream_client import SILENCE_S, StreamConnection, Trouble, Unreachable
+from heaved.client.stream_client import SILENCE_S, StreamConnection, Trouble, UnreachableError
 from heaved.outputs.records import MotionRecord
 from heaved.simulate.compensator import Compensator, CompensatorParams, Source, Update
-from heaved.simulate.seaway import Seaway
 from heaved.simulate.winch import Winch, WinchParams, WinchState
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from heaved.simulate.seaway import Seaway
 
 _CONNECT_S: Final = 1.0
 _RETRY_S: Final = 0.5
@@ -103,7 +106,7 @@ def follow(
         try:
             with StreamConnection(host, port, deadline_s=time.monotonic() + _CONNECT_S) as connection:
                 client.listen(connection, ended)
-        except Unreachable:
+        except UnreachableError:
             client.wait(ended)
 
 
@@ -122,7 +125,7 @@ class _Client:
         """Take lines and tick.
 
         Raises:
-            Unreachable: the connection is lost.
+            UnreachableError: the connection is lost.
         """
         compensator = self._lift.compensator
         compensator.connected()
@@ -134,7 +137,7 @@ class _Client:
                 heard_s = now_s
                 compensator.take(msgspec.convert(record, Update, from_attributes=True), now_s)
             elif now_s - heard_s > SILENCE_S:
-                raise Unreachable(Trouble.SILENT, f"nothing said for {SILENCE_S:g} s")
+                raise UnreachableError(Trouble.SILENT, f"nothing said for {SILENCE_S:g} s")
             if now_s >= self._due_s:
                 self._tick(now_s)
 

@@ -8,9 +8,10 @@ keeps it away is the low-pass within the sensor, if its corner, the bandwidth, i
 from __future__ import annotations
 
 from math import floor, inf
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from heaved.devices.profile import BandwidthRegister, DeviceSpec
+if TYPE_CHECKING:
+    from heaved.devices.profile import BandwidthRegister, DeviceSpec
 
 WAVES_HZ: Final = 0.6
 """Highest frequency of waves that vessels follow."""
@@ -35,7 +36,8 @@ def lag_ms(bandwidth_hz: float) -> float:
 
 def folding_bands_hz(rate_hz: float, bandwidth_hz: float) -> list[tuple[float, float]]:
     """Vibration (lowest and highest frequency) that passes the sensor's low-pass and reads as waves; none at twice the
-    bandwidth or faster."""
+    bandwidth or faster.
+    """
     if rate_hz >= PASSES * bandwidth_hz:
         return []
     multiples = range(1, floor(PASSES * bandwidth_hz / rate_hz) + 1)
@@ -57,7 +59,8 @@ def folding(rate_hz: float, bandwidth_hz: float) -> str:
 
 def remedy(rate_hz: float, bandwidth_hz: float, register: BandwidthRegister | None, most_hz: float = inf) -> str:
     """What to set where :func:`folding` has something to say, and what that costs. ``register``: that sets the
-    bandwidth; None: it is not known. ``most_hz``: polls a second that the line can carry."""
+    bandwidth; None: it is not known. ``most_hz``: polls a second that the line can carry.
+    """
     wanted_hz = PASSES * bandwidth_hz
     faster = f"poll at {wanted_hz:g} Hz or more"
     if most_hz < wanted_hz:

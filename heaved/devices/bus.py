@@ -1,7 +1,7 @@
 """Polling Modbus sensors: one task per bus, a result for every deadline, whatever the line does.
 
-The only place that uses pymodbus clients. They open lines and carry bytes; requests are made and answers found here:
-its RTU client takes any frame with the right id for the answer, so that a late answer is read as the next one, a frame
+The only place that uses pymodbus clients. They open and close lines; requests are made and answers found here: its RTU
+client takes any frame with the right id for the answer, so that a late answer is read as the next one, a frame
 that it cannot decode raises inside the event loop, and it waits to the end of the timeout although the connection is
 lost. Every byte received goes through :mod:`heaved.devices.frames`, and :class:`~heaved.devices.liveness.Contact`
 decides when and how a slave may be asked again. What else is worked around, all of it true of pymodbus 3.16.1:
@@ -18,9 +18,8 @@ import logging
 import struct
 import termios
 import time
-from collections.abc import Callable, Iterable, Sequence
-from math import nan
-from typing import Any, Final
+from math import isnan, nan
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
@@ -44,10 +43,13 @@ from heaved.devices.liveness import Contact
 from heaved.devices.names import Name
 from heaved.devices.profile import Block, DeviceSpec, Quantity, block_registers
 from heaved.devices.station import PollResult, Reading, Station
-from heaved.devices.timer import DeadlineTimer, Pace
+from heaved.devices.timer import DeadlineTimer, Pace, TimeLimit
 from heaved.samples import Fault
 
-__all__ = ["Answer", "Bus", "Connection", "PollResult"]
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+__all__ = ["Answer", "Bus", "OpenLink", "PollResult"]
 
 CONNECT_TIMEOUT_S = 0.5
 RETRY_S = 0.25
@@ -55,7 +57,7 @@ RETRY_S = 0.25
 _MOST_SPARE_BYTES: Final = 512
 """Of what nobody asked for: two frames of the greatest length."""
 _MOST_HEARD_BYTES: Final = 2**18
-"""Of one packet: as many as the event loop takes from a socket at a time."""
+"""While an answer is waited for: as many as the event loop takes from a socket at a time. More is thrown away."""
 _MOST_TRANSACTIONS: Final = 0xFFFF
 _HEADER: Final = struct.Struct(">HHH")
 """Of a TCP frame: transaction, protocol, bytes that follow."""
@@ -81,7 +83,7 @@ class Answer(msgspec.Struct, frozen=True):
     """Its code."""
 
 
-class Connection:
+class OpenLink:
     """One open socket or serial port; one read at a time, never cancelled by its caller."""
 
     def __init__(
@@ -107,6 +109,7 @@ class Connection:
         self._request: Request | None = None
         self._done: asyncio.Future[None] | None = None
         """When the waiting for an answer is over."""
+        self._limit = TimeLimit(self._stop_waiting)
         self._found = b""
         """The answer to the latest request, once it has come."""
         self._transaction = 0
@@ -115,8 +118,6 @@ class Connection:
         self._heard_s = 0.0
         self._spare = b""
         """What came beside the last answer, and since the last read."""
-        self._seen = 0
-        """Bytes at the start of what comes next that pymodbus will show again."""
         self._in_vain: dict[Sender, float] = {}
         """The latest requests without an answer, as the sender of one would be known, with their times."""
         self._client: AsyncModbusTcpClient | AsyncModbusSerialClient | None = None
@@ -177,11 +178,12 @@ class Connection:
             settings = msgspec.structs.asdict(self.link)
             del settings["path"]
             client = AsyncModbusSerialClient(place, **settings, **common)
-        client.ctx.max_buffer_size = _MOST_HEARD_BYTES  # What exceeds it is thrown away unseen.
-        client.ctx.callback_data = self._take  # type: ignore[method-assign]
+        client.ctx.data_received = self._on_bytes  # type: ignore[method-assign]  # None for pymodbus itself.
         return client
 
     def close(self) -> None:
+        """Close the line."""
+        self._limit.close()
         if self._client is not None:
             self._client.close()
 
@@ -196,15 +198,14 @@ class Connection:
         self._heard, self._found = b"", b""
         sent_s = self._clock()
         self._request = request
-        loop = asyncio.get_running_loop()
-        self._done = loop.create_future()
-        timeout = loop.call_later(timeout_s, self._stop_waiting)
+        self._done = asyncio.get_running_loop().create_future()
+        self._limit.set(timeout_s)
         self._sent = self._request_frame(request, block.start + first)
-        client.ctx.send(self._sent)
+        client.ctx.transport.write(self._sent)  # type: ignore[attr-defined]
         try:
             await self._done
         finally:
-            timeout.cancel()
+            self._limit.lift()
             self._request = None
         if not self._found:
             return self._unanswered(client.connected, sent_s, request, timeout_s)
@@ -236,7 +237,7 @@ class Connection:
         self._in_vain[Sender(request.device_id, request.count, number)] = sent_s
         if len(self._in_vain) > _MOST_IN_VAIN:
             del self._in_vain[next(iter(self._in_vain))]
-        self._spare, self._seen = b"", len(self._heard)
+        self._spare = b""
         late_s = self.late_s.get(request.device_id, 0.0)
         if isinstance(self.link, RtuLink):
             why = explain_rtu_silence(self._heard, request, sent=self._sent, late_s=late_s)
@@ -253,7 +254,8 @@ class Connection:
 
     def unasked(self) -> list[Sender]:
         """Who has sent something beside the last answer, or since; each is told once. The same answer once more is
-        none: some devices repeat each, at once."""
+        none: some devices repeat each, at once.
+        """
         if not self._spare:
             return []
         spare = self._spare.replace(self._found, b"") if self._found else self._spare
@@ -282,27 +284,26 @@ class Connection:
         self._transaction = self._transaction % _MOST_TRANSACTIONS + 1
         return _HEADER.pack(self._transaction, 0, len(body)) + body
 
-    def _take(self, data: bytes, addr: object = None) -> int:
-        """``data``: all that came since the request was sent. Of that nothing is left to pymodbus."""
+    def _on_bytes(self, data: bytes) -> None:
+        """What comes in, in whatever pieces."""
         self._heard_s = self._clock()
         request = self._request
         if request is None or self._found:
-            self._spare = (self._spare + data[self._seen :])[-_MOST_SPARE_BYTES:]
-            self._seen = len(data)
-            return 0
-        self._heard = data
+            self._spare = (self._spare + data)[-_MOST_SPARE_BYTES:]
+            return
+        heard = self._heard + data
+        self._heard = heard = heard if len(heard) <= _MOST_HEARD_BYTES else b""
         if isinstance(self.link, RtuLink):
-            answer = find_rtu_answer(data, request)
+            answer = find_rtu_answer(heard, request)
         else:
-            answer = find_tcp_answer(data, self._transaction, request)
-            if not answer and find_tcp_contradiction(data, self._transaction, request):
+            answer = find_tcp_answer(heard, self._transaction, request)
+            if not answer and find_tcp_contradiction(heard, self._transaction, request):
                 self._stop_waiting()
         if answer:
             self._found = answer
-            before, _, after = data.partition(answer)
-            self._spare, self._seen = before + after, len(data)
+            before, _, after = heard.partition(answer)
+            self._spare = before + after
             self._stop_waiting()
-        return 0
 
     def _stop_waiting(self) -> None:
         """The answer to the request that is outstanding is there, or none can come any more."""
@@ -324,7 +325,8 @@ def _raise_if_cancelled() -> None:
 
 def _quieten_pymodbus() -> None:
     """Its errors reach the daemon as results; as log lines they would come with every poll of an absent device. A level
-    that somebody set on purpose stays."""
+    that somebody set on purpose stays.
+    """
     logger = logging.getLogger("pymodbus.logging")
     if logger.level == logging.NOTSET:
         logger.setLevel(logging.CRITICAL)
@@ -355,7 +357,7 @@ class Bus:
         self._clock = clock
         self._contacts = self._make_contacts(devices, clock())
         self._stations = [Station(device, self.link, self._contacts[device.device_id], clock()) for device in devices]
-        self._connection: Connection | None = None
+        self._connection: OpenLink | None = None
         self._connection_number = 0
         self._down = Reading(fault=Fault.DISCONNECTED, detail="not connected yet")
         """What every poll gives while there is no connection."""
@@ -402,7 +404,7 @@ class Bus:
         name = Name(self.link.host if isinstance(self.link, TcpLink) else "")
         while True:
             self._lost.clear()
-            connection = Connection(self.link, timer, self._clock, self._on_loss, name)
+            connection = OpenLink(self.link, timer, self._clock, self._on_loss, name)
             try:
                 failure = await connection.open()
                 detail = failure or "the connection was lost: trying to reconnect"
@@ -430,7 +432,7 @@ class Bus:
             self._tried.clear()
         self._lost.set()
 
-    def _opened(self, connection: Connection) -> None:
+    def _opened(self, connection: OpenLink) -> None:
         self._connection_number += 1
         self._unanswered = 0
         for contact in self._contacts.values():
@@ -479,7 +481,7 @@ class Bus:
         sent_s = nan
         for number, codec in enumerate(station.codecs):
             answer = await self._read_block(connection, station, number)
-            if number == station.main or sent_s != sent_s:
+            if number == station.main or isnan(sent_s):
                 sent_s = answer.sent_s
             if answer.fault is Fault.EXCEPTION and not station.contact.is_plain:
                 # Of our own making: it says nothing of the registers that are wanted.
@@ -492,9 +494,10 @@ class Bus:
             values.update(decoded.values)
         return Reading(sent_s, values)
 
-    async def _read_block(self, connection: Connection, station: Station, number: int) -> Answer:
+    async def _read_block(self, connection: OpenLink, station: Station, number: int) -> Answer:
         """All registers of a block, in one read or in as many as it takes to know the answers from late ones. Its time
-        is that of the read with what dates the sample."""
+        is that of the read with what dates the sample.
+        """
         codec = station.codecs[number]
         for sender in connection.unasked():
             if (contact := self._contacts.get(sender.device_id)) is not None and sender.count:
@@ -506,14 +509,14 @@ class Bus:
         sent_s = nan
         for count in lengths:
             answer = await self._transfer(connection, station, codec.block, len(registers), count)
-            if sent_s != sent_s or len(registers) <= station.dating:
+            if isnan(sent_s) or len(registers) <= station.dating:
                 sent_s = answer.sent_s
             if answer.fault is not Fault.NONE:
                 return msgspec.structs.replace(answer, sent_s=sent_s)
             registers += answer.registers
         return Answer(sent_s, registers[: codec.registers])
 
-    async def _transfer(self, connection: Connection, station: Station, block: Block, first: int, count: int) -> Answer:
+    async def _transfer(self, connection: OpenLink, station: Station, block: Block, first: int, count: int) -> Answer:
         """One read, and what it says of the slave and of the line."""
         answer = await connection.read(station.spec.device_id, block, count, station.timeout_s, first=first)
         now_s = self._clock()

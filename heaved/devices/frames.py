@@ -7,12 +7,15 @@ the transaction number decides.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from heaved.devices.link import READ_ANSWER_BYTES
 from heaved.samples import Fault
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 _MBAP_BYTES = 7
 """Transaction (2), protocol (2), length (2), unit id."""
@@ -64,7 +67,8 @@ class Explanation(msgspec.Struct, frozen=True):
 
 def _crc_table() -> tuple[int, ...]:
     table = []
-    for crc in range(256):
+    for byte in range(256):
+        crc = byte
         for _ in range(8):
             crc = (crc >> 1) ^ 0xA001 if crc & 1 else crc >> 1
         table.append(crc)
@@ -76,7 +80,8 @@ _CRC = _crc_table()
 
 def crc16(data: bytes) -> int:
     """CRC of a serial frame (Modbus over serial line V1.02, 6.2.2); it stands on the line low byte first, so that the
-    CRC of a whole good frame is 0."""
+    CRC of a whole good frame is 0.
+    """
     crc = 0xFFFF
     for byte in data:
         crc = (crc >> 8) ^ _CRC[(crc ^ byte) & 0xFF]
@@ -96,7 +101,9 @@ def find_rtu_answer(heard: bytes, request: Request) -> bytes:
     return b""
 
 
-def explain_rtu_silence(heard: bytes, request: Request, *, sent: bytes = b"", late_s: float = 0.0) -> Explanation:
+def explain_rtu_silence(  # Each cause has its own words.  # noqa: PLR0911
+    heard: bytes, request: Request, *, sent: bytes = b"", late_s: float = 0.0
+) -> Explanation:
     """What the bytes say that came instead of an answer.
 
     ``sent``: the request as it was sent, by which an echo is known. ``late_s``: how long after its request the slave's
@@ -186,7 +193,8 @@ def _rtu_frames(heard: bytes) -> Iterator[bytes]:
 
 def find_tcp_answer(heard: bytes, transaction: int, request: Request) -> bytes:
     """The answer's frame, past late answers to earlier requests; empty while it has not come. A frame whose byte count
-    contradicts its length is none, see :func:`contradicts_itself`."""
+    contradicts its length is none, see :func:`contradicts_itself`.
+    """
     frame = _tcp_reply(heard, transaction, request)
     return b"" if contradicts_itself(frame) else frame
 
@@ -211,7 +219,9 @@ def _tcp_reply(heard: bytes, transaction: int, request: Request) -> bytes:
     return b""
 
 
-def explain_tcp_silence(heard: bytes, transaction: int, request: Request, *, late_s: float = 0.0) -> Explanation:
+def explain_tcp_silence(  # Each cause has its own words.  # noqa: PLR0911
+    heard: bytes, transaction: int, request: Request, *, late_s: float = 0.0
+) -> Explanation:
     """What the bytes say that came instead of an answer. ``late_s``: as for :func:`explain_rtu_silence`."""
     if not heard:
         if late_s:

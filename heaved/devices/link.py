@@ -5,14 +5,16 @@ from __future__ import annotations
 import errno
 import socket
 import unicodedata
-from collections.abc import Sequence
 from math import ceil, inf
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 import msgspec
 
 from heaved.devices.profile import DeviceSpec, Profile, block_registers
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600)
 """Rates worth suggesting."""
@@ -26,6 +28,8 @@ Parity = Literal["N", "E", "O"]
 
 
 class TcpLink(msgspec.Struct, frozen=True):
+    """Modbus TCP."""
+
     host: str
     port: int
 
@@ -34,6 +38,8 @@ class TcpLink(msgspec.Struct, frozen=True):
 
 
 class RtuLink(msgspec.Struct, frozen=True):
+    """Modbus RTU on a serial port."""
+
     path: str
     baudrate: int = 9600
     parity: Parity = "N"
@@ -135,7 +141,7 @@ def buses(devices: Sequence[DeviceSpec]) -> dict[str, tuple[DeviceSpec, ...]]:
     return found
 
 
-def explain_open_failure(link: Link, error: BaseException) -> str:
+def explain_open_failure(link: Link, error: BaseException) -> str:  # Each cause has its own words.  # noqa: PLR0911
     """Why a line could not be opened, and what to do about it."""
     number = error.errno if isinstance(error, OSError) else None
     if number in (errno.EMFILE, errno.ENFILE) and not isinstance(error, socket.gaierror):
@@ -183,7 +189,8 @@ def request_wire_s(link: Link) -> float:
 
 def request_time_s(link: Link, profile: Profile) -> float:
     """Least time that one poll of the device takes on the line: a request, an answer and a silence after each, for
-    every block; the slave's own thinking time comes on top. 0 on TCP."""
+    every block; the slave's own thinking time comes on top. 0 on TCP.
+    """
     if isinstance(link, TcpLink):
         return 0.0
     characters = sum(READ_REQUEST_BYTES + READ_ANSWER_BYTES + 2 * block_registers(block) for block in profile.blocks)
@@ -199,7 +206,8 @@ def most_rate_hz(link: Link, profile: Profile) -> float:
 def line_faults(devices: Sequence[DeviceSpec]) -> list[str]:
     """Everything that is wrong with the lines of all devices, one message each: links that cannot be read, devices
     that want one serial port with different settings, two with one id, broadcast ids, rates that a line cannot
-    carry."""
+    carry.
+    """
     faults: list[str] = []
     sound: list[DeviceSpec] = []
     first: dict[str, tuple[DeviceSpec, RtuLink]] = {}

@@ -1,5 +1,6 @@
 """Host names of links to addresses, without holding anything up: a name server that is away takes the C library up to
-half a minute, and each look-up a thread of a pool that others need."""
+half a minute, and each look-up a thread of a pool that others need.
+"""
 
 from __future__ import annotations
 

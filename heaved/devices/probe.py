@@ -19,7 +19,7 @@ from typing import Final, Protocol, get_args
 import msgspec
 
 from heaved.devices.bandwidth import PASSES, folding, remedy
-from heaved.devices.bus import Answer, Connection
+from heaved.devices.bus import Answer, OpenLink
 from heaved.devices.frames import explain_exception
 from heaved.devices.link import Link, TcpLink, most_rate_hz
 from heaved.devices.profile import Block, ByteOrder, Field, Profile, Quantity, block_registers, decode
@@ -50,9 +50,11 @@ Progress = Callable[[int], None]
 
 
 class Reader(Protocol):
-    """An open line; see :class:`heaved.devices.bus.Connection`."""
+    """An open line; see :class:`heaved.devices.bus.OpenLink`."""
 
-    async def read(self, device_id: int, block: Block, count: int, timeout_s: float) -> Answer: ...
+    async def read(self, device_id: int, block: Block, count: int, timeout_s: float) -> Answer:
+        """Read ``count`` registers of a block."""
+        ...
 
 
 class Variant(msgspec.Struct, frozen=True, kw_only=True):
@@ -68,9 +70,11 @@ class Variant(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def changes(self) -> int:
+        """Mistakes that are undone."""
         return (self.shift != 0) + self.other_function + (self.byte_order is not None)
 
     def describe(self) -> str:
+        """Name of the profile, and what was changed."""
         notes = [f"addresses {self.shift:+d}"] if self.shift else []
         notes += ["the other function (input/holding)"] if self.other_function else []
         notes += [f"byte order {self.byte_order}"] if self.byte_order is not None else []
@@ -180,7 +184,7 @@ class _Line:
 
     def __init__(self, link: Link, timer: DeadlineTimer) -> None:
         self._link, self._timer = link, timer
-        self._connection: Connection | None = None
+        self._open: OpenLink | None = None
         self.late_s: dict[int, float] = {}
         """By id, how long after its request an answer came that was too late."""
 
@@ -194,9 +198,9 @@ class _Line:
         return answer
 
     async def _read(self, device_id: int, block: Block, count: int, timeout_s: float) -> Answer:
-        if self._connection is None:
+        if self._open is None:
             await self.open()
-        connection = self._connection
+        connection = self._open
         assert connection is not None  # It has been opened.
         answer = await connection.read(device_id, block, count, timeout_s)
         self.look_back()
@@ -208,21 +212,21 @@ class _Line:
         """Raises:
         ConnectionError: as :meth:`read`.
         """
-        self._connection = Connection(self._link, self._timer, time.monotonic, lambda: None)
-        if failure := await self._connection.open():
+        self._open = OpenLink(self._link, self._timer, time.monotonic, lambda: None)
+        if failure := await self._open.open():
             self.close()
             raise ConnectionError(failure)
 
     def look_back(self) -> None:
         """Note what has come too late."""
-        if self._connection is not None:
-            self._connection.unasked()
-            self.late_s |= self._connection.late_s
+        if self._open is not None:
+            self._open.unasked()
+            self.late_s |= self._open.late_s
 
     def close(self) -> None:
-        if self._connection is not None:
-            self._connection.close()
-            self._connection = None
+        if self._open is not None:
+            self._open.close()
+            self._open = None
 
 
 class Report(msgspec.Struct, frozen=True):

@@ -12,19 +12,21 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Iterator
 from functools import partial
 from itertools import pairwise
-from math import isfinite, nan, radians
+from math import isfinite, isnan, nan, radians
 from operator import gt, itemgetter
-from pathlib import Path
 from statistics import median_low
-from types import TracebackType
-from typing import Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
 import msgspec
 
 from heaved.samples import CraftSample, ImuSample, LaserSample, RatesSample
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+    from types import TracebackType
 
 COLUMNS: Final = (
     "t_s",
@@ -105,7 +107,7 @@ class Recording:
         """
         self._file = str(path)
         try:
-            self._raw = open(path, "rb", buffering=0)  # noqa: SIM115 - closed by close()
+            self._raw = path.open("rb", buffering=0)
         except OSError as error:
             raise self._error(f"cannot be read: {error.strerror or error}") from error
         self._text = io.TextIOWrapper(io.BufferedReader(self._raw, 1 << 18), encoding="utf-8-sig", newline="")
@@ -123,10 +125,12 @@ class Recording:
         self.close()
 
     def close(self) -> None:
+        """Close the file."""
         self._text.close()
 
     @property
     def has_laser(self) -> bool:
+        """Whether there is a column of the laser."""
         return "laser_m" in self.columns
 
     @property
@@ -188,7 +192,7 @@ class Recording:
             last_s = t_s
             if has_midships:
                 gx, gy, gz = staged[:3]
-            imu = None if az != az else ImuSample(
+            imu = None if isnan(az) else ImuSample(
                 t_s=t_s,
                 ax_mps2=ax,
                 ay_mps2=ay,
@@ -205,7 +209,7 @@ class Recording:
                 if len(first) == FIRST_SAMPLES:
                     self._check_interval(first)
             rates, craft = _staged(t_s, staged) if staged else (None, None)
-            yield imu, None if laser != laser else LaserSample(t_s=t_s, laser_m=laser), rates, craft
+            yield imu, None if isnan(laser) else LaserSample(t_s=t_s, laser_m=laser), rates, craft
         if last_s == -float("inf"):
             raise self._error("has a header but no rows")
         if len(first) < FIRST_SAMPLES:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from math import isnan, nan
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
@@ -23,6 +22,9 @@ from heaved.devices.profile import (
 )
 from heaved.devices.timer import Pace
 from heaved.samples import CraftSample, Fault, ImuSample, LaserSample, RatesSample, Sample
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
 
 _KINDS: Final[dict[Role, Callable[..., Sample]]] = {
     "imu": ImuSample,
@@ -152,7 +154,8 @@ class Station:
 
 def _dated_by(spec: DeviceSpec) -> tuple[int, int]:
     """The block whose request dates the sample, and the register in it: of what the role needs first (the vertical
-    acceleration, the laser, a rate), else of the first that is anything of the device's role."""
+    acceleration, the laser, a rate), else of the first that is anything of the device's role.
+    """
     for names in (set(role_needs(spec.role)[:1]), set(role_quantities(spec.role))):
         for number, block in enumerate(spec.profile.blocks):
             offsets = [field.offset for field in block.fields if field.quantity in names]

@@ -184,7 +184,7 @@ class MotionFrames:
             return last
         if (now := predicted(t_s, last, rock)) is not None:
             return now
-        if not last.serves(t_s):
+        if not self._vertical.serves(t_s):
             return UNKNOWN
         roll, pitch = last.at(t_s)
         return msgspec.structs.replace(last, roll_rad=roll, pitch_rad=pitch)
@@ -258,7 +258,7 @@ class MotionFrames:
         return Quality(
             heave=state,
             laser=LaserState.OFF if not has_laser else LaserState.VALID if fresh else LaserState.STALE,
-            correction=estimator.correction.state(fresh) if has_laser else CorrectionState.OFF,
+            correction=estimator.correction.state(laser_is_fresh=fresh) if has_laser else CorrectionState.OFF,
             reasons=reasons,
         )
 

@@ -84,14 +84,17 @@ class Stages:
 
     @property
     def due_refit(self) -> RefitJob | None:
+        """Of the hull, to be computed elsewhere; None: nothing is due."""
         return None if self.hull is None else self.hull.due_refit
 
     @property
     def angles(self) -> HullAngles | None:
+        """The newest of the hull."""
         return None if self.hull is None else self.hull.angles
 
     @property
     def motion(self) -> CraftMotion | None:
+        """The newest of the craft."""
         return None if self.attitude is None else self.attitude.motion
 
     @property

@@ -7,10 +7,9 @@ unit it is the same name. So ``roll_deg`` is the ``roll_rad`` of a record in deg
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import pi
-from operator import attrgetter, itemgetter
-from typing import Final, Generic, TypeVar
+from operator import attrgetter, itemgetter, mul
+from typing import TYPE_CHECKING, Final, Generic, TypeVar
 
 import msgspec
 
@@ -24,6 +23,9 @@ from heaved.samples import (
     RockPrediction,
     RockScore,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 R = TypeVar("R")
 
@@ -64,7 +66,7 @@ def _inside(name: str) -> str:
 
 
 class Fields(Generic[R]):
-    """Some quantities, two at least, of the records of kind ``R``.
+    """Some quantities, two at least, of the records of kind ``R``; all are sent with as many decimals.
 
     Attributes:
         names: outside, in the order in which they are sent.
@@ -75,11 +77,12 @@ class Fields(Generic[R]):
     def __init__(self, *names: str, values: Callable[[R], tuple[float, ...]] | None = None) -> None:
         """``values``: of a record, in the order of the names; None: its attributes by their names inside."""
         units = [_unit(name) for name in names]
+        (decimals,) = {unit.decimals for unit in units}
         self.names = names
         self.inside: Callable[[R], tuple[float, ...]] = values or attrgetter(*map(_inside, names))
         self.per_inside = tuple(unit.per_inside for unit in units)
-        self._last_decimals = tuple(10.0**unit.decimals for unit in units)
-        self._factors = tuple(unit.per_inside * 10.0**unit.decimals for unit in units)
+        self._wholes = 10.0**decimals
+        self._factors = tuple(unit.per_inside * self._wholes for unit in units)
 
     def only(self, *names: str) -> Fields[R]:
         """Some of them.
@@ -92,14 +95,17 @@ class Fields(Generic[R]):
             return Fields(*names)
         return Fields(*names, values=lambda record: pick(self.inside(record)))
 
+    def sent(self, record: R) -> list[float | None]:
+        """All of them, rounded as they are sent; None: not known (nan, infinite, absurd)."""
+        wholes = self._wholes
+        return [
+            (value + _ROUND - _ROUND) / wholes if -_LIMIT < value < _LIMIT else None
+            for value in map(mul, self.inside(record), self._factors)
+        ]
+
     def known(self, record: R) -> dict[str, float]:
-        """Those that are known, by name, rounded as they are sent: nothing that is nan, infinite or absurd."""
-        parts = zip(self.names, self.inside(record), self._factors, self._last_decimals, strict=True)
-        return {
-            name: (whole + _ROUND - _ROUND) / last_decimal
-            for name, value, factor, last_decimal in parts
-            if -_LIMIT < (whole := value * factor) < _LIMIT
-        }
+        """Those that are known, by name, rounded as they are sent."""
+        return {name: value for name, value in zip(self.names, self.sent(record), strict=True) if value is not None}
 
 
 def rounded(value: float) -> float | None:
@@ -134,22 +140,14 @@ ROCK_SCORE: Final = Fields[RockScore]("error_deg", "coverage")
 FORECAST: Final = Fields[HeaveForecast]("heave_m", "std_m")
 DELAYED: Final = Fields[DelayedHeave]("heave_m", "std_m")
 HULL: Final = Fields[HullAngles](
-    *(f"{axis}_deg" for axis in "xyz"),
-    *(f"static_{axis}_deg" for axis in "xyz"),
-    *(f"dynamic_{axis}_deg" for axis in "xyz"),
-    *(f"{axis}_std_arcsec" for axis in "xyz"),
-    *(f"{axis}_reachable_std_arcsec" for axis in "xyz"),
+    *(f"{kind}{axis}_deg" for kind in ("", "static_", "dynamic_") for axis in "xyz"),
     "delay_s",
     "delay_std_s",
-    values=lambda hull: (
-        *hull.total_rad,
-        *hull.static_rad,
-        *hull.dynamic_rad,
-        *hull.std_rad,
-        *hull.reachable_std_rad,
-        hull.delay_s,
-        hull.delay_std_s,
-    ),
+    values=lambda hull: (*hull.total_rad, *hull.static_rad, *hull.dynamic_rad, hull.delay_s, hull.delay_std_s),
+)
+HULL_STD: Final = Fields[HullAngles](
+    *(f"{axis}_{kind}arcsec" for kind in ("std_", "reachable_std_") for axis in "xyz"),
+    values=lambda hull: (*hull.std_rad, *hull.reachable_std_rad),
 )
 ATTITUDE: Final = Fields[CraftMotion](
     "heave_m",

@@ -28,12 +28,15 @@ class VersionRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class"
 
 
 class ErrorRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class", tag="ERROR"):
+    """What was wrong with a request, or why the connection ends."""
+
     message: str
 
 
-class RockRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_defaults=True):
+class RockRecord(msgspec.Struct, frozen=True, gc=False, omit_defaults=True):
     """Attitude predicted for ``horizon_s`` after the time of validity; standard deviations of the prediction error, and
-    half-widths of the interval that holds 95 % of what is measured then."""
+    half-widths of the interval that holds 95 % of what is measured then.
+    """
 
     horizon_s: float
     roll_deg: float | None = None
@@ -47,7 +50,7 @@ class RockRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_defau
     yaw_interval_deg: float | None = None
 
 
-class ForecastRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_defaults=True):
+class ForecastRecord(msgspec.Struct, frozen=True, gc=False, omit_defaults=True):
     """Heave predicted for ``horizon_s`` after the time of validity."""
 
     horizon_s: float
@@ -55,7 +58,7 @@ class ForecastRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_d
     std_m: float | None = None
 
 
-class PointRecord(msgspec.Struct, frozen=True, gc=False, kw_only=True, omit_defaults=True):
+class PointRecord(msgspec.Struct, frozen=True, gc=False, omit_defaults=True):
     """A monitoring point, as configured."""
 
     name: str
@@ -250,6 +253,8 @@ class HeaveStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
 
 
 class DeviceStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A configured device."""
+
     name: str
     role: str
     up: bool
@@ -266,6 +271,8 @@ class DeviceStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
 
 
 class ObserverStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The observer of the heave."""
+
     name: str
     """As ``[heave] observer`` has it."""
     frequencies_hz: tuple[float, ...] = ()
@@ -279,12 +286,16 @@ class ObserverStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
 
 
 class CorrectionStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The learned correction."""
+
     state: CorrectionState
     runs: int = 0
     """Trainings finished since the start, of any result."""
     last_result: str | None = None
     age_s: float | None = None
     """Since the network in use was accepted."""
+    nothing_to_learn: int = 0
+    """Times that no training was worth its while: a regression has shown that no network would be accepted."""
 
 
 class HullStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -311,6 +322,8 @@ class AttitudeStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
 
 
 class ClockStatus(msgspec.Struct, frozen=True, kw_only=True):
+    """UTC, as it is tracked."""
+
     utc_offset_s: float
     """UTC minus the monotonic clock."""
     steps: int = 0

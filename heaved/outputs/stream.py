@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
 from math import inf
-from typing import Protocol, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
-import msgspec
 import structlog
 
 from heaved.outputs import wire
@@ -21,6 +19,11 @@ from heaved.outputs.listen import Listener, checked_networks, is_allowed
 from heaved.outputs.records import ErrorRecord, StatusRecord, VersionRecord
 from heaved.outputs.subscriber import Subscriber
 from heaved.samples import CraftMotion, DelayedHeave, HullAngles, MotionFrame, SeaState
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import msgspec
 
 Slow = TypeVar("Slow", DelayedHeave, HullAngles, CraftMotion, SeaState)
 
@@ -30,13 +33,21 @@ _log = structlog.get_logger(__name__)
 class StreamMetrics(Protocol):
     """What the publisher counts for monitoring."""
 
-    def set_clients(self, clients: int) -> None: ...
+    def set_clients(self, clients: int) -> None:
+        """Connections served now."""
+        ...
 
-    def count_sent(self, frames: int) -> None: ...
+    def count_sent(self, frames: int) -> None:
+        """So many frames were handed to a client's connection."""
+        ...
 
-    def count_dropped(self, reason: str) -> None: ...
+    def count_dropped(self, reason: str) -> None:
+        """A line was dropped."""
+        ...
 
-    def count_client_error(self, reason: str) -> None: ...
+    def count_client_error(self, reason: str) -> None:
+        """A client was turned away or misunderstood."""
+        ...
 
 
 class Publisher:
@@ -191,14 +202,18 @@ class Publisher:
             _log.debug("stream client gone", peer=client.address, clients=self.clients)
 
     def count_drop(self) -> None:
+        """A line was dropped for a slow client."""
         self.dropped += 1
         self._metrics.count_dropped("slow_client")
 
     def count_sent(self, frames: int) -> None:
+        """So many frames were handed to a client's connection."""
         self._metrics.count_sent(frames)
 
     def greeting(self) -> bytes:
+        """The VERSION line."""
         return wire.encode_record(VersionRecord(release=self._version))
 
     def status_line(self) -> bytes:
+        """The STATUS line of now."""
         return wire.encode_record(self._status())

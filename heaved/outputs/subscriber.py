@@ -5,9 +5,8 @@ from __future__ import annotations
 import asyncio
 import socket
 from collections import deque
-from collections.abc import Callable
 from math import inf
-from typing import Final, Protocol, cast
+from typing import TYPE_CHECKING, Final, Protocol, cast
 
 from heaved.outputs import wire
 from heaved.outputs.records import ErrorRecord
@@ -22,6 +21,9 @@ from heaved.outputs.requests import (
     VersionQuery,
     parse_request,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 _MAX_ERRORS: Final = 5
 _MAX_REQUESTS_PER_S: Final = 20
@@ -117,7 +119,8 @@ class Subscriber(asyncio.Protocol):
     # --- the connection's life ---
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.Transport, transport)
+        """Greet the client, or turn it away."""
+        self._transport = cast("asyncio.Transport", transport)
         _set_options(transport.get_extra_info("socket"))
         self._transport.set_write_buffer_limits(high=0)
         refusal = self._server.admit(self)
@@ -126,7 +129,8 @@ class Subscriber(asyncio.Protocol):
             return
         self._transport.write(self._server.greeting())
 
-    def connection_lost(self, exc: Exception | None) -> None:
+    def connection_lost(self, _error: Exception | None) -> None:
+        """It is gone."""
         for timer in (self._linger_timer, self._silence_timer):
             if timer is not None:
                 timer.cancel()
@@ -166,12 +170,14 @@ class Subscriber(asyncio.Protocol):
             self._transport.close()
 
     def abort(self) -> None:
+        """Close at once."""
         self._server.forget(self)
         self._transport.abort()
 
     def _turn_away(self, refusal: ErrorRecord) -> None:
         """Say why, then close. Closing at once would reset the connection of a client that is still sending, and it
-        would never read the reason."""
+        would never read the reason.
+        """
         if not self._server.linger(self):
             self.abort()
             return
@@ -207,6 +213,7 @@ class Subscriber(asyncio.Protocol):
         return True
 
     def send(self, line: bytes) -> None:
+        """Write a line, or queue it."""
         if self._paused:
             self._enqueue(line, None)
         else:
@@ -214,9 +221,11 @@ class Subscriber(asyncio.Protocol):
             self._transport.write(line)
 
     def pause_writing(self) -> None:
+        """The client does not keep up."""
         self._paused = True
 
     def resume_writing(self) -> None:
+        """It does again: write what is queued."""
         self._paused = self._is_silent = False
         self._full_since_s = inf
         sent = 0
@@ -251,6 +260,7 @@ class Subscriber(asyncio.Protocol):
     # --- from the client ---
 
     def data_received(self, data: bytes) -> None:
+        """Obey what the client says."""
         if self._linger_timer is not None:
             self._discarded_bytes += len(data)
             if self._discarded_bytes > _LINGER_BYTES:

@@ -78,10 +78,10 @@ def motion_head(frame: MotionFrame, *, seq: int, utc_s: float) -> bytes:
         mono_s=_micro(frame.t_s),
         **fields.MOTION.known(frame),
         compensation_lead_s=frame.compensation_lead_s or None,
-        points=tuple([PointRecord(name=point.name, **fields.POINT.known(point)) for point in frame.points]),
-        rock=tuple([RockRecord(horizon_s=one.horizon_s, **fields.ROCK.known(one)) for one in frame.rock]),
+        points=tuple([PointRecord(point.name, *fields.POINT.sent(point)) for point in frame.points]),
+        rock=tuple([RockRecord(one.horizon_s, *fields.ROCK.sent(one)) for one in frame.rock]),
         forecast=tuple([
-            ForecastRecord(horizon_s=one.horizon_s, **fields.FORECAST.known(one)) for one in frame.forecast
+            ForecastRecord(one.horizon_s, *fields.FORECAST.sent(one)) for one in frame.forecast
         ]),
         quality=frame.quality,
         dropped=None,  # Its tail has it.
@@ -142,11 +142,7 @@ def density(value: float) -> float | None:
 
 def delayed_record(delayed: DelayedHeave, utc_s: float) -> DelayedRecord:
     """``utc_s``: of its own validity, seconds since 1970."""
-    return DelayedRecord(
-        time=iso_time(utc_s),
-        mono_s=_micro(delayed.t_s),
-        **fields.DELAYED.known(delayed),
-    )
+    return DelayedRecord(time=iso_time(utc_s), mono_s=_micro(delayed.t_s), **fields.DELAYED.known(delayed))
 
 
 def quiet_record(quiet: QuietForecast, utc_s: float) -> QuietRecord:
@@ -198,6 +194,7 @@ def hull_record(hull: HullAngles, utc_s: float) -> HullRecord:
         mono_s=_micro(hull.t_s),
         state=hull.state,
         **fields.HULL.known(hull),
+        **fields.HULL_STD.known(hull),
         refits=hull.refits,
         resets=hull.resets,
         warnings=hull.warnings,

@@ -15,12 +15,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 from math import inf, isnan, nan
-from pathlib import Path
-from typing import Final, TextIO
+from typing import TYPE_CHECKING, Final, TextIO
 
 import msgspec
 
-from heaved.config import Config
 from heaved.devices.recording import Recording
 from heaved.estimation.heave.sea.refit import SeaWindow, look
 from heaved.estimation.stages import Stages
@@ -30,8 +28,15 @@ from heaved.samples import HeaveState, Quality, Sample
 from heaved.text import printable
 from heaved.workers.process import BlockingTrainer
 
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from heaved.config import Config
+
 PROGRESS_SAMPLES: Final = 64
 """Progress is told after so many."""
+NOTHING_TO_LEARN: Final = "with nothing to learn"
+"""Of training windows: no network would have been accepted, as a regression has shown."""
 MOST_REASONS: Final = 12
 """That are printed."""
 _NUMBER: Final = re.compile(r"[-+]?\d+(\.\d+)?")
@@ -70,7 +75,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     quality: dict[HeaveState, int]
     """Frames by how far their heave can be trusted."""
     trainings: dict[str, int]
-    """Training windows by what became of them: accepted, rejected, failed."""
+    """Training windows by what became of them: accepted, rejected, failed, or not trained: nothing to learn."""
     fits: dict[str, int]
     """Fits of the sea likewise."""
     failure: str = ""
@@ -137,6 +142,8 @@ def replay(
         if progress is not None:
             progress(recording.read_bytes, recording.total_bytes)
         table.flush()
+    if (spared := pipeline.summary().windows_with_nothing_to_learn) > 0:
+        tally.trainings[NOTHING_TO_LEARN] = spared
     return tally.summary(time.monotonic() - begun_s)
 
 
@@ -174,7 +181,7 @@ def _samples(recording: Recording, until_s: float, tally: Tally) -> Iterator[Sam
 def _fit(pipeline: Pipeline, past: SeaWindow, tally: Tally) -> str:
     try:
         fit = look(past)
-    except Exception as error:  # The daemon's fitter would die of it, too: what was learned stays.
+    except Exception as error:  # The daemon's fitter would die of it, too: what was learned stays.  # noqa: BLE001
         tally.failure = repr(error)
         return "failed"
     return pipeline.accept_fit(fit)

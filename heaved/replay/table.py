@@ -7,16 +7,19 @@ time is known, a minute later; if it never is, until there are too many that wai
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
 from itertools import chain
 from math import inf, nan
 from operator import mul
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from heaved.config import Config
 from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S
-from heaved.outputs.fields import ATTITUDE, FORECAST, HULL, MOTION, ROCK
-from heaved.samples import DelayedHeave, HeaveForecast, MotionFrame, RockPrediction
+from heaved.outputs.fields import ATTITUDE, FORECAST, HULL, HULL_STD, MOTION, ROCK
+from heaved.samples import DelayedHeave, HeaveForecast, HullAngles, MotionFrame, RockPrediction
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from heaved.config import Config
 
 MAX_STEP_S: Final = 0.5
 """Delayed heaves further apart than this have a hole between them."""
@@ -26,14 +29,13 @@ FASTEST_HZ: Final = 250.0
 _NOW: Final = MOTION.only("heave_m", "heave_std_m", "heave_velocity_mps", "observer_m", "correction_m", "lead_s")
 _AXES: Final = ("roll", "pitch", "yaw")
 _ROCK: Final = tuple(ROCK.only(f"{axis}_deg", f"{axis}_std_deg") for axis in _AXES)
-_HULL: Final = HULL.only(
-    *(f"{axis}_deg" for axis in "xyz"),
-    *(f"static_{axis}_deg" for axis in "xyz"),
-    *(f"{axis}_std_arcsec" for axis in "xyz"),
+_HULL: Final = (
+    HULL.only(*(f"{axis}_deg" for axis in "xyz"), *(f"static_{axis}_deg" for axis in "xyz")),
+    HULL_STD.only(*(f"{axis}_std_arcsec" for axis in "xyz")),
 )
 _NO_FORECAST: Final = HeaveForecast(horizon_s=nan)
 _NO_ROCK: Final = RockPrediction(horizon_s=nan)
-_NO_HULL: Final = (nan,) * len(_HULL.names)
+_NO_HULL: Final = HullAngles(t_s=nan, state="")
 _NO_ATTITUDE: Final = (nan,) * len(ATTITUDE.names)
 
 
@@ -54,7 +56,7 @@ class Table:
         rocks = [
             f"{axis}_{h:g}s_{what}" for axis in _AXES for h in self._rock_horizons_s for what in ("deg", "std_deg")
         ]
-        hull = [f"hull_{name}" for name in _HULL.names] if self._has_hull else []
+        hull = [f"hull_{name}" for fields in _HULL for name in fields.names] if self._has_hull else []
         # Of a craft, z is what is heave elsewhere.
         craft = [name.replace("heave_velocity", "z_rate").replace("heave", "z") for name in ATTITUDE.names]
         attitude = [f"attitude_{name}" for name in craft] if self._has_attitude else []
@@ -62,7 +64,7 @@ class Table:
         self._per_inside = (
             *FORECAST.per_inside * len(self._forecast_horizons_s),
             *chain.from_iterable(rock.per_inside * len(self._rock_horizons_s) for rock in _ROCK),
-            *(_HULL.per_inside if self._has_hull else ()),
+            *(chain.from_iterable(fields.per_inside for fields in _HULL) if self._has_hull else ()),
             *(ATTITUDE.per_inside if self._has_attitude else ()),
         )
         """Of what is known ahead: factors to the units of the columns."""
@@ -99,7 +101,7 @@ class Table:
         yield from [FORECAST.inside(forecasts.get(h, _NO_FORECAST)) for h in self._forecast_horizons_s]
         yield from [rock.inside(one) for rock in _ROCK for one in in_order]
         if self._has_hull:
-            yield _NO_HULL if frame.hull is None else _HULL.inside(frame.hull)
+            yield from [fields.inside(frame.hull or _NO_HULL) for fields in _HULL]
         if self._has_attitude:
             yield _NO_ATTITUDE if frame.attitude is None else ATTITUDE.inside(frame.attitude)
 

@@ -17,15 +17,17 @@ off by is worked off slowly.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from enum import Enum
 from math import exp, inf
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
 from heaved.samples import HeaveState
 from heaved.simulate.winch import SetPoint, WinchParams
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 _NODES: Final = 6
 """Forecasts through which the curve is laid: the nearest ones."""
@@ -44,11 +46,15 @@ class Source(Enum):
 
 
 class Ahead(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """A heave that is forecast."""
+
     horizon_s: float
     heave_m: float | None = None
 
 
 class Trust(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """How far the heave can be trusted."""
+
     heave: HeaveState
 
 

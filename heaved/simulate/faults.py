@@ -26,6 +26,8 @@ import msgspec
 
 
 class FaultKind(Enum):
+    """How a device misbehaves: see the table of this module."""
+
     DROPOUT = "dropout"
     LATE = "late"
     EXCEPTION = "exception"
@@ -52,9 +54,11 @@ class PlannedFault(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def end_s(self) -> float:
+        """When it is over."""
         return self.start_s + self.duration_s
 
     def active(self, t_s: float) -> bool:
+        """Whether it is going on."""
         return self.start_s <= t_s < self.end_s
 
 

@@ -10,17 +10,17 @@ with a lag, and are read back as they stand.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from heaved.samples import GRAVITY_MPS2
 from heaved.simulate.seaway import WaveSystem
+from heaved.simulate.vessel import Array
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 COMPONENTS: Final = 120
 """Waves in a sea."""
@@ -40,7 +40,9 @@ class Accelerations(Protocol):
 
     def __call__(
         self, state: Array, speed_mps: float, flaps_rad: Array, water_mps: Array, elevation_m: Array, /
-    ) -> Array: ...
+    ) -> Array:
+        """See the class."""
+        ...
 
 
 class Hull(msgspec.Struct, frozen=True, kw_only=True):

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import math
 import zlib
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from heaved.devices.profile import DeviceSpec
 from heaved.samples import CraftSample, Fault, ImuSample, LaserSample, Sample
-from heaved.simulate.craft_sensors import CraftSensors
-from heaved.simulate.hydrofoil import Passage, Voyage
+from heaved.simulate.gyro_shaking import GyroLine, GyroShake
+from heaved.simulate.hydrofoil import CraftShake, CraftShaking, Passage, Voyage
 from heaved.simulate.second_imu import CraneBase, SecondImu
 from heaved.simulate.sensors import (
     LASER_DISTANCE_M,
@@ -28,14 +27,11 @@ from heaved.simulate.sensors import (
     mounted,
     reading_std,
 )
-from heaved.simulate.shaking import BUTTERWORTH_DAMPING, NONE, Shake, Shaking, shaking
-from heaved.simulate.vessel import Array, Motion, Triad, body_rates, specific_force
+from heaved.simulate.shaking import BUTTERWORTH_DAMPING, NONE, Line, Shake, Shaking, shake_of, shaking
+from heaved.simulate.vessel import Array, Motion, MotionSource, Triad, body_rates, specific_force
 
-
-class MotionSource(Protocol):
-    """Anything that knows the true motion at any instant."""
-
-    def at(self, t_s: float) -> Motion[float]: ...
+if TYPE_CHECKING:
+    from heaved.devices.profile import DeviceSpec
 
 
 class Imu:
@@ -90,7 +86,8 @@ class Imu:
 
 class Attitude:
     """Roll, pitch and yaw as a complementary filter of the IMU shows them, at increasing instants; exact for an
-    apparent vertical that runs straight between them."""
+    apparent vertical that runs straight between them.
+    """
 
     def __init__(self, sea: MotionSource, lean_s: float, late_s: float) -> None:
         self._sea, self._lean_s, self._late_s = sea, lean_s, late_s
@@ -135,7 +132,49 @@ class Moved:
         self._sea, self._shaken = sea, shaken
 
     def at(self, t_s: float) -> Motion[float]:
+        """The true motion at ``t_s``."""
         return self._shaken.moved(self._sea.at(t_s))
+
+
+class CraftSensors:
+    """Reads a voyage, which starts over at its end: in between its samples it runs straight."""
+
+    def __init__(
+        self,
+        voyage: Voyage,
+        *,
+        heave_noise_m: float,
+        pitch_noise_rad: float,
+        seed: int,
+        name: str,
+        shake: str | CraftShake = "",
+    ) -> None:
+        """Noise: white, per reading.
+
+        Raises:
+            ValueError: there is no shake of that name.
+        """
+        self._voyage = voyage
+        self._noise = (heave_noise_m, pitch_noise_rad)
+        self._shaking = CraftShaking(shake, seed, self._noise)
+        self._rng = np.random.default_rng([seed, 6, zlib.crc32(name.encode())])
+
+    def read(self, t_s: float) -> CraftSample:
+        """The reading at ``t_s``."""
+        made = self._voyage
+        at = t_s % float(made.t_s[-1])
+        columns = (made.heave_m, made.pitch_rad, made.speed_mps, made.flap_fore_rad, made.flap_aft_rad)
+        heave, pitch, speed, fore, aft = (float(np.interp(at, made.t_s, column)) for column in columns)
+        read = np.array([[heave, pitch]]) + self._rng.standard_normal(2) * self._noise
+        heave, pitch = self._shaking.readings(np.array([t_s]), read)[0].tolist()
+        return CraftSample(
+            t_s=t_s,
+            heave_m=heave,
+            pitch_rad=pitch,
+            speed_mps=speed,
+            flap_fore_rad=fore,
+            flap_aft_rad=aft,
+        )
 
 
 class Instruments:
@@ -158,6 +197,13 @@ class Instruments:
         self._lasers: dict[str, Laser] = {}
         self._base, self._voyage = base or CraneBase(), voyage
         self._second: dict[str, SecondImu] = {}
+        lines = [part for part in shake_of(shake).vibration if isinstance(part, Line) and part.rate_radps > 0.0]
+        self._crane_shake = GyroShake(
+            vibration=tuple(
+                GyroLine(hz=line.hz, midships_radps=line.rate_radps, local_radps=line.rate_radps) for line in lines
+            )
+        )
+        """What turns the feet of the IMU amidships turns those at the crane base as much."""
         self._craft: dict[str, CraftSensors] = {}
 
     def read(self, device: DeviceSpec, t_s: float) -> Sample:
@@ -180,7 +226,13 @@ class Instruments:
         """The IMU at the crane base, which knows the true deformation."""
         if device.name not in self._second:
             self._second[device.name] = SecondImu(
-                self._sea, self._model, self._base, rate_hz=device.rate_hz, seed=self._seed, name=device.name
+                self._sea,
+                self._model,
+                self._base,
+                rate_hz=device.rate_hz,
+                seed=self._seed,
+                name=device.name,
+                shake=self._crane_shake,
             )
         return self._second[device.name]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import zlib
-from typing import Protocol
+from typing import Final
 
 import msgspec
 import numpy as np
@@ -17,18 +17,12 @@ from heaved.samples import RatesSample
 from heaved.simulate.flexure import ARCSEC_RAD, local_rates, static_rotation
 from heaved.simulate.gyro_shaking import GyroShake, GyroShaking
 from heaved.simulate.sensors import ImuModel, reading_std
-from heaved.simulate.vessel import Array, Motion, body_rates
+from heaved.simulate.vessel import Array, MotionSource, body_rates
 
-HARMONICS = 48
+HARMONICS: Final = 48
 """Per axis."""
-WIDEST = 4.0
+WIDEST: Final = 4.0
 """The harmonics reach up to this many times the flexure's frequency and have all of its variance."""
-
-
-class MotionSource(Protocol):
-    """Anything that knows the true motion at any instant."""
-
-    def at(self, t_s: float) -> Motion[float]: ...
 
 
 class CraneBase(msgspec.Struct, frozen=True, kw_only=True):
@@ -98,6 +92,7 @@ class SecondImu:
         return np.asarray(self._static @ (np.eye(3) - K + (0.5 - angle**2 / 24.0) * K @ K))
 
     def read(self, t_s: float) -> RatesSample:
+        """The reading at ``t_s``."""
         then_s = t_s - self._base.late_s
         hull = body_rates(self._sea.at(then_s))
         theta, rate = self._bend.at(then_s)

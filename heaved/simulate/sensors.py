@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -16,9 +16,13 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from heaved.samples import GRAVITY_MPS2, ImuSample, LaserSample, Sample
-from heaved.simulate.seaway import Seaway
 from heaved.simulate.shaking import BUTTERWORTH_DAMPING, NONE, Shake, shaking
 from heaved.simulate.vessel import Array, Motion, Real, Triad, body_rates, specific_force
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from heaved.simulate.seaway import Seaway
 
 LASER_DISTANCE_M = 12.0
 """What the laser reads at zero heave; it reads more as the vessel rises (sign +)."""
@@ -279,7 +283,8 @@ def leaning(truth: Motion[Real]) -> tuple[Real, Real]:
 def shown_angles(truth: Motion[Array], lean_s: float, late_s: float) -> Array:
     """Roll, pitch and yaw (3, n) as a complementary filter of time constant ``lean_s`` shows them ``late_s`` later: the
     true ones, and what has come into them of the apparent vertical. At the start nothing has; before it, all moved
-    evenly."""
+    evenly.
+    """
     angles = np.array([truth.roll_rad, truth.pitch_rad, truth.yaw_rad])
     rates = np.array([truth.roll_rate_radps, truth.pitch_rate_radps, truth.yaw_rate_radps])
     t_s, shown_s = truth.t_s, truth.t_s - late_s
@@ -290,9 +295,9 @@ def shown_angles(truth: Motion[Array], lean_s: float, late_s: float) -> Array:
         analogue = (np.array([1.0]), np.array([lean_s, 1.0]))
         found, denominator, _ = cont2discrete(analogue, float(np.mean(np.diff(t_s))), method="foh")
         numerator = found.ravel()
-        for angle, off in zip(angles, leaning(truth), strict=False):
+        for axis, off in enumerate(leaning(truth)):
             lean, _ = lfilter(numerator, denominator, off, zi=-numerator[:1] * off[:1])
-            angle += np.interp(shown_s, t_s, lean)
+            angles[axis] += np.interp(shown_s, t_s, lean)
     return np.asarray(angles, dtype=np.float64)
 
 

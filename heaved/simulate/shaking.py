@@ -12,9 +12,8 @@ with phases of their own.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from functools import cache
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
@@ -23,6 +22,9 @@ from scipy.special import j0
 
 from heaved.simulate.seaway import COMPONENTS, Seaway
 from heaved.simulate.vessel import Array, Motion, Real, Response
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
 
 Complex = NDArray[np.complex128]
 
@@ -164,6 +166,7 @@ class Turn(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def end_s(self) -> float:
+        """When it is over."""
         return self.start_s + self.duration_s
 
 
@@ -177,6 +180,7 @@ class List(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def end_s(self) -> float:
+        """When it is over."""
         return self.start_s + self.duration_s
 
 
@@ -279,7 +283,8 @@ class Shaking:
 
     def readings(self, t_s: Array) -> Array:
         """What adds to the sensor's readings at ``t_s`` (n,): (9, n) specific force (m/s2), roll, pitch and yaw (rad),
-        rates (rad/s), each about or along x, y, z."""
+        rates (rad/s), each about or along x, y, z.
+        """
         t = np.asarray(t_s, dtype=np.float64)
         added = np.zeros((9, t.size))
         for harmonics in self._harmonics:
@@ -324,7 +329,8 @@ def _low_pass(bandwidth_hz: float) -> Response:
 
 def _harmonics(part: Line | Band | Resonance, rng: np.random.Generator, low_pass: Response) -> tuple[Array, Complex]:
     """Angular frequencies (N,) and complex amplitudes (6, N) of displacement along z, x, y (m), of roll and pitch (rad)
-    and of yaw, which does not shake: in the order of :class:`~heaved.simulate.seaway.Seaway`."""
+    and of yaw, which does not shake: in the order of :class:`~heaved.simulate.seaway.Seaway`.
+    """
     rate_radps = 0.0
     if isinstance(part, Line):
         f, size = np.array([part.hz]), np.array([part.amplitude_mps2])
@@ -406,7 +412,8 @@ class _Wandering:
 
 def _speed_density(u: Array) -> Array:
     """Probability density of the mean of three harmonics of random phase: the cosine series of its characteristic
-    function, a product of Bessel functions."""
+    function, a product of Bessel functions.
+    """
     inside = np.abs(u) <= 1.0
     n = np.arange(1, 400)
     weights = j0(n * np.pi / _SPEEDS) ** _SPEEDS  # of a period of 2: the density is zero outside

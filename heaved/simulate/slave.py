@@ -15,18 +15,21 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from math import inf, isnan, nan
 from pathlib import Path
-from typing import Protocol, cast, get_args
+from typing import TYPE_CHECKING, Protocol, cast, get_args
 
 import msgspec
-import numpy as np
 from pymodbus.constants import ExcCodes
 from pymodbus.framer import FramerRTU, FramerSocket
 from pymodbus.pdu import DecodePDU
 
 from heaved.devices.link import RtuLink, TcpLink, character_s, silence_s
 from heaved.devices.profile import DeviceSpec, Quantity, block_registers, encode, role_needs, role_quantities
-from heaved.samples import Sample
 from heaved.simulate.faults import FaultKind, PlannedFault
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from heaved.samples import Sample
 
 _QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 _FUNCTIONS = {3: "holding", 4: "input"}
@@ -128,7 +131,8 @@ class Slave:
 
 class RtuPace:
     """When a slave on a serial line has heard a request and when its answer has been sent: a pty takes no time, a line
-    does. Silences of 3.5 characters stand before the answer and before the next request."""
+    does. Silences of 3.5 characters stand before the answer and before the next request.
+    """
 
     def __init__(self, link: RtuLink) -> None:
         self._character_s, self._silence_s = character_s(link), silence_s(link)
@@ -194,7 +198,7 @@ class _TcpConnection(asyncio.Protocol):
         self._transport = cast("asyncio.Transport", transport)
         self._siblings.add(self)
 
-    def connection_lost(self, exc: Exception | None) -> None:
+    def connection_lost(self, _error: Exception | None) -> None:
         self._siblings.discard(self)
 
     def abort(self) -> None:

@@ -7,7 +7,7 @@ Every degree of freedom answers the wave at the vessel's centre as one damped re
 from __future__ import annotations
 
 import math
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import msgspec
 import numpy as np
@@ -104,6 +104,14 @@ class Motion(msgspec.Struct, Generic[Real], frozen=True, kw_only=True):
     roll_rate_radps: Real
     pitch_rate_radps: Real
     yaw_rate_radps: Real
+
+
+class MotionSource(Protocol):
+    """Anything that knows the true motion at any instant."""
+
+    def at(self, t_s: float) -> Motion[float]:
+        """The motion at ``t_s``."""
+        ...
 
 
 class Triad(msgspec.Struct, Generic[Real], frozen=True):

@@ -1,4 +1,4 @@
-"""The daemon's side of a worker process: training, and fitting the sea. No torch here: importing it stalls a loop.
+"""Our side of a worker process (its own side: :mod:`heaved.workers.serve`). No torch here: importing it stalls a loop.
 
 ``Worker`` serves the running daemon and never blocks it; ``BlockingTrainer`` serves replay, which waits for results.
 """
@@ -8,95 +8,80 @@ from __future__ import annotations
 import asyncio
 import os
 import subprocess
-import sys
 import tempfile
 from asyncio.subprocess import PIPE, Process
-from collections.abc import Callable, Sequence
 from contextlib import suppress
 from threading import Timer
-from types import TracebackType
-from typing import Generic, Protocol, TypeVar, cast
-
-import msgspec
+from typing import TYPE_CHECKING, Final, Generic, cast
 
 from heaved.samples import TrainedNetwork, TrainingWindow
 from heaved.workers import protocol
+from heaved.workers.jobs import TRAINING, Job, Numbered, Request, Result
 
-TRAINER = (sys.executable, "-m", "heaved.workers.train_correction")
-FITTER = (sys.executable, "-m", "heaved.workers.fit_sea")
-HULL_FITTER = (sys.executable, "-m", "heaved.workers.refit_hull")
-LONGEST_JOB_S = 60.0
-LONGEST_BACKOFF_S = 60.0
-GRACE_S = 0.5
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from types import TracebackType
+
+LONGEST_JOB_S: Final = 60.0
+LONGEST_BACKOFF_S: Final = 60.0
+GRACE_S: Final = 0.5
 """How long a process may take to end by itself once its stdin is closed."""
-STDERR_KEPT_BYTES = 2000
+STDERR_KEPT_BYTES: Final = 2000
 
 
-class WorkerFailed(Exception):
+class WorkerError(Exception):
     """The worker process died, hung or talked nonsense; the message says which."""
 
 
-class Job(Protocol):
-    """What is sent to a worker, and what comes back: both carry the number of the job."""
-
-    @property
-    def number(self) -> int: ...
-
-
-Result = TypeVar("Result", bound=msgspec.Struct)
-
-
-class Worker(Generic[Result]):
+class Worker(Generic[Request, Result]):
     """One worker process, started again with back-off (1, 2, 4 .. 60 s) whenever it fails.
 
-    At most one job is under way and one waits; a newer job replaces the waiting one. The job under way when the process
-    fails is dropped: the next one is seconds away, and the failure may be its fault.
+    At most one request is under way and one waits; a newer one replaces the waiting one. The request under way when the
+    process fails is dropped: the next one is seconds away, and the failure may be its fault.
     """
 
     def __init__(
         self,
-        name: str,
-        kind: type[Result],
+        job: Job[Request, Result],
         on_result: Callable[[Result], None],
         on_failure: Callable[[str], None],
         *,
-        command: Sequence[str],
         longest_s: float = LONGEST_JOB_S,
         first_backoff_s: float = 1.0,
     ) -> None:
-        """``kind``: the record of an answer. Both callbacks run on the loop; on_failure gets the reason and the last
-        words of the process."""
-        self._name = name
-        self._kind = kind
+        """Both callbacks run on the loop; on_failure gets the reason and the last words of the process."""
+        self._job = job
         self._on_result = on_result
         self._on_failure = on_failure
-        self._command = command
         self._longest_s = longest_s
         self._first_backoff_s = first_backoff_s
         self._backoff_s = first_backoff_s
         self._waiting: asyncio.Queue[tuple[int, bytes]] = asyncio.Queue(maxsize=1)
-        """Number of a job, and its frame."""
+        """Number of a request, and its frame."""
+        self._asked = asyncio.Event()
+        """There was a request."""
         self._task: asyncio.Task[None] | None = None
         self.failures = 0
         """Times the process died, hung or talked nonsense."""
         self.replaced = 0
-        """Jobs that a newer one replaced before they were begun."""
+        """Requests that a newer one replaced before they were begun."""
 
     async def start(self) -> None:
-        """Start the process and its supervision."""
-        self._task = asyncio.create_task(self._supervise(), name=self._name)
+        """Start the supervision, and the process, unless that waits for work."""
+        self._task = asyncio.create_task(self._supervise(), name=self._job.name)
 
-    def submit(self, job: Job) -> None:
-        """Send this job as soon as the process is free. Never blocks.
+    def submit(self, request: Request) -> None:
+        """Send this as soon as the process is free. Never blocks.
 
         Raises:
-            FrameError: the job is too large to be sent.
+            FrameError: it is too large to be sent.
         """
-        frame = protocol.encode(cast(msgspec.Struct, job))
+        frame = protocol.encode(request)
         if self._waiting.full():
             self._waiting.get_nowait()
             self.replaced += 1
-        self._waiting.put_nowait((job.number, frame))
+        self._waiting.put_nowait((cast("Numbered", request).number, frame))
+        self._asked.set()
 
     async def stop(self) -> None:
         """End the process within a second, whatever it is doing.
@@ -113,10 +98,12 @@ class Worker(Generic[Result]):
             task.result()
 
     async def _supervise(self) -> None:
+        if self._job.waits_for_work:
+            await self._asked.wait()
         while True:
             reason = await self._one_life()
             self.failures += 1
-            self._on_failure(f"{self._name}: {reason}; starting it again in {self._backoff_s:g} s")
+            self._on_failure(f"{self._job.name}: {reason}; starting it again in {self._backoff_s:g} s")
             await asyncio.sleep(self._backoff_s)
             self._backoff_s = min(LONGEST_BACKOFF_S, 2.0 * self._backoff_s)
 
@@ -124,14 +111,14 @@ class Worker(Generic[Result]):
         """Run one process until it fails; the reason, with the last words it wrote to stderr."""
         try:
             process = await asyncio.create_subprocess_exec(
-                *self._command, stdin=PIPE, stdout=PIPE, stderr=PIPE, env=_environment()
+                *self._job.command, stdin=PIPE, stdout=PIPE, stderr=PIPE, env=_environment()
             )
         except OSError as error:
-            return f"cannot start {self._command[0]}: {error}"
+            return f"cannot start {self._job.command[0]}: {error}"
         last_words = asyncio.create_task(_tail(process))
         try:
             await self._serve(process)
-        except WorkerFailed as error:
+        except WorkerError as error:
             reason = str(error)
         finally:
             try:
@@ -141,8 +128,8 @@ class Worker(Generic[Result]):
         return f"{reason} (exit code {process.returncode})" + (f": {words}" if words else "")
 
     async def _serve(self, process: Process) -> None:
-        """Hand over jobs and deliver results until the process fails."""
-        answer = asyncio.create_task(_answer(process, self._kind), name="answer")
+        """Hand over requests and deliver results until the process fails."""
+        answer = asyncio.create_task(_answer(process, self._job.result), name="answer")
         try:
             while True:
                 submitted = asyncio.create_task(self._waiting.get())
@@ -152,10 +139,10 @@ class Worker(Generic[Result]):
                     submitted.cancel()
                 if answer.done():
                     answer.result()
-                    raise WorkerFailed("it answered without being asked")
+                    raise WorkerError("it answered without being asked")
                 self._on_result(await self._exchange(process, *submitted.result(), answer))
                 self._backoff_s = self._first_backoff_s
-                answer = asyncio.create_task(_answer(process, self._kind), name="answer")
+                answer = asyncio.create_task(_answer(process, self._job.result), name="answer")
         finally:
             answer.cancel()
 
@@ -168,10 +155,10 @@ class Worker(Generic[Result]):
                     await process.stdin.drain()
                 result = await answer
         except TimeoutError:
-            raise WorkerFailed(f"a job took longer than {self._longest_s:g} s") from None
-        answered = cast(Job, result).number
+            raise WorkerError(f"a job took longer than {self._longest_s:g} s") from None
+        answered = cast("Numbered", result).number
         if answered != number:
-            raise WorkerFailed(f"it answered job {answered} instead of {number}")
+            raise WorkerError(f"it answered job {answered} instead of {number}")
         return result
 
 
@@ -181,7 +168,7 @@ class BlockingTrainer:
     A context manager; the process starts with the first window, and again after a failure.
     """
 
-    def __init__(self, *, command: Sequence[str] = TRAINER, longest_training_s: float = LONGEST_JOB_S) -> None:
+    def __init__(self, *, command: Sequence[str] = TRAINING.command, longest_training_s: float = LONGEST_JOB_S) -> None:
         self._command = command
         self._longest_training_s = longest_training_s
         self._process: subprocess.Popen[bytes] | None = None
@@ -199,7 +186,7 @@ class BlockingTrainer:
         """Train and wait. A failure of the process is the message of the result."""
         try:
             return self._exchange(window)
-        except (OSError, WorkerFailed, protocol.FrameError) as error:
+        except (OSError, WorkerError, protocol.FrameError) as error:
             self._end()
             self._stderr.seek(0)
             words = self._stderr.read()[-STDERR_KEPT_BYTES:].decode("utf-8", "replace").strip()
@@ -232,11 +219,11 @@ class BlockingTrainer:
             in_time = watchdog.is_alive()
             watchdog.cancel()
         if result is None and not in_time:
-            raise WorkerFailed(f"a training took longer than {self._longest_training_s:g} s")
+            raise WorkerError(f"a training took longer than {self._longest_training_s:g} s")
         if result is None:
-            raise WorkerFailed("the process ended")
+            raise WorkerError("the process ended")
         if result.number != window.number:
-            raise WorkerFailed(f"it answered window {result.number} instead of {window.number}")
+            raise WorkerError(f"it answered window {result.number} instead of {window.number}")
         return result
 
     def _end(self) -> None:
@@ -259,9 +246,9 @@ async def _answer(process: Process, kind: type[Result]) -> Result:
         body = await process.stdout.readexactly(protocol.body_length(header))
         return protocol.decode(body, kind)
     except asyncio.IncompleteReadError:
-        raise WorkerFailed("the process ended") from None
+        raise WorkerError("the process ended") from None
     except protocol.FrameError as error:
-        raise WorkerFailed(str(error)) from error
+        raise WorkerError(str(error)) from error
 
 
 async def _tail(process: Process) -> bytes:

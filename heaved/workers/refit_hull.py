@@ -35,6 +35,7 @@ def pack(number: int, job: RefitJob) -> HullJob:
 
 
 def work(job: HullJob) -> HullFit:
+    """Refit."""
     return HullFit(number=job.number, body=pickle.dumps(refit(pickle.loads(job.body))))
 
 

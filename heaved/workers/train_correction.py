@@ -30,7 +30,7 @@ LEAST_GAIN = 1e-5
 """Training ends early when the loss has fallen by less than this fraction over PATIENCE_EPOCHS."""
 
 
-class UnusableWindow(ValueError):
+class WindowError(ValueError):
     """Nothing can be learned from this window; the message says why."""
 
 
@@ -39,7 +39,7 @@ def fit(window: TrainingWindow) -> TrainedNetwork:
     started = process_time()
     try:
         network = _train(window)
-    except UnusableWindow as error:
+    except WindowError as error:
         return TrainedNetwork(number=window.number, message=str(error), seconds=process_time() - started)
     return TrainedNetwork(
         number=window.number,
@@ -56,7 +56,7 @@ def _train(window: TrainingWindow) -> Network:
     input_mean, input_std = float(inputs.mean()), float(inputs.std())
     target_mean, target_std = float(targets.mean()), float(targets.std())
     if not (input_std > 0.0 and target_std > 0.0):
-        raise UnusableWindow(f"training window: constant (deviations {input_std} and {target_std} m): nothing to learn")
+        raise WindowError(f"training window: constant (deviations {input_std} and {target_std} m): nothing to learn")
     output = Output(window.output)
     torch.set_num_threads(1)  # one core belongs to the 10 ms tick; and the sums keep their order
     x = torch.from_numpy((inputs - input_mean) / input_std).to(torch.float32)
@@ -80,25 +80,25 @@ def _train(window: TrainingWindow) -> Network:
 def _arrays(window: TrainingWindow) -> tuple[Array, Array]:
     """Inputs (n, d) and targets (n,), metres."""
     if window.rows < 2 or window.width < 1 or window.hidden < 1:
-        raise UnusableWindow(
+        raise WindowError(
             f"training window: {window.rows} rows, {window.width} inputs, {window.hidden} hidden units;"
             " at least 2, 1 and 1 are needed"
         )
     if len(window.inputs) != 8 * window.rows * window.width or len(window.targets) != 8 * window.rows:
-        raise UnusableWindow(
+        raise WindowError(
             f"training window: {len(window.inputs)} and {len(window.targets)} bytes do not hold"
             f" {window.rows} rows of {window.width} inputs and one target"
         )
     if not (isfinite(window.learning_rate) and window.learning_rate > 0.0 and window.epochs >= 1):
-        raise UnusableWindow(
+        raise WindowError(
             f"training window: learning rate {window.learning_rate} and {window.epochs} epochs must be positive"
         )
     if window.output not in [kind.value for kind in Output]:
-        raise UnusableWindow(f"training window: unknown output {window.output!r}")
+        raise WindowError(f"training window: unknown output {window.output!r}")
     inputs = np.frombuffer(window.inputs, "<f8").astype(np.float64).reshape(window.rows, window.width)
     targets = np.frombuffer(window.targets, "<f8").astype(np.float64)
     if not (np.isfinite(inputs).all() and np.isfinite(targets).all()):
-        raise UnusableWindow("training window: a value is not finite")
+        raise WindowError("training window: a value is not finite")
     return inputs, targets
 
 
@@ -137,9 +137,9 @@ def _descend(weights: Weights, x: torch.Tensor, t: torch.Tensor, output: Output,
             previous = current
         with torch.no_grad():
             for tensor, gradient in zip(weights, torch.autograd.grad(loss, weights), strict=True):
-                tensor -= rate * gradient
+                tensor.sub_(rate * gradient)
     if not all(bool(torch.isfinite(tensor).all()) for tensor in weights):
-        raise UnusableWindow(f"training diverged: the learning rate {rate} is too high for this window")
+        raise WindowError(f"training diverged: the learning rate {rate} is too high for this window")
 
 
 if __name__ == "__main__":

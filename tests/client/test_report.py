@@ -10,7 +10,7 @@ import pytest
 from stream_peers import make_frame, make_status
 
 from heaved.client.report import CheckState, check_line, duration, json_text, table
-from heaved.client.stream_client import Snapshot, Trouble, Unreachable
+from heaved.client.stream_client import Snapshot, Trouble, UnreachableError
 from heaved.outputs import wire
 from heaved.outputs.records import (
     ClockStatus,
@@ -85,14 +85,14 @@ IMU = make_status().devices[0]
         (snapshot(frame=motion(age_s=1.5)), CheckState.CRITICAL, "last frame is 1.5 s old"),
         (snapshot(make_status(heave=HeaveStatus(age_s=90.0))), CheckState.CRITICAL, "last frame is 90.0 s old"),
         (snapshot(make_status(heave=HeaveStatus())), CheckState.CRITICAL, "no frame yet"),
-        (Unreachable(Trouble.REFUSED, "h:1: Connection refused"), CheckState.CRITICAL, "CRITICAL - h:1: Connection"),
-        (Unreachable(Trouble.SILENT, "h:1: connected,\nbut"), CheckState.CRITICAL, "CRITICAL - h:1: connected, but"),
-        (Unreachable(Trouble.TURNED_AWAY, "h:1: full"), CheckState.CRITICAL, "h:1: full"),
-        (Unreachable(Trouble.NOT_HEAVED, "h:1: smtp"), CheckState.UNKNOWN, "UNKNOWN - h:1: smtp"),
-        (Unreachable(Trouble.NO_ADDRESS, "h:1: no such host"), CheckState.UNKNOWN, "UNKNOWN"),
+        (UnreachableError(Trouble.REFUSED, "h:1: refused"), CheckState.CRITICAL, "CRITICAL - h:1: refused"),
+        (UnreachableError(Trouble.SILENT, "h:1: open,\nbut"), CheckState.CRITICAL, "CRITICAL - h:1: open, but"),
+        (UnreachableError(Trouble.TURNED_AWAY, "h:1: full"), CheckState.CRITICAL, "h:1: full"),
+        (UnreachableError(Trouble.NOT_HEAVED, "h:1: smtp"), CheckState.UNKNOWN, "UNKNOWN - h:1: smtp"),
+        (UnreachableError(Trouble.NO_ADDRESS, "h:1: no such host"), CheckState.UNKNOWN, "UNKNOWN"),
     ],
 )
-def test_check_line(result: Snapshot | Unreachable, state: CheckState, said: str) -> None:
+def test_check_line(result: Snapshot | UnreachableError, state: CheckState, said: str) -> None:
     code, line = check_line(result)
     assert (code, int(code)) == (state, ["OK", "WARNING", "CRITICAL", "UNKNOWN"].index(line.split(" - ")[0]))
     assert said in line
@@ -115,7 +115,7 @@ def test_json() -> None:
     assert body["version"]["release"] == "1.2.3"
     assert body["status"]["heave"] == {"heave_m": 1.25, "heave_std_m": 0.02, "age_s": 0.002}
     assert body["motion"]["quality"]["heave"] == "valid"
-    assert json.loads(json_text(Unreachable(Trouble.SILENT, "h:1: nothing"))) == {
+    assert json.loads(json_text(UnreachableError(Trouble.SILENT, "h:1: nothing"))) == {
         "reachable": False, "trouble": "silent", "message": "h:1: nothing",
     }  # fmt: skip
 
@@ -221,6 +221,6 @@ def test_nothing_of_a_daemon_commands_the_terminal() -> None:
     for text in (table(evil), json_text(evil), check_line(evil)[1]):
         assert all(line.isprintable() for line in text.split("\n"))
     assert json.loads(json_text(evil))["status"]["devices"][0]["name"] == f"laser{EVIL}"
-    refused = Unreachable(Trouble.TURNED_AWAY, f"h:1: the daemon says: {EVIL}")
+    refused = UnreachableError(Trouble.TURNED_AWAY, f"h:1: the daemon says: {EVIL}")
     for text in (str(refused), json_text(refused), check_line(refused)[1]):
         assert all(line.isprintable() for line in text.split("\n"))

@@ -58,8 +58,8 @@ def test_view_of_good_data() -> None:
     view = View("here:5570")
     assert "connecting" in drawn(view, 0.0)
     view.connected("1.2.3", 10.0)
-    view.take(motion(), 10.1)
-    view.take(make_status(), 10.1)
+    view.push(motion(), 10.1)
+    view.push(make_status(), 10.1)
     text = drawn(view, 10.2)
     for expected in ("heaved 1.2.3 at here:5570", "connected for 200.0 ms", "VALID", "±0.020 m   -0.50 m/s",
                      "roll +5.73°   pitch -2.86°   yaw -", "age 102.0 ms", "imu (imu) up   99.5 Hz"):  # fmt: skip
@@ -72,7 +72,7 @@ def test_view_of_a_hull_that_shakes() -> None:
     view = View("here:5570")
     view.connected("1.2.3", 0.0)
     shaking = (Vibration(frequency_hz=3.1, width_hz=0.02, rms_mps2=0.21),)
-    view.take(make_status(observer=ObserverStatus(name="sea", vibration=shaking, noise_mps2_rthz=1e-3)), 0.0)
+    view.push(make_status(observer=ObserverStatus(name="sea", vibration=shaking, noise_mps2_rthz=1e-3)), 0.0)
     told = "accelerometer   noise 1.0e-03 m/s2/√Hz   vibration: seen at 3.1 Hz, 0.21 m/s2"
     assert told in drawn(view, 0.1)
 
@@ -80,13 +80,13 @@ def test_view_of_a_hull_that_shakes() -> None:
 def test_view_of_old_data_and_of_trouble() -> None:
     view = View("here:5570")
     view.connected("1.2.3", 10.0)
-    view.take(motion(), 10.0)
+    view.push(motion(), 10.0)
     assert "DATA 5.0 s OLD" in drawn(view, 15.0)
     assert "VALID" not in drawn(view, 15.0)
     view.lost("here:5570: Connection refused")
     assert "Connection refused - trying again" in drawn(view, 16.0)
     view.connected("1.2.4", 20.0)
-    view.take(motion(HeaveState.DEGRADED, dropped=7), 20.0)
+    view.push(motion(HeaveState.DEGRADED, dropped=7), 20.0)
     text = drawn(view, 20.1)
     assert "connection 2 since this view began, 7 frames lost" in text
     assert "DEGRADED" in text
@@ -97,13 +97,13 @@ def test_what_is_wrong_is_seen_on_a_narrow_terminal() -> None:
     view.connected("1.2.3", 0.0)
     reasons = ("no attitude or no horizontal acceleration: tilt not removed", "laser: no fresh reference")
     quality = msgspec.structs.replace(motion(HeaveState.DEGRADED).quality, reasons=reasons)
-    view.take(motion(quality=quality), 0.0)
+    view.push(motion(quality=quality), 0.0)
     device = msgspec.structs.replace(
         make_status().devices[0],
         up=False,
         detail="imu (tcp://192.168.100.200:15511, id 1): connection refused: check the port",
     )
-    view.take(make_status(devices=(device,)), 0.0)
+    view.push(make_status(devices=(device,)), 0.0)
     lines = drawn(view, 0.1, 80).splitlines()
     at = next(row for row, line in enumerate(lines) if "DEGRADED" in line)
     assert [line.strip() for line in lines[at : at + 2]] == [f"DEGRADED: {reasons[0]}", reasons[1]]
@@ -114,8 +114,8 @@ def test_what_is_wrong_is_seen_on_a_narrow_terminal() -> None:
 def test_no_line_is_wider_than_the_terminal(width: int) -> None:
     view = View("here:5570")
     view.connected("1.2.3", 0.0)
-    view.take(motion(heave_m=-123456.0), 0.0)
-    view.take(make_status(), 0.0)
+    view.push(motion(heave_m=-123456.0), 0.0)
+    view.push(make_status(), 0.0)
     assert max(len(line) for line in drawn(view, 0.0, width).splitlines()) <= width
 
 
@@ -126,18 +126,18 @@ def test_nothing_of_the_stream_commands_the_terminal() -> None:
     view = View(f"here{EVIL}")
     view.connected(f"1.2.3{EVIL}", 0.0)
     quality = msgspec.structs.replace(motion().quality, reasons=(f"swell{EVIL}",))
-    view.take(motion(quality=quality, time=EVIL), 0.0)
+    view.push(motion(quality=quality, time=EVIL), 0.0)
     device = msgspec.structs.replace(
         make_status().devices[0], name=EVIL, role=EVIL, up=False, last_fault=EVIL, detail=EVIL
     )
-    view.take(make_status(devices=(device,)), 0.0)
+    view.push(make_status(devices=(device,)), 0.0)
     for now_s in (0.0, 9.0):
         assert all(line.isprintable() for line in drawn(view, now_s, 400).split("\n"))
     view.lost(f"gone{EVIL}")
     assert all(line.isprintable() for line in drawn(view, 0.0, 400).split("\n"))
 
 
-class EnoughSeen(Exception):
+class EnoughSeen(Exception):  # noqa: N818  # no error
     """Ends the live view, as the user would."""
 
 

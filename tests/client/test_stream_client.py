@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator, Callable, Iterator
 import pytest
 from stream_peers import Connect, Serve, make_frame, make_status
 
-from heaved.client.stream_client import Trouble, Unreachable, fetch_status, is_ready, wait_until_ready
+from heaved.client.stream_client import Trouble, UnreachableError, fetch_status, is_ready, wait_until_ready
 from heaved.outputs import wire
 from heaved.outputs.records import MotionRecord, VersionRecord
 from heaved.outputs.stream import Publisher
@@ -105,7 +105,7 @@ async def test_status_when_no_frame_flows(serve: Serve) -> None:
 async def test_status_when_there_is_no_room(serve: Serve, connect: Connect) -> None:
     served = await serve(max_clients=1)
     await connect(served)
-    with pytest.raises(Unreachable, match="no more are served") as raised:
+    with pytest.raises(UnreachableError, match="no more are served") as raised:
         await asyncio.to_thread(fetch_status, served.host, served.port, 10.0)
     assert raised.value.trouble is Trouble.TURNED_AWAY
 
@@ -113,7 +113,7 @@ async def test_status_when_there_is_no_room(serve: Serve, connect: Connect) -> N
 @pytest.mark.parametrize(
     ("behave", "trouble", "said"),
     [
-        (lambda connection: None, Trouble.SILENT, "nothing is said"),
+        (lambda _connection: None, Trouble.SILENT, "nothing is said"),
         (lambda connection: connection.sendall(VERSION), Trouble.SILENT, "?STATUS is not answered"),
         (lambda connection: connection.sendall(VERSION[:20]), Trouble.SILENT, "nothing is said"),
         (lambda connection: connection.close(), Trouble.CLOSED, "connection"),
@@ -135,7 +135,7 @@ def test_status_of_anything_else(
     play: Play, behave: Callable[[socket.socket], None], trouble: Trouble, said: str
 ) -> None:
     port = play(behave)
-    with pytest.raises(Unreachable) as raised:
+    with pytest.raises(UnreachableError) as raised:
         fetch_status("127.0.0.1", port, 0.3 if trouble is Trouble.SILENT else 10.0)
     assert raised.value.trouble is trouble
     assert said in str(raised.value)
@@ -147,13 +147,14 @@ def test_a_flood_of_other_lines_does_not_hold_status_up(play: Play) -> None:
         connection.sendall(VERSION)
         endless(b'{"class":"SEA"}\n' * 100)(connection)
 
-    with pytest.raises(Unreachable, match="not answered"):
+    with pytest.raises(UnreachableError, match="not answered"):
         fetch_status("127.0.0.1", play(behave), 0.3)
 
 
 def test_nobody_listens() -> None:
     port = refused_port()
-    with pytest.raises(Unreachable, match=rf"127\.0\.0\.1:{port}: Connection refused: is heaved running") as raised:
+    message = rf"127\.0\.0\.1:{port}: Connection refused: is heaved running"
+    with pytest.raises(UnreachableError, match=message) as raised:
         fetch_status("127.0.0.1", port)
     assert raised.value.trouble is Trouble.REFUSED
 
@@ -166,7 +167,7 @@ def test_no_such_host(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None
         raise error
 
     monkeypatch.setattr(socket, "getaddrinfo", fail)
-    with pytest.raises(Unreachable, match="crane:5570: no such host") as raised:
+    with pytest.raises(UnreachableError, match="crane:5570: no such host") as raised:
         fetch_status("crane", 5570)
     assert raised.value.trouble is Trouble.NO_ADDRESS
 
@@ -212,5 +213,5 @@ async def test_wait_ends_without_a_usable_heave(serve: Serve) -> None:
 
 def test_wait_ends_without_a_daemon(play: Play) -> None:
     assert not wait_until_ready("127.0.0.1", refused_port(), 0.05)
-    assert not wait_until_ready("127.0.0.1", play(lambda connection: None), 0.05)
+    assert not wait_until_ready("127.0.0.1", play(lambda _connection: None), 0.05)
     assert not wait_until_ready("127.0.0.1", play(endless(b"\x00" * 4096)), 0.05)

@@ -73,7 +73,8 @@ async def test_the_clients_see_the_motion_of_the_ship(
     tmp_path: Path, params: heave.Params, learned: PipelineState, wait_s: float
 ) -> None:
     """``wait_s``: from the first heave (harmonic: 15 s after the first sample; sea: at once, so three periods more)
-    until it is looked at."""
+    until it is looked at.
+    """
     sea = Swell()
     config = demo_config(tmp_path, heave=params)
     StateFile(tmp_path / "state", PipelineState).write(StateFile.encode(learned))

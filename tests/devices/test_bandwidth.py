@@ -1,5 +1,6 @@
 """Folding. Oracle: sinusoids sampled at the rate, and where the periodogram of the samples has its peak; the group
-delay of filters by differences of their phase."""
+delay of filters by differences of their phase.
+"""
 
 from __future__ import annotations
 

@@ -7,7 +7,6 @@ import contextlib
 import errno
 import itertools
 import logging
-import os
 import random
 import resource
 import socket
@@ -145,7 +144,8 @@ async def test_sample_is_dated_by_the_block_with_the_vertical_acceleration() -> 
 
 class LateSlave:
     """Keeps the answer to one request back until it hears another, then sends both: the worst moment for it. Every
-    register carries the number of the request that it answers."""
+    register carries the number of the request that it answers.
+    """
 
     def __init__(self, keep_back: set[int]) -> None:
         self.keep_back = keep_back
@@ -314,7 +314,7 @@ async def test_no_late_answer_is_taken_from_an_erratic_slave(name: str) -> None:
     profile = counter_profile(kind["registers"])  # type: ignore[arg-type]
     async with running([device(f"rtu://{slave.path}", timeout_ms=20.0, rate_hz=100.0, profile=profile)], results):
         await results.number(120)
-        await results.until(lambda result: sum(map(well, results.all)) >= 5)  # Or the test shows nothing.
+        await results.until(lambda _result: sum(map(well, results.all)) >= 5)  # Or the test shows nothing.
     for handle in underway:
         handle.cancel()
     slave.close()
@@ -327,7 +327,7 @@ def refuse(request: bytes) -> bytes:
 
 @pytest.mark.parametrize(
     ("most", "refuse", "lost"),
-    [(125, refuse, 3), (3, refuse, 1), (3, lambda request: b"", 1)],
+    [(125, refuse, 3), (3, refuse, 1), (3, lambda _request: b"", 1)],
     ids=["longer reads", "in parts", "in parts when longer reads are ignored"],
 )
 async def test_a_lost_answer_costs_one_poll_and_no_more(most: int, refuse: Callable[[bytes], bytes], lost: int) -> None:
@@ -401,7 +401,7 @@ async def test_late_tcp_answers_are_told_apart_by_their_number() -> None:
         results(result)  # type: ignore[arg-type]
 
     task = asyncio.create_task(Bus([device(f"tcp://127.0.0.1:{slave.port}", timeout_ms=20.0)], note).run())
-    await results.until(lambda result: len(ages) >= 8)
+    await results.until(lambda _result: len(ages) >= 8)
     task.cancel()
     with contextlib.suppress(asyncio.CancelledError):
         await task
@@ -420,10 +420,10 @@ def damaged(request: bytes) -> bytes:
 
 
 RTU_FAULTS = [
-    ("mute", lambda request: b"", Fault.TIMEOUT, "no answer"),
+    ("mute", lambda _request: b"", Fault.TIMEOUT, "no answer"),
     ("damaged", damaged, Fault.CRC, "no valid frame"),
-    ("noise", lambda request: bytes(range(0x80, 0xA0)), Fault.CRC, "baudrate"),
-    ("diagnostics noise", lambda request: b"\x50\x08\x00", Fault.CRC, "no valid frame"),
+    ("noise", lambda _request: bytes(range(0x80, 0xA0)), Fault.CRC, "baudrate"),
+    ("diagnostics noise", lambda _request: b"\x50\x08\x00", Fault.CRC, "no valid frame"),
     ("other slave", lambda request: rtu_answer(b"\x07" + request[1:], [1] * 3), Fault.TIMEOUT, "device id 7"),
     ("too short", lambda request: rtu_answer(request, [1] * 2), Fault.LENGTH, "2 registers instead of 3"),
     ("busy", lambda request: rtu(bytes((request[0], request[1] | 0x80, 6))), Fault.EXCEPTION, "device busy"),
@@ -505,13 +505,13 @@ def mbap(request: bytes, pdu: bytes) -> bytes:
 
 
 TCP_FAULTS = [
-    ("mute", lambda request: b"", Fault.TIMEOUT, "no answer"),
+    ("mute", lambda _request: b"", Fault.TIMEOUT, "no answer"),
     ("too short", lambda request: tcp_answer(request, [1] * 2), Fault.LENGTH, "2 registers instead of 3"),
     ("busy", lambda request: mbap(request, b"\x83\x06"), Fault.EXCEPTION, "device busy"),
-    ("not Modbus", lambda request: b"SSH-2.0-OpenSSH_9.6\r\n", Fault.CRC, "check the port"),
+    ("not Modbus", lambda _request: b"SSH-2.0-OpenSSH_9.6\r\n", Fault.CRC, "check the port"),
     ("other function", lambda request: mbap(request, b"\x63\x06"), Fault.EXCEPTION, "function"),
     ("half a frame", lambda request: tcp_answer(request, [1] * 3)[:10], Fault.CRC, "no whole Modbus TCP frame"),
-    ("a whole page", lambda request: b"HTTP/1.1 400 Bad Request\r\n" * 100, Fault.CRC, "check the port"),
+    ("a whole page", lambda _request: b"HTTP/1.1 400 Bad Request\r\n" * 100, Fault.CRC, "check the port"),
     ("half a header", lambda request: request[:5], Fault.CRC, "no whole Modbus TCP frame"),
     ("byte count too great", lambda request: mbap(request, b"\x03\x08" + bytes(6)), Fault.LENGTH, "byte count says 8"),
     ("byte count too small", lambda request: mbap(request, b"\x03\x04" + bytes(6)), Fault.LENGTH, "byte count says 4"),
@@ -650,7 +650,7 @@ async def test_slave_that_closes_idle_connections_is_read_at_every_poll() -> Non
 
 
 async def test_slave_that_closes_without_an_answer_is_not_stormed() -> None:
-    slave = TcpSlave(lambda request: None)
+    slave = TcpSlave(lambda _request: None)
     await slave.start()
     results = Results()
     async with running([device(f"tcp://127.0.0.1:{slave.port}", rate_hz=200.0)], results):
@@ -725,7 +725,7 @@ async def test_out_of_descriptors_is_a_fault_and_no_flood(caplog: pytest.LogCapt
         async with running([device(link)], results):
             resource.setrlimit(resource.RLIMIT_NOFILE, (3, limits[1]))
             try:
-                first = await results.until(lambda result: True)
+                first = await results.until(lambda _result: True)
             finally:
                 resource.setrlimit(resource.RLIMIT_NOFILE, limits)
             back = await results.until(well)
@@ -777,9 +777,10 @@ async def test_port_is_opened_for_us_alone() -> None:
 
 async def test_nothing_floods_the_log(caplog: pytest.LogCaptureFixture) -> None:
     """Neither pymodbus, which logs every timeout, nor the loop, in which pymodbus raises for a frame that it does not
-    know: what is wrong stands in the results."""
+    know: what is wrong stands in the results.
+    """
     caplog.set_level(logging.INFO)
-    serial_slave = RtuSlave(lambda request: b"\x50\x08\x00")
+    serial_slave = RtuSlave(lambda _request: b"\x50\x08\x00")
     bad = itertools.cycle((b"\x63\x06", b"\x03\x08" + bytes(6), b"\x03\x05" + bytes(5), b"\x03\x02", b"\x83\x02\x02"))
     tcp_slave = TcpSlave(lambda request: mbap(request, next(bad)))
     await tcp_slave.start()
@@ -870,14 +871,18 @@ async def test_a_failing_consumer_is_a_bug_and_ends_the_task() -> None:
     assert isinstance(caught.value.exceptions[0], KeyError)
 
 
+def open_files() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
 async def test_cancelling_closes_the_line() -> None:
-    before = set(os.listdir("/proc/self/fd"))
+    before = open_files()
     slave = RtuSlave(CountingSlave())
     results = Results()
     async with running([device(f"rtu://{slave.path}")], results):
         await results.until(well)
     slave.close()
-    assert len(os.listdir("/proc/self/fd")) == len(before)
+    assert open_files() == before
 
 
 @pytest.mark.parametrize("order", ["before the answer", "after the answer"])

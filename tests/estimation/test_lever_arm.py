@@ -10,7 +10,8 @@ from heaved.estimation.lever_arm import AttitudeMotion, Point, motion
 
 def up_of(point: Point, roll: float, pitch: float) -> float:
     """Height of the point over the IMU: roll about x (port side up), then pitch (bow up: minus the right-hand rotation
-    about y), on the body vector."""
+    about y), on the body vector.
+    """
     about_x = np.array([[1, 0, 0], [0, cos(roll), -sin(roll)], [0, sin(roll), cos(roll)]])
     about_y = np.array([[cos(pitch), 0, -sin(pitch)], [0, 1, 0], [sin(pitch), 0, cos(pitch)]])
     return float((about_y @ about_x @ np.array([point.forward_m, point.port_m, point.up_m]))[2])

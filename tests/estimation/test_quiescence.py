@@ -7,7 +7,7 @@ from math import nan, pi
 import msgspec
 import numpy as np
 import pytest
-from evidence.quiescence import judge, report
+from evidence.rock.quiescence import judge, report
 from numpy.typing import NDArray
 
 from heaved.estimation.quiescence import MotionForecast, Params, Quiescence

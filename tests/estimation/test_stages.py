@@ -149,7 +149,7 @@ class Breaks:
     def __init__(self, *_: object) -> None:
         self.resets = {"covariance": 1}
 
-    def push(self, sample: object) -> None:
+    def push(self, _: object) -> None:
         raise ZeroDivisionError
 
     push_frame = push

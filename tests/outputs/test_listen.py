@@ -66,7 +66,7 @@ async def test_the_last_descriptors_are_kept_for_others(
     ("limit", "highest"), [(32, 24), (64, 48), (1024, 1008), (resource.RLIM_INFINITY, sys.maxsize)]
 )
 def test_how_many_descriptors_there_are(monkeypatch: pytest.MonkeyPatch, limit: int, highest: int) -> None:
-    monkeypatch.setattr(resource, "getrlimit", lambda kind: (limit, limit))
+    monkeypatch.setattr(resource, "getrlimit", lambda _kind: (limit, limit))
     assert listen_module._highest_descriptor() == highest
 
 

@@ -154,7 +154,8 @@ def test_without_tilt_the_heave_goes_on_and_says_so(longer: Recording, names: st
 @pytest.mark.parametrize("has_rates", [True, False])
 def test_an_outage_of_the_attitude_is_carried_with_the_rates_or_on_a_line(short: Recording, has_rates: bool) -> None:
     """Oracle: the true angles. No reading is held: a line serves while the motion is straight, rates for two seconds,
-    and what is known no better than that is not published."""
+    and what is known no better than that is not published.
+    """
     outages = ((50.0, 50.3), (55.0, 57.8))
     names = "roll_rad pitch_rad yaw_rad"
 
@@ -359,7 +360,7 @@ def test_what_follows_a_restart_is_not_learned_before_it_has_settled(short: Reco
     assert pipe.summary().lead_comparisons > 0
     for sample in longer.samples():
         pipe.step(changed(sample, t_s=sample.t_s + 100.0))
-        if pipe.training_due() is not None:
+        if pipe.training_due() is not None or pipe.summary().windows_with_nothing_to_learn > 0:
             break
     assert sample.t_s == pytest.approx(60.0 + 20.0, abs=2.0)
 

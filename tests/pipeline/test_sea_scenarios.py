@@ -377,7 +377,8 @@ def test_every_state_and_every_reason_has_its_scenario() -> None:
 
 def test_the_attitude_is_taken_from_when_the_accelerometers_measured() -> None:
     """Accelerometers that are 0.2 s late, as the laser has shown: a lag of the heave, but none between force and
-    attitude. With the attitude of now, gravity is removed for another moment."""
+    attitude. With the attitude of now, gravity is removed for another moment.
+    """
     late_s = 0.2
     shift = round(late_s * RATE_HZ)
     imu = [s for s in sea().samples if isinstance(s, ImuSample) and s.t_s < 300.0]

@@ -226,7 +226,8 @@ def test_without_any_delayed_heave_all_rows_come_out_with_a_blank() -> None:
 
 def test_the_column_is_the_delayed_heave(tmp_path: Path) -> None:
     """Of a whole replay: known from the end of the first minute, over which the filter starts, up to the smoother's lag
-    before the end, near the truth there; blank elsewhere."""
+    before the end, near the truth there; blank elsewhere.
+    """
     sea = record(seaway("T3", seed=3), 150.0, imu_rate_hz=20.0, laser="off", seed=3)
     path, out = tmp_path / "in.csv", tmp_path / "out.csv"
     write_recording(path, sea)

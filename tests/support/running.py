@@ -20,9 +20,10 @@ from heaved.estimation.heave.params import SeaParams
 from heaved.estimation.heave.sea.model import SeaModel
 from heaved.outputs import wire
 from heaved.pipeline import PipelineState
-from heaved.simulate.instruments import Instruments, MotionSource
+from heaved.simulate.instruments import Instruments
 from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.seaway import seaway
+from heaved.simulate.vessel import MotionSource
 
 Record = dict[str, Any]
 """One record of the stream."""
@@ -56,7 +57,8 @@ async def plant_of(
 ) -> AsyncIterator[tuple[SimulatedPlant, Config]]:
     """Simulated slaves for the devices of ``config``: (plant, ``config`` with the links where they are).
 
-    ``sea``: a name, or what moves the ship."""
+    ``sea``: a name, or what moves the ship.
+    """
     moves = seaway(sea, seed) if isinstance(sea, str) else sea
     plant = SimulatedPlant(config.device, Instruments(moves, seed=seed), any_port=True, seed=seed)
     await plant.start()

@@ -24,7 +24,8 @@ def model(stages: int = 6, chains: int = 2, noise_psd: float = 1e-6) -> SeaModel
 
 def whole(system: SeaSystem, dt_s: float) -> tuple[Array, Array]:
     """F and Q of the whole matrix at once, doubled from a step so short that three terms of the series suffice:
-    Q(2h) = Q(h) + F(h) Q(h) F(h)'."""
+    Q(2h) = Q(h) + F(h) Q(h) F(h)'.
+    """
     doublings = 20
     h, A, D = dt_s / 2**doublings, system.A, np.diag(system.diffusion)
     F = expm(A * h)

@@ -12,7 +12,10 @@ import accuracy
 import msgspec
 import numpy as np
 import pytest
-from evidence import asked, baselines, closed_loop, estimators, gates, heave, scenarios
+from evidence import scenarios
+from evidence.closed_loop import loop as closed_loop
+from evidence.heave import asked, baselines, estimators, gates
+from evidence.heave import evaluate as heave
 from evidence.scenarios import Setting, triplet
 from scipy.signal import butter, freqs
 

@@ -10,8 +10,9 @@ import accuracy
 import msgspec
 import numpy as np
 import pytest
-from evidence import asked, closed_loop
-from evidence.closed_loop_figure import hook_motion
+from evidence.closed_loop import loop as closed_loop
+from evidence.closed_loop.figure import hook_motion
+from evidence.heave import asked
 
 from heaved.estimation.heave.params import Params
 

@@ -7,8 +7,8 @@ records, on three seas and at two rates.
 from __future__ import annotations
 
 import pytest
-from evidence import fault_table
-from evidence.faults import Plan, Task, run
+from evidence.faults import table as fault_table
+from evidence.faults.judge import Plan, Task, run
 
 PLAN = Plan(at_s=80.0, duration_s=170.0, memory_s=90.0)
 SEA, RATE_HZ, SEED = "S6", 20.0, 2

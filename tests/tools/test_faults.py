@@ -1,22 +1,25 @@
 """tools/accuracy.py faults: the judge finds the lies that were put there by hand, and nothing else; disasters are what
-their names say."""
+their names say.
+"""
 
 from __future__ import annotations
 
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
 from math import cos, inf, isnan, nan, radians, sin
 from pathlib import Path
 
+import accuracy
 import msgspec
 import numpy as np
 import pytest
-from evidence import fault_table, faults
-from evidence.disasters import DISASTERS, HONEST_OF, IMU, Disaster, Span, spoiled
-from evidence.faults import Outcome, Plan, Published, Task
+from evidence.faults import judge as faults
+from evidence.faults import table as fault_table
+from evidence.faults.disasters import DISASTERS, HONEST_OF, IMU, Disaster, Span, spoiled
+from evidence.faults.judge import Outcome, Plan, Published, Task
 from numpy.typing import NDArray
 
 from heaved.pipeline import Pipeline
@@ -133,7 +136,8 @@ def judged(
 ) -> Outcome:
     """Frames that are right but from ``from_s`` to ``to_s``, a hundred of them, where they are changed."""
     motion, published = true_motion(), Published()
-    for made in right_frames():
+    for right in right_frames():
+        made = right
         if from_s - 1e-9 <= made.t_s < to_s - 1e-9:
             for change in changes:
                 made = change(made)
@@ -312,12 +316,12 @@ def test_the_last_minute_is_the_last_minute() -> None:
 
 
 def test_an_exception_is_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    def burst(self: Pipeline, samples: Sequence[ImuSample]) -> object:
+    def burst(self: Pipeline, sample: ImuSample) -> object:
         raise IndexError("index 3 is out of bounds")
 
-    monkeypatch.setattr(Pipeline, "run", burst)
+    monkeypatch.setattr(Pipeline, "step", burst)
     found = faults.run(Task(name="clean", sea="S4", rate_hz=5.0, seed=1, plan=Plan(at_s=10.0, duration_s=30.0)))
-    assert found.crash.startswith("IndexError: index 3 is out of bounds (test_fault_evidence.py:")
+    assert found.crash.startswith("IndexError: index 3 is out of bounds (test_faults.py:")
     assert fault_table.missed(found, None) == ["IndexError"]
 
 
@@ -342,9 +346,8 @@ class Listening:
     def __init__(self) -> None:
         self.samples: list[Sample] = []
 
-    def run(self, samples: Sequence[Sample]) -> list[None]:
-        self.samples += samples
-        return [None] * len(samples)
+    def step(self, sample: Sample) -> None:
+        self.samples.append(sample)
 
     def fit_due(self) -> None:
         return None
@@ -363,7 +366,7 @@ def test_a_poll_that_failed_is_a_sample_that_says_so() -> None:
 
 
 def test_lines_and_tables_can_be_read(tmp_path: Path) -> None:
-    command = [sys.executable, str(Path(faults.__file__).parents[1] / "accuracy.py"), "faults", "roll_sign"]
+    command = [sys.executable, str(Path(accuracy.__file__)), "faults", "roll_sign"]
     options = ["--seas", "S4", "--rates", "5", "--at", "20", "--duration", "140", "--detail", "--out", str(tmp_path)]
     done = subprocess.run([*command, *options], capture_output=True, text=True, check=True)
     lines = [json.loads(line) for line in (tmp_path / "results.jsonl").read_text().splitlines()]

@@ -1,6 +1,6 @@
 """Attitude fusion on a sea that steps from calm to rough and back: what fusing is worth, and what it is not worth.
 
-Short voyages; the bands leave room for them. The figures of 50 full ones are those of tools/evidence/attitude.py.
+Short voyages; the bands leave room for them. The figures of 50 full ones are those of tools/evidence/craft.py.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from evidence import attitude
-from evidence.attitude import FIVE, IMM, INSTANT, METHODS, OUTLIERS, POINT_SETS, Row
+from evidence import craft
+from evidence.craft import FIVE, IMM, INSTANT, METHODS, OUTLIERS, POINT_SETS, Row
 
 from heaved.simulate.hydrofoil import Passage
 
@@ -22,8 +22,8 @@ HEAVE_RATE, PITCH_RATE = 1, 3
 
 @pytest.fixture(scope="module")
 def rows() -> list[Row]:
-    used = [m for m in METHODS if m.name in (IMM, attitude.EWMA, INSTANT, POINT_SETS, OUTLIERS)]
-    return attitude.table(SEEDS, methods=used, passage=SHORT)
+    used = [m for m in METHODS if m.name in (IMM, craft.EWMA, INSTANT, POINT_SETS, OUTLIERS)]
+    return craft.table(SEEDS, methods=used, passage=SHORT)
 
 
 def row(rows: list[Row], method: str, part: str = "whole") -> Row:
@@ -48,7 +48,7 @@ def test_the_published_covariance_is_right(rows: list[Row]) -> None:
 
 
 def test_switching_by_the_average_is_nearly_as_good_and_calm(rows: list[Row]) -> None:
-    imm, ewma = row(rows, IMM), row(rows, attitude.EWMA)
+    imm, ewma = row(rows, IMM), row(rows, craft.EWMA)
     for state in (HEAVE_RATE, PITCH_RATE):
         assert ewma.rms[state] < 1.05 * imm.rms[state]
     assert ewma.switches_per_s < 0.5
@@ -83,32 +83,26 @@ def test_outliers_cost_little(rows: list[Row]) -> None:
 def test_a_sensor_that_shakes_costs_little_and_is_said() -> None:
     """Readings with a line of four deviations of their noise, or spikes: at most 1.5 times the clean error."""
     calm = Passage(stages=((0.0, 1.5),), duration_s=70.0)
-    used = [m for m in attitude.SHAKEN if m.shake in ("", "line-3.1-strong", "spikes")]
-    rows = [r for r in attitude.table((1, 2), methods=used, passage=calm) if r.part == "whole"]
+    used = [m for m in craft.SHAKEN if m.shake in ("", "line-3.1-strong", "spikes")]
+    rows = [r for r in craft.table((1, 2), methods=used, passage=calm) if r.part == "whole"]
     clean = next(r for r in rows if r.method == IMM)
     for shaken in rows:
         assert max(np.array(shaken.rms) / np.array(clean.rms)) < 1.5, shaken.method
         assert 0.7 < shaken.nees < 1.4, shaken.method
 
 
-def test_report_figure_and_command_line(
-    tmp_path: Path, rows: list[Row], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    text = attitude.report(rows)
+def test_report_and_figure(tmp_path: Path, rows: list[Row]) -> None:
+    text = craft.report(rows)
     assert "### 40 s, Hs 2.5 m" in text
     assert f"| {POINT_SETS}: filter 2 alone |" in text
     assert "* imm: heave 1.000" in text
     brief = Passage(stages=((0.0, 0.3), (8.0, 2.5)), duration_s=20.0)
-    attitude.figure(tmp_path / "attitude.png", passage=brief)
-    assert (tmp_path / "attitude.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(SystemExit):
-        attitude.main(["--runs", "many"])
-    with pytest.raises(ValueError, match="jobs"):
-        attitude.table((1,), jobs=0)
+    craft.figure(tmp_path / "craft.png", passage=brief)
+    assert (tmp_path / "craft.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_processes_share_the_work_and_change_nothing() -> None:
     brief = Passage(stages=((0.0, 0.3),), duration_s=20.0)
     used = [m for m in METHODS if m.name in (IMM, FIVE)]
-    assert attitude.table((1, 2), jobs=2, methods=used, passage=brief) == attitude.table((1, 2), 1, used, brief)
-    assert msgspec.json.encode(attitude.table((1,), methods=used, passage=brief)[0])
+    assert craft.table((1, 2), jobs=2, methods=used, passage=brief) == craft.table((1, 2), 1, used, brief)
+    assert msgspec.json.encode(craft.table((1,), methods=used, passage=brief)[0])

@@ -11,9 +11,10 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from evidence import estimators, scenarios, scores, summary
-from evidence.estimators import Ahead, Delayed, Trace
-from evidence.figures import draw_record
+from evidence import scenarios
+from evidence.heave import estimators, scores, summary
+from evidence.heave.estimators import Ahead, Delayed, Trace
+from evidence.heave.figures import draw_record
 from evidence.scenarios import Limits, Setting, triplet
 
 from heaved.samples import CorrectionState, DelayedHeave, HeaveState, LaserState, MotionFrame, Quality

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from evidence.rock import SCENES, evaluate, figure, main, report
+from evidence.rock.paper import SCENES, evaluate, figure, report
 
 from heaved.estimation.rock.maximum_likelihood import Params
 
@@ -52,16 +52,13 @@ def test_the_order_of_the_paper_holds() -> None:
     assert method < extrapolation / 3 < hold / 6
 
 
-def test_report_and_figure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_report_and_figure(tmp_path: Path) -> None:
     rows = evaluate(SCENE["moored"], "hold", None, 20.0, (1,), 60.0, axes=(0, 1))
     text = report(rows)
     assert "| roll | hold | 20 |" in text
     assert "0.85 (max 22.25)" in text
     figure(tmp_path / "rock.png", duration_s=12.0)
     assert (tmp_path / "rock.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(SystemExit):
-        main(["--help"])
-    assert "--figure" in capsys.readouterr().out
 
 
 def test_rates_that_miss_the_horizons_are_refused() -> None:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from evidence.rock_direct import HORIZONS_S, Row, direct, figure, real, report, scene
-from evidence.rock_seas import F_HZ, RATE_HZ, SHIPS, motion, spectrum
+from evidence.rock.direct import HORIZONS_S, Row, direct, figure, real, report, scene
+from evidence.rock.seas import F_HZ, RATE_HZ, SHIPS, motion, spectrum
 from scipy.signal import welch
 
 SHIP = {ship.name: ship for ship in SHIPS}

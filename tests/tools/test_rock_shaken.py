@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from evidence import rock_shaken
+from evidence.rock import shaken as rock_shaken
 
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import record

@@ -10,9 +10,10 @@ import accuracy
 import msgspec
 import numpy as np
 import pytest
-from evidence import scenarios, shake
+from evidence import scenarios
+from evidence.heave import shake
+from evidence.heave.summary import Result
 from evidence.limits import causal_heave_limit
-from evidence.summary import Result
 from scipy.linalg import solve_toeplitz
 from scipy.signal import fftconvolve
 
@@ -27,7 +28,8 @@ MEMORY_S = 150.0
 
 def optimal(sea: str, name: str, rate_hz: float) -> tuple[np.ndarray, float]:
     """Optimal weights on the last 150 s of samples, newest first, and their RMS error: R w = r, with the covariances
-    as Fourier sums of the densities."""
+    as Fourier sums of the densities.
+    """
     f = scenarios.grid(rate_hz)
     heave, omega = scenarios.simulated_spectrum(sea, f), 2.0 * np.pi * f
     noise = scenarios.accelerometer_noise(f, SENSOR, rate_hz, name)

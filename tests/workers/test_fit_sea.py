@@ -10,7 +10,8 @@ import numpy as np
 from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow, look
 from heaved.simulate.seaway import seaway
 from heaved.workers import protocol
-from heaved.workers.process import FITTER, _environment
+from heaved.workers.jobs import SEA_FIT
+from heaved.workers.process import _environment
 
 
 def window(number: int, a: np.ndarray, **changes: object) -> SeaWindow:
@@ -35,7 +36,9 @@ def sea(seconds: float) -> np.ndarray:
 
 
 def run(frames: bytes) -> subprocess.CompletedProcess[bytes]:
-    return subprocess.run(FITTER, input=frames, capture_output=True, timeout=60, env=_environment())
+    return subprocess.run(
+        SEA_FIT.command, input=frames, capture_output=True, timeout=60, env=_environment(), check=False
+    )
 
 
 def test_the_process_answers_as_we_do_bit_for_bit_and_ends_with_its_input() -> None:

@@ -5,16 +5,21 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
-from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import msgspec
 import pytest
 from training_windows import RAMP, window
 
 from heaved.samples import TrainedNetwork, TrainingWindow
+from heaved.workers.jobs import TRAINING, Job
 from heaved.workers.process import BlockingTrainer, Worker
 from heaved.workers.protocol import FrameError
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator
 
 PREAMBLE = """
 import os, signal, sys
@@ -42,8 +47,16 @@ MISBEHAVIOUR = {
 every_misbehaviour = pytest.mark.parametrize(("script", "reason"), MISBEHAVIOUR.values(), ids=MISBEHAVIOUR.keys())
 
 
-def command(script: str) -> list[str]:
-    return [sys.executable, "-c", PREAMBLE + script]
+Training = Job[TrainingWindow, TrainedNetwork]
+
+
+def job(script: str) -> Training:
+    """A trainer that does as the script says, from the start."""
+    return msgspec.structs.replace(TRAINING, command=command(script), waits_for_work=False)
+
+
+def command(script: str) -> tuple[str, ...]:
+    return (sys.executable, "-c", PREAMBLE + script)
 
 
 def asking(number: int) -> TrainingWindow:
@@ -59,16 +72,12 @@ class Watcher:
 
 
 @asynccontextmanager
-async def training(script: str, **options: float) -> AsyncIterator[tuple[Worker[TrainedNetwork], Watcher]]:
+async def training(
+    script: str, **options: float
+) -> AsyncIterator[tuple[Worker[TrainingWindow, TrainedNetwork], Watcher]]:
     watcher = Watcher()
     trainer = Worker(
-        "trainer",
-        TrainedNetwork,
-        watcher.results.put_nowait,
-        watcher.failures.put_nowait,
-        command=command(script),
-        first_backoff_s=0.01,
-        **options,
+        job(script), watcher.results.put_nowait, watcher.failures.put_nowait, first_backoff_s=0.01, **options
     )
     await trainer.start()
     try:
@@ -116,6 +125,20 @@ async def test_an_idle_process_that_speaks_or_dies_is_noticed() -> None:
         assert "exit code 4" in await watcher.failures.get()
 
 
+async def test_a_process_that_waits_for_work_starts_with_it() -> None:
+    waiting = msgspec.structs.replace(job(ECHO), waits_for_work=True)
+    watcher = Watcher()
+    trainer = Worker(waiting, watcher.results.put_nowait, watcher.failures.put_nowait)
+    await trainer.start()
+    for _ in range(20):
+        await asyncio.sleep(0)
+    assert child_pids() == set()
+    trainer.submit(asking(1))
+    assert (await watcher.results.get()).number == 1
+    await trainer.stop()
+    assert child_pids() == set()
+
+
 async def test_the_back_off_doubles_while_nothing_succeeds() -> None:
     async with training("os._exit(4)") as (trainer, watcher):
         messages = [await watcher.failures.get() for _ in range(3)]
@@ -125,7 +148,8 @@ async def test_the_back_off_doubles_while_nothing_succeeds() -> None:
 
 async def test_a_command_that_does_not_exist_is_a_message() -> None:
     failures: asyncio.Queue[str] = asyncio.Queue()
-    trainer = Worker("trainer", TrainedNetwork, lambda _: None, failures.put_nowait, command=["/nonexistent/python"])
+    absent = msgspec.structs.replace(job(ECHO), command=("/nonexistent/python",))
+    trainer = Worker(absent, lambda _: None, failures.put_nowait)
     await trainer.start()
     assert "cannot start /nonexistent/python" in await failures.get()
     await trainer.stop()
@@ -169,7 +193,7 @@ async def test_stopping_while_a_failed_child_takes_its_time_ends_it() -> None:
 
 
 async def test_stop_without_start_and_twice() -> None:
-    trainer = Worker("trainer", TrainedNetwork, lambda _: None, lambda _: None, command=command(ECHO))
+    trainer = Worker(job(ECHO), lambda _: None, lambda _: None)
     await trainer.stop()
     await trainer.start()
     await trainer.stop()
@@ -181,7 +205,7 @@ async def test_a_bug_in_a_callback_is_not_lost() -> None:
     def bug(_: TrainedNetwork) -> None:
         raise ZeroDivisionError
 
-    trainer = Worker("trainer", TrainedNetwork, bug, lambda _: None, command=command(ECHO))
+    trainer = Worker(job(ECHO), bug, lambda _: None)
     await trainer.start()
     trainer.submit(asking(1))
     await asyncio.wait(tasks("trainer"))
@@ -191,7 +215,7 @@ async def test_a_bug_in_a_callback_is_not_lost() -> None:
 
 
 async def test_a_window_too_large_to_send_is_refused() -> None:
-    trainer = Worker("trainer", TrainedNetwork, lambda _: None, lambda _: None, command=command(ECHO))
+    trainer = Worker(job(ECHO), lambda _: None, lambda _: None)
     with pytest.raises(FrameError, match="shorten"):
         trainer.submit(window(RAMP, RAMP[:, 0], inputs=bytes(65 * 1024 * 1024)))
 
@@ -213,7 +237,8 @@ def test_replay_gets_a_message_and_a_new_process(script: str, reason: str, tmp_p
 @pytest.fixture(autouse=True)
 def _others() -> None:
     """Children that were there before the test are not of a worker: the resource tracker of multiprocessing, which a
-    pool of another test has started, lives as long as we do."""
+    pool of another test has started, lives as long as we do.
+    """
     _OTHERS.clear()
     _OTHERS.update(child_pids())
 

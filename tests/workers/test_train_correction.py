@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pytest
 from training_windows import RAMP, Array, delayed_residual, window
 
 from heaved.estimation.heave.laser.network import Network
-from heaved.samples import TrainedNetwork
 from heaved.workers.train_correction import fit
+
+if TYPE_CHECKING:
+    from heaved.samples import TrainedNetwork
 
 
 def network_of(result: TrainedNetwork) -> Network:

@@ -11,14 +11,25 @@ from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 
+import msgspec
+
 from heaved.devices.profile import DeviceSpec
 
 STARTS_S = 20.0
 
 
+class Running(msgspec.Struct, frozen=True):
+    """A daemon that runs: its process, and where it listens by name."""
+
+    pid: int
+    addresses: dict[str, tuple[str, int]]
+
+
 @asynccontextmanager
-async def running_daemon(devices: Sequence[DeviceSpec], folder: Path, settings: str = "") -> AsyncIterator[int]:
-    """A daemon that polls ``devices``; gives the port of its stream on 127.0.0.1.
+async def running_daemon(
+    devices: Sequence[DeviceSpec], folder: Path, settings: str = "", *, http: bool = False
+) -> AsyncIterator[Running]:
+    """A daemon that polls ``devices``, its stream and, if it is asked for, its HTTP server on 127.0.0.1.
 
     Configuration, state and the log (``folder/log``) go to ``folder``. ``settings``: further tables, as TOML.
 
@@ -31,7 +42,7 @@ async def running_daemon(devices: Sequence[DeviceSpec], folder: Path, settings: 
         f'profile = "{d.profile.name}"\nrate_hz = {d.rate_hz}\n'
         for d in devices
     )
-    own = f'[stream]\nport = 0\n[http]\nenabled = false\n[state]\ndirectory = "{folder}"\n'
+    own = f'[stream]\nport = 0\n[http]\nenabled = {str(http).lower()}\nport = 0\n[state]\ndirectory = "{folder}"\n'
     config.write_text(tables + own + settings, encoding="utf-8")
     with log.open("wb") as errors:
         daemon = await asyncio.create_subprocess_exec(
@@ -40,12 +51,15 @@ async def running_daemon(devices: Sequence[DeviceSpec], folder: Path, settings: 
         )  # fmt: skip
     try:
         assert daemon.stdout is not None
-        line = ""
-        while not line.startswith("stream "):
+        addresses: dict[str, tuple[str, int]] = {}
+        while len(addresses) < 1 + http:
             line = (await asyncio.wait_for(daemon.stdout.readline(), STARTS_S)).decode()
             if not line:
                 raise RuntimeError(f"the daemon did not start:\n{log.read_text()}")
-        yield int(line.rsplit(":", 1)[1])
+            name, where = line.split()
+            host, _, port = where.rpartition(":")
+            addresses[name] = host, int(port)
+        yield Running(daemon.pid, addresses)
     finally:
         with contextlib.suppress(ProcessLookupError):
             daemon.send_signal(signal.SIGTERM)

@@ -11,22 +11,17 @@ compared.
 
 from __future__ import annotations
 
-import argparse
-import multiprocessing
-import os
-import sys
 from collections.abc import Iterable, Sequence
 from math import pi
 from pathlib import Path
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from evidence.commands import Command, Options, add_runs, in_order
+from evidence.results import Output, Report
 from heaved.estimation.common.rotations import ARCSEC, rotation_vector
 from heaved.estimation.hull.estimate import Method as Filter
 from heaved.estimation.hull.estimate import Params, Start
@@ -267,12 +262,7 @@ def _job(arguments: tuple[str, str, int, float]) -> Run:
 def evaluate(scene: str, method: str, seeds: Sequence[int], duration_s: float = 600.0, jobs: int = 1) -> Row:
     """Runs of one method on one scene, over ``jobs`` processes."""
     work = [(scene, method, seed, duration_s) for seed in seeds]
-    if jobs > 1:
-        with multiprocessing.Pool(jobs) as pool:
-            runs = pool.map(_job, work, chunksize=1)
-    else:
-        runs = [_job(item) for item in work]
-    return summary(scene, method, runs)
+    return summary(scene, method, in_order(_job, work, jobs))
 
 
 def summary(scene: str, method: str, runs: Sequence[Run]) -> Row:
@@ -392,28 +382,17 @@ def figure(path: Path, rows: Sequence[Row] = (), seed: int = 1, duration_s: floa
     sheet.savefig(path)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="hull", description="Hull deformation: the Monte-Carlo tables and a figure.")
-    parser.add_argument("--runs", type=int, default=50, help="runs per scene and method (default 50)")
-    parser.add_argument("--duration", type=float, default=600.0, metavar="S", help="seconds per record (default 600)")
-    parser.add_argument("--jobs", type=int, default=1, help="processes (default 1)")
-    parser.add_argument("--scenes", nargs="+", choices=sorted(SCENE), help="only these")
-    parser.add_argument("--methods", nargs="+", choices=sorted(METHODS), help="only these")
-    parser.add_argument("--shake", action="store_true", help="on a hull that shakes")
-    parser.add_argument("--figure", type=Path, metavar="PNG", help="draw seed conditions into this file")
-    arguments = parser.parse_args(argv)
-    rows = []
-    plan = SHAKE_PLAN if arguments.shake else PLAN
-    for scene, methods in plan:
-        for method in methods:
-            if scene in (arguments.scenes or SCENE) and method in (arguments.methods or METHODS):
-                rows.append(evaluate(scene, method, range(arguments.runs), arguments.duration, arguments.jobs))
-                print(report(rows[-1:]), file=sys.stderr, flush=True)
-    print(report(rows))
-    if arguments.figure:
-        figure(arguments.figure, rows, duration_s=arguments.duration)
-    return 0
+# --- command line ----------------------------------------------------------------------------------------------------
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def run_hull(options: Options, output: Output) -> Report:
+    """The tables of deformation, and a figure of the paper's conditions."""
+    duration_s = options.duration or 600.0
+    rows = table(range(options.runs), duration_s, options.jobs, options.shake)
+    output.write("hull", rows)
+    if output.figures and not options.shake:
+        figure(output.folder / "hull.png", rows, duration_s=duration_s)
+    return Report(report(rows), tuple(range(options.runs)))
+
+
+COMMANDS = {"hull": Command(run_hull, add_runs, "deformation between two IMUs, simulated")}

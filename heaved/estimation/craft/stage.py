@@ -82,4 +82,5 @@ class AttitudeStage:
 
     @property
     def resets(self) -> Counter[ResetReason]:
+        """By reason."""
         return self._estimator.resets

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from heaved.estimation.heave.harmonic.observer import HarmonicObserver
 from heaved.estimation.heave.laser.correction import Params as CorrectionParams
-from heaved.estimation.heave.laser.correction import ResidualCorrection
 from heaved.estimation.heave.laser.correction import Saved as SavedCorrection
-from heaved.estimation.heave.laser.learning import LaserTeacher
+from heaved.estimation.heave.laser.learning import LaserLearning
 from heaved.estimation.heave.laser.reference import Params as LaserParams
 from heaved.estimation.heave.observer import HeaveObserver, SavedObserver
 from heaved.estimation.heave.params import Params as HeaveParams
@@ -66,10 +65,9 @@ class HeaveEstimator:
         self._params, self.has_laser, self.lead_s = heave, has_laser, lead_s
         self._max_rate_hz = max_rate_hz
         self.observer: HeaveObserver = self._new_observer()
-        self.correction = ResidualCorrection(correction, max_rate_hz)
-        self.laser = LaserTeacher(laser, heave.lead, self.correction, max_rate_hz)
+        self.laser = LaserLearning(laser, heave.lead, correction, max_rate_hz)
+        self.correction = self.laser.correction
         self.t_s = nan
-        self._resets_seen = 0
 
     def _new_observer(self) -> HeaveObserver:
         p = self._params
@@ -88,20 +86,6 @@ class HeaveEstimator:
             observer.amend(up.amendment.t_s, up.amendment.more_mps2)
         if up.noise is not None:
             observer.disturb(up.noise.f_hz, up.noise.psd)
-        if (resets := observer.resets.total()) != self._resets_seen:
-            self._resets_seen = resets
-            self.laser.forget()
-        if self.has_laser:
-            self._note(t_s)
-
-    def _note(self, t_s: float) -> None:
-        observer, taught = self.observer, self.laser.lead
-        now, unshifted = observer.at(0.0, taught.learned_s), observer.unshifted()
-        if not isfinite(now.heave_m):
-            return  # There is no model of the sea yet, and nothing to compare.
-        observer_m = taught.gain * now.heave_m
-        corrected_m = observer_m + self.correction.step(t_s, observer_m, observer.omega_radps)
-        self.laser.note(t_s, observer_m, corrected_m, unshifted)
 
     def at(self, shift_s: float) -> Heave | None:
         """What is known for ``shift_s`` after the last sample, the configured lead added; None: nothing yet."""
@@ -128,9 +112,7 @@ class HeaveEstimator:
 
     def delayed(self) -> DelayedHeave | None:
         """The newest delayed heave, with what the laser has taught."""
-        taught = self.laser.lead
-        self.laser.delayed.take(self.observer.delayed, taught)
-        return self.laser.delayed.newest
+        return self.laser.delayed.step(self.observer.delayed, self.laser.lead)
 
     def training_due(self) -> TrainingWindow | None:
         """A window for the trainer, when it is time for one; each is given out once."""
@@ -149,7 +131,7 @@ class HeaveEstimator:
             try:
                 self.correction.restore(correction)
             except ValueError:
-                self.observer, self._resets_seen = self._new_observer(), 0
+                self.observer = self._new_observer()
                 raise
 
     @property

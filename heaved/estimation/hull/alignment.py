@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 
 class Alignment(msgspec.Struct, frozen=True, eq=False, kw_only=True):
+    """What two rate streams say of the rotation between them."""
+
     C: Array
     """(3, 3) local from midships."""
     delay_s: float

@@ -26,6 +26,7 @@ class Consistency:
         self.reset()
 
     def reset(self) -> None:
+        """Nothing has been seen."""
         self.reachable_rad: tuple[float, float, float] = (nan, nan, nan)
         """Forecast of the standard deviation about x, y, z, the floor included."""
         self.weak = self.single = False
@@ -77,26 +78,21 @@ class Consistency:
         return self._drifting
 
     def warnings(
-        self, C: Array | None, delay_s: float, checks: tuple[RateCheck, RateCheck], streams: TwoStreams | None
+        self, C: Array | None, delay_s: float, checks: tuple[RateCheck, RateCheck], streams: TwoStreams
     ) -> tuple[HullWarning, ...]:
         """All that holds now. C (3, 3): the estimate, when there is one."""
-        stuck = [check.stuck for check in checks]
-        slow = [check.slow for check in checks]
-        if streams is not None:
-            pair = (streams.midships, streams.local)
-            stuck = [s or stream.stuck for s, stream in zip(stuck, pair, strict=True)]
-            slow = [
-                s or stream.period_s > TUNING.slow_period / self._params.rate_hz
-                for s, stream in zip(slow, pair, strict=True)
-            ]
+        pair = (streams.midships, streams.local)
+        longest_s = TUNING.slow_period / self._params.rate_hz
+        stuck = [check.stuck or stream.stuck for check, stream in zip(checks, pair, strict=True)]
+        slow = [check.slow or stream.period_s > longest_s for check, stream in zip(checks, pair, strict=True)]
         found = (
             (HullWarning.WEAK_MOTION, self.weak),
             (HullWarning.SINGLE_AXIS, self.single),
             # Both at once is a ship at rest under coarse registers.
             (HullWarning.STUCK_MIDSHIPS, stuck[0] and not stuck[1]),
             (HullWarning.STUCK_LOCAL, stuck[1] and not stuck[0]),
-            (HullWarning.MISSING_MIDSHIPS, checks[0].missing),
-            (HullWarning.MISSING_LOCAL, checks[1].missing),
+            (HullWarning.MISSING_MIDSHIPS, checks[0].missing and not slow[0]),
+            (HullWarning.MISSING_LOCAL, checks[1].missing and not slow[1]),
             (HullWarning.LOW_RATE_MIDSHIPS, slow[0]),
             (HullWarning.LOW_RATE_LOCAL, slow[1]),
             (HullWarning.DELAY, abs(delay_s) > self._params.delay_warning_ms * 1e-3),

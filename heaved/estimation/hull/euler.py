@@ -81,18 +81,22 @@ class EulerFilter:
 
     @property
     def static(self) -> Array:
+        """C0, as that of ``So3Filter``."""
         return from_euler(*self.x[PHI].tolist())
 
     @property
     def total(self) -> Array:
+        """C, as that of ``So3Filter``."""
         return from_euler(*(self.x[PHI] + self.x[THETA]).tolist())
 
     @property
     def dynamic_rad(self) -> Array:
+        """(3,) flexure about the hull's axes."""
         return np.asarray(self._to_hull().dot(self.x[THETA]))
 
     @property
     def covariance(self) -> Array:
+        """(3, 3) of the total deformation about the hull's axes, rad^2."""
         P = self.P
         angles = P[PHI, PHI] + P[PHI, THETA] + P[THETA, PHI] + P[THETA, THETA]
         G = self._to_hull()
@@ -105,17 +109,21 @@ class EulerFilter:
 
     @property
     def bias_radps(self) -> Array:
+        """(3,) local minus midships, in local axes."""
         return self.x[BIAS]
 
     @property
     def delay_s(self) -> float:
+        """None is known of."""
         return 0.0
 
     @property
     def delay_std_s(self) -> float:
+        """Not known."""
         return nan
 
     def residual(self, motion: Array, local_radps: Array) -> Array:
+        """As ``So3Filter.residual``."""
         x = self.x.copy()
         x[THETA] = x[RATE] = 0.0
         return np.asarray(self.static.T.dot(local_radps - _measured(x[None], motion[0])[0]))

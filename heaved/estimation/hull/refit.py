@@ -26,6 +26,7 @@ Filter = So3Filter | EulerFilter
 
 
 def make_filter(method: Method, C0: Array, delay_s: float, flexure: Flexure, noise: Noise) -> Filter:
+    """The filter of a method, from a static deformation C0 (3, 3)."""
     if method is Method.SO3:
         return So3Filter(C0, delay_s, flexure, noise)
     return EulerFilter(method, to_euler(C0), flexure, noise)
@@ -101,7 +102,7 @@ class RefitJob(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """All that a refit needs, copied: it may be computed anywhere."""
 
     rows: Array
-    """(n, 7): t, midships rates, local rates; nan where missing. Contiguous."""
+    """(n, 9): as of :class:`SlowPair`; nan where missing. Contiguous."""
     pair: SlowPair
     """As it stands at the last row."""
     method: Method
@@ -158,7 +159,7 @@ def refit(job: RefitJob) -> RefitResult | None:
     left_over = np.mean(known[used], axis=0)
     before = job.filter.noise.sample_radps
     found = fit(rates, pair.out_hz, job.prior, float(np.min(before)))
-    if not all(np.isfinite(a).all() for a in (found.noise_radps, *_arrays(found.flexure))):
+    if not all(np.isfinite(a).all() for a in (found.noise_radps, *msgspec.structs.astuple(found.flexure))):
         return None
     # Noise that the flexure does not explain: that of holes and vibration, and what is white beyond it.
     variance = found.noise_radps**2 / share
@@ -182,7 +183,3 @@ def refit(job: RefitJob) -> RefitResult | None:
         filtered_s=record[-1][0],
         generation=job.generation,
     )
-
-
-def _arrays(flexure: Flexure) -> tuple[Array, Array, Array]:
-    return flexure.std_rad, flexure.mu_radps, flexure.lambda_radps

@@ -72,8 +72,7 @@ class Noise(msgspec.Struct, frozen=True, eq=False, kw_only=True):
 
 @lru_cache(maxsize=50)
 def transition(flexure: Flexure, noise: Noise, size: int, dt_s: float) -> tuple[Array, Array]:
-    """F and Q over ``dt_s``, exact, of a state (size,) of which the first twelve are psi, theta, theta', epsilon,
-    and the last of sixteen the delay; the scales stay."""
+    """F and Q over ``dt_s``, exact, of a state (size,): psi, theta, theta', epsilon; scales, which stay; delay."""
     F, Q = np.eye(size), np.zeros((size, size))
     bends = slice(At.THETA, At.BIAS)
     F[bends, bends], Q[bends, bends] = flexure.transition(dt_s)
@@ -136,7 +135,7 @@ class So3Filter:
         R = self.noise.of(variance)
         x, nis = x0, float("nan")
         for iteration in range(self.iterations):
-            expected, H = self._measured(x, motion)
+            expected, H = self.measured(x, motion)
             y = z - expected + H.dot(x - x0)
             HP = H.dot(P)
             S = HP.dot(H.T)
@@ -162,7 +161,7 @@ class So3Filter:
             return float("nan")
         return nis
 
-    def _measured(self, x: Array, motion: Array) -> tuple[Array, Array]:
+    def measured(self, x: Array, motion: Array) -> tuple[Array, Array]:
         """Expected rate (3,) in hull axes and its derivative H (3, 16) at the state x."""
         late = -float(x[At.DELAY])
         powers = late ** np.arange(len(motion))
@@ -220,17 +219,19 @@ class So3Filter:
 
     @property
     def delay_s(self) -> float:
+        """By which local stamps are late."""
         return float(self.x[At.DELAY])
 
     @property
     def delay_std_s(self) -> float:
+        """Its standard deviation."""
         return sqrt(max(float(self.P[At.DELAY, At.DELAY]), 0.0))
 
     def residual(self, motion: Array, local_radps: Array) -> Array:
         """(3,) flexure rate with noise, hull axes: the reading less all that the state explains but theta'."""
         x = self.x.copy()
         x[At.THETA : At.BIAS] = 0.0
-        return np.asarray(self.C0.T.dot(local_radps) - self._measured(x, motion)[0])
+        return np.asarray(self.C0.T.dot(local_radps) - self.measured(x, motion)[0])
 
     def variance(self, midships: Array, local: Array) -> Array:
         """(3,) of the rate difference, hull axes: variances (3,) of both rates, each in its own axes."""

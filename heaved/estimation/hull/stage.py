@@ -54,9 +54,11 @@ class HullStage:
         return known and max(estimate.angles.std_rad) <= self._params.converged_arcsec * ARCSEC
 
     def crane_attitude(self, roll_rad: float, pitch_rad: float, yaw_rad: float) -> tuple[float, float, float]:
-        """Roll, pitch and yaw of the crane base: the midships ones composed with the newest deformation, which is a
-        good second older and changes by arcseconds in it. nan while that is not known; yaw is nan where it is
-        midships."""
+        """Roll, pitch and yaw of the crane base: the midships ones composed with the newest deformation.
+
+        That is a good second older and changes by arcseconds in it. nan while it is not known; yaw is nan where it is
+        midships.
+        """
         estimate = self._estimate
         if estimate is None or not self._is_known(estimate) or not isfinite(roll_rad + pitch_rad):
             return UNKNOWN
@@ -71,6 +73,7 @@ class HullStage:
 
     @property
     def due_refit(self) -> RefitJob | None:
+        """To be computed elsewhere; None: nothing is due."""
         return self._estimator.due_refit
 
     def accept(self, result: RefitResult | None) -> bool:
@@ -79,4 +82,5 @@ class HullStage:
 
     @property
     def resets(self) -> Counter[ResetReason]:
+        """By reason."""
         return self._estimator.resets

@@ -66,8 +66,6 @@ class Attitude(msgspec.Struct, frozen=True, gc=False):
     pitch_std_rad: float = nan
     measured_s: float = nan
     """When the sensor last showed them."""
-    line_s: float = TUNING.line_s
-    """For so long a straight line is as good as it has to be."""
 
     def at(self, t_s: float) -> tuple[float, float]:
         """Roll and pitch a little later, moved on with their rates."""
@@ -75,10 +73,6 @@ class Attitude(msgspec.Struct, frozen=True, gc=False):
         if since_s == 0.0:
             return self.roll_rad, self.pitch_rad
         return self.roll_rad + since_s * self.roll_rate_radps, self.pitch_rad + since_s * self.pitch_rate_radps
-
-    def serves(self, t_s: float) -> bool:
-        """Whether it may be published for a moment, on a straight line."""
-        return t_s - self.t_s <= self.line_s and t_s - self.measured_s <= TUNING.longest_s
 
 
 UNKNOWN: Final = Attitude()
@@ -126,6 +120,7 @@ class AttitudePropagator:
     def __init__(self) -> None:
         self.latest = UNKNOWN
         self._line_s = TUNING.line_s
+        """For so long a straight line is as good as it has to be."""
         self._t_s = self._roll_rate = self._pitch_rate = nan
         """The latest body rates."""
         self._from: Attitude | None = None
@@ -136,6 +131,10 @@ class AttitudePropagator:
         """Comparisons with rates and with lines,"""
         self._off_square = self._moved_square = self._bend_square = 0.0
         """and what they have shown: off the rates, between the readings; off the line, per second squared."""
+
+    def serves(self, t_s: float) -> bool:
+        """Whether the latest attitude may be published for a moment, on a straight line."""
+        return t_s - self.latest.t_s <= self._line_s and t_s - self.latest.measured_s <= TUNING.longest_s
 
     @property
     def are_rates_believed(self) -> bool:
@@ -176,7 +175,7 @@ class AttitudePropagator:
                     pitch_rate_radps=self._pitch_rate,
                 )
             now = later or predicted(t_s, now, rock) or now
-        self.latest = now if now.line_s == self._line_s else msgspec.structs.replace(now, line_s=self._line_s)
+        self.latest = now
 
     def _turn(self, sample: ImuSample, roll_rad: float, pitch_rad: float) -> tuple[float, float]:
         """What the angles have turned by since the last rates; nan: too long ago, or they were not known."""

@@ -9,7 +9,7 @@ told from the motion. Readings that no longer change are those of :mod:`heaved.u
 
 from __future__ import annotations
 
-from math import exp, inf, isfinite, isnan, nan, pi, radians
+from math import exp, inf, isfinite, nan, pi, radians
 from typing import Final
 
 import msgspec
@@ -81,10 +81,10 @@ class SpikeGate:
         rejected: readings withheld so far.
     """
 
-    def __init__(self, most_mps2: float = HEAVE_ACCELERATION_MPS2, tuning: SpikeTuning = SPIKES) -> None:
+    def __init__(self, most_mps2: float = HEAVE_ACCELERATION_MPS2) -> None:
         """``most_mps2``: beyond it, either way, nothing is passed."""
         self.rejected = 0
-        self._most, self._tuning = most_mps2, tuning
+        self._most = most_mps2
         self._t_s = self._value = nan
         self._mean_square = 0.0
         self._steps = 0
@@ -96,15 +96,15 @@ class SpikeGate:
         if abs(value) > self._most:
             self.rejected += 1
             return nan
-        tuning, step, elapsed_s = self._tuning, value - self._value, t_s - self._t_s
-        if elapsed_s <= tuning.stale_s:
-            square, usual = step * step, tuning.width**2 * self._mean_square
-            limit = usual if usual > tuning.floor_mps2**2 else tuning.floor_mps2**2
-            if square > limit and self._steps >= tuning.learned and elapsed_s < tuning.lasting_s:
+        step, elapsed_s = value - self._value, t_s - self._t_s
+        if elapsed_s <= SPIKES.stale_s:
+            square, usual = step * step, SPIKES.width**2 * self._mean_square
+            limit = usual if usual > SPIKES.floor_mps2**2 else SPIKES.floor_mps2**2
+            if square > limit and self._steps >= SPIKES.learned and elapsed_s < SPIKES.lasting_s:
                 self.rejected += 1
                 return nan
             self._steps += 1
-            weight = tuning.memory if self._steps * tuning.memory > 1.0 else 1.0 / self._steps
+            weight = SPIKES.memory if self._steps * SPIKES.memory > 1.0 else 1.0 / self._steps
             self._mean_square += weight * ((square if square < 4.0 * limit else 4.0 * limit) - self._mean_square)
         self._t_s, self._value = t_s, value
         return value
@@ -119,66 +119,57 @@ class AngleGate:
     """Judges one angle, whose differences are taken the short way round.
 
     Attributes:
-        rejected: readings refused so far.
+        rate_radps: its derivative, as the last readings that were believed have shown it.
     """
 
-    def __init__(self, most_rad: float = ANGLE_RAD, tuning: AngleTuning = ANGLES) -> None:
+    def __init__(self, most_rad: float = ANGLE_RAD) -> None:
         """``most_rad``: beyond it, either way, nothing is believed."""
-        self.rejected = 0
-        self._most, self._tuning = most_rad, tuning
+        self._most = most_rad
         self._t_s = -inf
-        self._angle, self._rate = nan, 0.0
+        self._angle, self.rate_radps = nan, 0.0
         self._usual_s = self._usual_off = 0.0
         self._count = 0
         self._row: list[tuple[float, float]] = []
         """Of readings that agree with each other while they are not believed yet."""
 
     @property
-    def rate_radps(self) -> float:
-        """As the last readings that were believed have shown it."""
-        return self._rate
-
-    @property
     def std_rad(self) -> float:
         """RMS of how far a usual reading is off where the ones before have led; nan: not known yet."""
-        return RMS_OF_MEDIAN * self._usual_off if self._count >= self._tuning.first else nan
+        return RMS_OF_MEDIAN * self._usual_off if self._count >= ANGLES.first else nan
 
     def step(self, t_s: float, angle_rad: float, *, is_confirmed: bool = False) -> bool:
         """Whether the reading at ``t_s``, later than the last one, may be believed; one that is nan never.
 
         ``is_confirmed``: something else shows the same, roughly, which will do where the motion is not known.
         """
-        tuning = self._tuning
         if not abs(angle_rad) <= self._most:
             self._row.clear()
-            self.rejected += not isnan(angle_rad)
             return False
         elapsed_s = t_s - self._t_s
-        if elapsed_s > tuning.stale_s:
+        if elapsed_s > ANGLES.stale_s:
             if is_confirmed:
                 self._begin(t_s, angle_rad, 0.0)
                 return True
-            return self._is_proven(t_s, angle_rad, tuning.agreeing_s)
-        off = wrapped(angle_rad - self._angle - self._rate * elapsed_s)
+            return self._is_proven(t_s, angle_rad, ANGLES.agreeing_s)
+        off = wrapped(angle_rad - self._angle - self.rate_radps * elapsed_s)
         # The motion is not straight: over several intervals it leads astray by as many times more.
         longer = elapsed_s / self._usual_s if elapsed_s > self._usual_s > 0.0 else 1.0
-        if self._count >= tuning.first:
-            limit = tuning.floor_rad + tuning.width * RMS_OF_MEDIAN * self._usual_off * longer
+        if self._count >= ANGLES.first:
+            limit = ANGLES.floor_rad + ANGLES.width * RMS_OF_MEDIAN * self._usual_off * longer
         else:
-            limit = tuning.unknown_rad + tuning.unknown_rate_radps * elapsed_s
+            limit = ANGLES.unknown_rad + ANGLES.unknown_rate_radps * elapsed_s
         if abs(off) > limit:
-            self.rejected += 1
-            return self._is_proven(t_s, angle_rad, tuning.elsewhere_s)
+            return self._is_proven(t_s, angle_rad, ANGLES.elsewhere_s)
         self._count += 1
         far = abs(off) / longer
-        if self._count <= tuning.first:
+        if self._count <= ANGLES.first:
             self._usual_off += (far - self._usual_off) / self._count
             self._usual_s += (elapsed_s - self._usual_s) / self._count
         else:
-            self._usual_off *= 1.0 + tuning.adjusted if far > self._usual_off else 1.0 - tuning.adjusted
-            self._usual_off = max(self._usual_off, tuning.least_rad)
-            self._usual_s += tuning.adjusted * (elapsed_s - self._usual_s)
-        self._rate += off * (1.0 - exp(-elapsed_s / tuning.slope_s)) / elapsed_s
+            adjusted = 1.0 + ANGLES.adjusted if far > self._usual_off else 1.0 - ANGLES.adjusted
+            self._usual_off = max(adjusted * self._usual_off, ANGLES.least_rad)
+            self._usual_s += ANGLES.adjusted * (elapsed_s - self._usual_s)
+        self.rate_radps += off * (1.0 - exp(-elapsed_s / ANGLES.slope_s)) / elapsed_s
         self._t_s, self._angle = t_s, angle_rad
         if self._row:
             self._row.clear()
@@ -186,19 +177,19 @@ class AngleGate:
 
     def _is_proven(self, t_s: float, angle_rad: float, lasting_s: float) -> bool:
         """Whether this reading is the last of a row that proves itself."""
-        row, tuning = self._row, self._tuning
+        row = self._row
         if row:
             since_s, step = t_s - row[-1][0], wrapped(angle_rad - row[-1][1])
-            if since_s > tuning.stale_s or abs(step) > tuning.unknown_rad + tuning.unknown_rate_radps * since_s:
+            if since_s > ANGLES.stale_s or abs(step) > ANGLES.unknown_rad + ANGLES.unknown_rate_radps * since_s:
                 row.clear()
         row.append((t_s, angle_rad))
         elapsed_s = t_s - row[0][0]
-        if len(row) < tuning.agreeing or elapsed_s < lasting_s:
+        if len(row) < ANGLES.agreeing or elapsed_s < lasting_s:
             return False
         self._begin(t_s, angle_rad, wrapped(angle_rad - row[0][1]) / elapsed_s)
         return True
 
     def _begin(self, t_s: float, angle_rad: float, rate_radps: float) -> None:
-        self._t_s, self._angle, self._rate = t_s, angle_rad, rate_radps
+        self._t_s, self._angle, self.rate_radps = t_s, angle_rad, rate_radps
         self._count = 0
         self._row.clear()

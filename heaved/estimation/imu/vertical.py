@@ -157,6 +157,10 @@ class Vertical:
         """Roll, pitch and yaw of the last sample, or of when they were last known."""
         return self._propagator.latest
 
+    def serves(self, t_s: float) -> bool:
+        """Whether that attitude may be published for a moment, on a straight line."""
+        return self._propagator.serves(t_s)
+
     def is_tilt_removed(self, t_s: float) -> bool:
         """Whether the vertical acceleration is free of the tilt, and the attitude known at ``t_s``."""
         return self._tilt_removed and t_s - self.attitude.t_s <= TUNING.attitude_hold_s

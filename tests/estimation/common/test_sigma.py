@@ -6,19 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from point_sets import SETS
 from scipy.stats import chi2
 
 from heaved.estimation.common import sigma
 from heaved.estimation.common.sigma import Array, PointSet
 
-SETS: dict[str, Callable[[int], PointSet]] = {
-    "symmetric": sigma.symmetric,
-    "symmetric kappa = 3 - n": lambda n: sigma.symmetric(n, beta=0.0, kappa=3.0 - n),
-    "cubature": sigma.cubature,
-    "spherical simplex": sigma.spherical_simplex,
-    "spherical simplex, no centre": lambda n: sigma.spherical_simplex(n, centre_weight=0.0),
-    "minimal skew": sigma.minimal_skew_simplex,
-}
 every_set = pytest.mark.parametrize("make", SETS.values(), ids=SETS.keys())
 
 
@@ -34,39 +27,6 @@ class LinearModel:
         self.R = 0.2 * (r @ r.T / m + 0.5 * np.eye(m))
         self.Q, self.R = 0.5 * (self.Q + self.Q.T), 0.5 * (self.R + self.R.T)
         self.H = rng.normal(size=(m, n))
-
-
-def textbook_step(model: LinearModel, x: Array, P: Array, z: Array) -> tuple[Array, Array, Array, Array]:
-    """Kalman 1960 in the Joseph form, with explicit inverses: slow, plain, sharing nothing with the core."""
-    x = model.F @ x
-    P = model.F @ P @ model.F.T + model.Q
-    S = model.H @ P @ model.H.T + model.R
-    K = P @ model.H.T @ np.linalg.inv(S)
-    y = z - model.H @ x
-    A = np.eye(len(x)) - K @ model.H
-    return x + K @ y, A @ P @ A.T + K @ model.R @ K.T, y, S
-
-
-@every_set
-@pytest.mark.parametrize("n", range(1, 26))
-def test_a_linear_model_gives_the_kalman_filter(make: Callable[[int], PointSet], n: int) -> None:
-    model, rng = LinearModel(n, min(n, 1 + n % 4), seed=n), np.random.default_rng(100 + n)
-    points = make(n)
-    x = oracle_x = rng.normal(size=n)
-    P = oracle_P = np.eye(n)
-    for _ in range(200):
-        z = rng.normal(size=(model.H.shape[0],))
-        predicted = sigma.predict(points, x, P, model.F, model.Q)
-        assert predicted is not None
-        result = sigma.update(points, predicted.x, predicted.P, z, model.H, model.R)
-        assert result is not None
-        x, P = result.x, result.P
-        oracle_x, oracle_P, y, S = textbook_step(model, oracle_x, oracle_P, z)
-        assert np.array_equal(P, P.T)
-        for ours, oracle in ((x, oracle_x), (P, oracle_P), (result.y, y), (result.S, S)):
-            assert np.abs(ours - oracle).max() <= 1e-12 * max(1.0, np.abs(oracle).max())
-    assert result is not None
-    assert result.nis == pytest.approx(y @ np.linalg.inv(S) @ y, rel=1e-9)
 
 
 @every_set

@@ -15,6 +15,7 @@ from heaved.simulate.flexure import SCENES, Record, Scene, simulate
 
 Rates = tuple[np.ndarray, np.ndarray, np.ndarray]
 """t (n,), midships (n, 3), local (n, 3)."""
+MIDSHIPS, LOCAL = 1, 2
 SCENE = SCENES["A1"]
 HIT_S = 60.0
 """Disasters in the course of a record strike here ..."""
@@ -42,14 +43,18 @@ def rates(record: Record) -> Rates:
     return record.local_t_s.copy(), record.midships_radps.copy(), record.local_radps.copy()
 
 
-def during(record: Record, change: Callable[[np.ndarray, np.ndarray], None]) -> Rates:
-    """``change`` edits the midships and local rates between HIT_S and CURED_S in place."""
-    t, midships, local = rates(record)
-    hit = (t > HIT_S) & (t <= CURED_S)
-    a, b = midships[hit], local[hit]
-    change(a, b)
-    midships[hit], local[hit] = a, b
-    return t, midships, local
+def to(stream: int, change: Callable[[np.ndarray], None]) -> Callable[[Record], Rates]:
+    """``change`` edits the rates of one IMU between HIT_S and CURED_S in place."""
+
+    def mutate(record: Record) -> Rates:
+        series = rates(record)
+        hit = (series[0] > HIT_S) & (series[0] <= CURED_S)
+        struck = series[stream][hit]
+        change(struck)
+        series[stream][hit] = struck
+        return series
+
+    return mutate
 
 
 def held(values: np.ndarray) -> None:
@@ -128,16 +133,16 @@ EXPECTED_MOUNT = Params(mount_deg=(0.0, 0.0, 30.0))
 DISASTERS = [
     Disaster("IMUs swapped", swapped, W.SWAPPED, params=EXPECTED_MOUNT, cured=False),
     Disaster("mounted otherwise", rates, W.MOUNT, params=Params(mount_deg=(0.0, 0.0, -60.0))),
-    Disaster("midships stuck", lambda r: during(r, lambda a, b: held(a)), W.STUCK_MIDSHIPS, S.HOLDING, passing=True),
-    Disaster("local stuck", lambda r: during(r, lambda a, b: held(b)), W.STUCK_LOCAL, S.HOLDING, passing=True),
+    Disaster("midships stuck", to(MIDSHIPS, held), W.STUCK_MIDSHIPS, S.HOLDING, passing=True),
+    Disaster("local stuck", to(LOCAL, held), W.STUCK_LOCAL, S.HOLDING, passing=True),
     Disaster("local stuck from the start", lambda r: (*rates(r)[:2], 0.0 * r.local_radps), W.STUCK_LOCAL, S.STARTING,
              cured=False),
-    Disaster("midships gone", lambda r: during(r, lambda a, b: gone(a)), W.MISSING_MIDSHIPS, S.HOLDING, passing=True),
-    Disaster("local gone", lambda r: during(r, lambda a, b: gone(b)), W.MISSING_LOCAL, S.HOLDING, passing=True),
-    Disaster("every third reading nan", lambda r: during(r, lambda a, b: now_and_then_nan(b)), W.MISSING_LOCAL,
+    Disaster("midships gone", to(MIDSHIPS, gone), W.MISSING_MIDSHIPS, S.HOLDING, passing=True),
+    Disaster("local gone", to(LOCAL, gone), W.MISSING_LOCAL, S.HOLDING, passing=True),
+    Disaster("every third reading nan", to(LOCAL, now_and_then_nan), W.MISSING_LOCAL,
              passing=True),
-    Disaster("spikes of the local IMU", lambda r: during(r, lambda a, b: spikes(b)), passing=True),
-    Disaster("spikes amidships", lambda r: during(r, lambda a, b: spikes(a)), passing=True),
+    Disaster("spikes of the local IMU", to(LOCAL, spikes), passing=True),
+    Disaster("spikes amidships", to(MIDSHIPS, spikes), passing=True),
     Disaster("local at half rate", half_rate, W.LOW_RATE_LOCAL),
     Disaster("50 ms late", rates, W.DELAY, scene=scene(delay_s=0.05)),
     Disaster("50 ms early", rates, W.DELAY, scene=scene(delay_s=-0.05)),

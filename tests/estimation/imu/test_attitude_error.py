@@ -36,7 +36,8 @@ def recorded(lean_s: float, late_s: float, seed: int = 1) -> Recording:
 
 def run(recording: Recording, *, has_gyros: bool, hole: range = range(0)) -> tuple[AttitudeError, Array, Array]:
     """After the record, and the vertical acceleration as measured and corrected, less the true one; no samples in
-    ``hole``."""
+    ``hole``.
+    """
     one, found = AttitudeError(), []
     slope = [np.gradient(angle, 1.0 / RATE_HZ) for angle in (recording.roll_rad, recording.pitch_rad)]
     samples = [sample for sample in recording.samples() if isinstance(sample, ImuSample)]

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from evidence.limits import prediction_limit
-from evidence.rock import ARCSEC, SCENES, motion, spectrum
+from evidence.rock.paper import ARCSEC, SCENES, motion, spectrum
 from numpy.typing import NDArray
 
 from heaved.estimation.rock.direct import DirectPredictor, Params
@@ -455,7 +455,7 @@ def test_a_heading_through_north_and_a_turn() -> None:
 @pytest.mark.parametrize(
     ("name", "signal"),
     [
-        ("zeros", lambda n: np.zeros(n)),
+        ("zeros", np.zeros),
         ("constant heel", lambda n: np.full(n, 0.123)),
         ("one quantum", lambda n: 0.1 + 1e-4 * (np.arange(n) > 3 * n // 4)),
         ("toggling quantum", lambda n: 0.1 + 1e-4 * (np.arange(n) % 7 == 0)),

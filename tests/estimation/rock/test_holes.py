@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 import pytest
-from evidence.rock_shaken import unjudged
+from evidence.rock.shaken import unjudged
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_lyapunov
 

@@ -178,7 +178,7 @@ def test_a_steady_turn_does_not_lag(noise_rad: float) -> None:
 @pytest.mark.parametrize(
     ("name", "signal"),
     [
-        ("zeros", lambda n: np.zeros(n)),
+        ("zeros", np.zeros),
         ("constant", lambda n: np.full(n, 0.123)),
         ("one quantum", lambda n: 0.1 + 1e-4 * (np.arange(n) > n // 2)),
         ("toggling quantum", lambda n: 0.1 + 1e-4 * (np.arange(n) % 7 == 0)),

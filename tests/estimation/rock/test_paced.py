@@ -9,8 +9,8 @@ from math import inf, nan, pi
 import msgspec
 import numpy as np
 import pytest
-from evidence.rock import ARCSEC, SCENES, motion
-from evidence.rock_shaken import unjudged
+from evidence.rock.paper import ARCSEC, SCENES, motion
+from evidence.rock.shaken import unjudged
 from numpy.typing import NDArray
 
 from heaved.estimation.common.sample_rate import usual_interval
@@ -136,7 +136,8 @@ def test_lost_samples_jitter_and_spikes_cost_little() -> None:
 @pytest.mark.parametrize("jitter", ["uniform", "late"])
 def test_jitter_of_half_an_interval_costs_little(jitter: str) -> None:
     """Stamps that are true, but not even: within 4 of 10 ms, or late by as much, as on a busy machine. Blocks are
-    then as long as those of regular samples; were they longer or shorter, errors would be ten times as large."""
+    then as long as those of regular samples; were they longer or shorter, errors would be ten times as large.
+    """
     even = np.arange(15_000) / RATE_HZ
     rng = np.random.default_rng(6)
     off = rng.uniform(-0.004, 0.004, len(even)) if jitter == "uniform" else 0.004 * abs(rng.standard_normal(len(even)))
@@ -204,7 +205,8 @@ def test_another_rate_asks_for_other_blocks() -> None:
 
 def busy(rate_hz: float, duration_s: float, seed: int, tick_s: float = 0.004) -> Array:
     """Stamps on a machine that is busy: a poll waits for the next tick of the scheduler, or the one after that, and now
-    and then for a stall of 20-50 ms, in which the other deadlines are skipped."""
+    and then for a stall of 20-50 ms, in which the other deadlines are skipped.
+    """
     rng = np.random.default_rng(seed)
     due = np.arange(round(duration_s * rate_hz)) / rate_hz
     ticks = np.floor((due + rng.uniform(0.0, tick_s)) / tick_s) + 1.0 + (rng.random(len(due)) < 0.3)

@@ -6,7 +6,7 @@ learned correction from ever making the output worse than the physics underneath
 
 * nothing is learned while the laser does not follow the heave at all (stuck, wrong sign, on another target);
 * the last part of each window is held out, and a network replaces the one in use only if it beats it, and
-  "no correction", there;
+  "no correction", there; a window of which a regression says that no network will is not trained at all;
 * while the laser is there, the running correlation of the correction with the residual decides how much of it is
   applied: nothing unless its regression coefficient is two standard errors above zero, counted for a residual that
   beats; then the coefficient, up to 1;
@@ -16,7 +16,7 @@ learned correction from ever making the output worse than the physics underneath
 
 from __future__ import annotations
 
-from math import exp, isfinite, nan, sqrt
+from math import exp, inf, isfinite, nan, sqrt
 from typing import Annotated, Final, Literal
 
 import msgspec
@@ -25,36 +25,11 @@ from numpy.typing import NDArray
 
 from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.heave.laser.network import Network
+from heaved.estimation.heave.laser.ridge import Rows, can_gain
+from heaved.estimation.heave.observer import Verdict
 from heaved.samples import CorrectionState, TrainedNetwork, TrainingWindow
 
 Array = NDArray[np.float64]
-
-HOLDOUT: Final = 0.25
-"""Share of the rows, the newest, on which a network is judged."""
-WORTH: Final = 0.9
-"""A network must take at least 10 % off the mean square of the held-out residuals: less can be chance."""
-GUARD_TIME_S: Final = 90.0
-"""Memory of the running comparison of correction and residual, in seconds of laser."""
-INDEPENDENT_S: Final = 10.0
-"""Residuals this far apart count as independent: they are narrow-banded, and grow and fade over several waves."""
-SURE: Final = (2.0, 2.5)
-"""Coefficient over its standard error: below the first the agreement with the residual can be chance, and nothing is
-applied; from the second on all that the coefficient says. With a minute and a half of laser: three tenths and four
-tenths of the residual's mean square; networks with less, seen on sensors whose lag the laser had taught, do harm as
-often as good."""
-AGREEMENT_TIME_S: Final = 15.0
-"""Memory of the comparison of residual and heave: two wave periods."""
-DISAGREEMENT: Final = 0.8
-"""RMS residual over RMS heave above which there is nothing to learn: 1 is a stuck laser, 2 one of wrong sign. The
-harmonic observer is at 0.5 on the broadest of seas."""
-SEA_TIME_S: Final = 30.0
-"""Memory of the variance that is compared with that of the training."""
-FADE_S: Final = 2.0
-"""Time constant of fading in and out."""
-SAME_AMPLITUDE: Final = (1.5, 2.2)
-"""Ratio of the RMS heave to that of the training, either way: below the first the same sea, above the second not."""
-SAME_FREQUENCY: Final = (1.12, 1.3)
-"""The same for the dominant frequency."""
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -79,6 +54,41 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Bound on the correction, in RMS residuals of its training."""
 
 
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """What is set for the guard. Ratios have no unit; times of the laser count only while it is there."""
+
+    holdout: float = 0.25
+    """Share of the rows, the newest, on which a network is judged."""
+    worth: float = 0.9
+    """A network must take at least 10 % off the mean square of the held-out residuals: less can be chance."""
+    guard_time_s: float = 90.0
+    """Memory of the running comparison of correction and residual, in seconds of laser."""
+    independent_s: float = 10.0
+    """Residuals this far apart count as independent: they are narrow-banded, and grow and fade over several waves."""
+    sure: tuple[float, float] = (2.0, 2.5)
+    """Coefficient over its standard error: below the first the agreement with the residual can be chance, and nothing
+    is applied; from the second on all that the coefficient says. With a minute and a half of laser: three tenths and
+    four tenths of the residual's mean square; networks with less, seen on sensors whose lag the laser had taught, do
+    harm as often as good."""
+    agreement_time_s: float = 15.0
+    """Memory of the comparison of residual and heave: two wave periods."""
+    disagreement: float = 0.8
+    """RMS residual over RMS heave above which there is nothing to learn: 1 is a stuck laser, 2 one of wrong sign. The
+    harmonic observer is at 0.5 on the broadest of seas."""
+    sea_time_s: float = 30.0
+    """Memory of the variance that is compared with that of the training."""
+    fade_s: float = 2.0
+    """Time constant of fading in and out."""
+    same_amplitude: tuple[float, float] = (1.5, 2.2)
+    """Ratio of the RMS heave to that of the training, either way: below the first the same sea, above the second
+    not."""
+    same_frequency: tuple[float, float] = (1.12, 1.3)
+    """The same for the dominant frequency."""
+
+
+TUNING: Final = Tuning()
+
+
 class Saved(msgspec.Struct, frozen=True, kw_only=True):
     """What a restart remembers of the network in use."""
 
@@ -93,28 +103,29 @@ class Saved(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class _Pending(msgspec.Struct, frozen=True, eq=False):
-    """A window that is with the trainer: its held-out rows, and what the sea was like."""
+    """A window that is with the trainer: what its network will be judged on, and what the sea was like."""
 
     number: int
-    held_inputs: Array
-    held_residuals: Array
+    held: Rows
+    bar_m2: float
+    """Mean square of the held-out residuals, less what the network in use takes off it."""
+    limit_m: float
     input_std_m: float
     omega_radps: float
-    residual_rms_m: float
 
 
 class _Evidence:
-    """Running moments of the correction y and the residual e, over the last GUARD_TIME_S of laser."""
+    """Running moments of the correction y and the residual e, over ``guard_time_s`` of laser."""
 
     def __init__(self, seconds: float = 0.0, square: float = 0.0, cross: float = 0.0, total: float = 0.0) -> None:
         self._seconds = seconds
         self._square, self._cross, self._total = square, cross, total
         self._t_s = nan
 
-    def add(self, t_s: float, residual_m: float, correction_m: float) -> None:
+    def push(self, t_s: float, residual_m: float, correction_m: float) -> None:
         dt = min(t_s - self._t_s, 0.5) if isfinite(self._t_s) else 0.0
         self._t_s = t_s
-        self._seconds = min(self._seconds + dt, GUARD_TIME_S)
+        self._seconds = min(self._seconds + dt, TUNING.guard_time_s)
         memory = dt / self._seconds if self._seconds > 0.0 else 0.0
         self._square += memory * (correction_m**2 - self._square)
         self._cross += memory * (correction_m * residual_m - self._cross)
@@ -126,139 +137,157 @@ class _Evidence:
         if coefficient <= 0.0 or self._seconds <= 0.0:
             return 0.0
         left = max(self._total - coefficient * self._cross, 0.0)
-        error = sqrt(left / self._square / max(self._seconds / INDEPENDENT_S, 1.0))
-        sure = (coefficient - SURE[0] * error) / (SURE[1] - SURE[0])
+        error = sqrt(left / self._square / max(self._seconds / TUNING.independent_s, 1.0))
+        sure = (coefficient - TUNING.sure[0] * error) / (TUNING.sure[1] - TUNING.sure[0])
         return min(coefficient, 1.0) * min(max(sure / error, 0.0), 1.0) if error > 0.0 else min(coefficient, 1.0)
 
 
 class ResidualCorrection:
-    """Feed it the observer's output at every sample and the laser where it is; it gives the correction to add."""
+    """Step it with the observer's output at every sample and teach it the laser where that is; it gives the correction.
 
-    def __init__(self, params: Params, max_rate_hz: float = 250.0) -> None:
+    Attributes:
+        network: the one in use, or None.
+        value_m: the correction at the last sample; ``raw_m``: the same as the network has it, nothing faded.
+        nothing_to_learn: windows that were not handed out, because no network would have been accepted.
+    """
+
+    def __init__(self, params: Params, outputs: RingBuffer) -> None:
+        """``outputs``: time and X* of the past in its first two columns; who steps this pushes to it afterwards."""
         self._params = params
-        self._lags = params.step_s * np.arange(params.taps - 1, -1, -1.0)
-        self._outputs = RingBuffer(int((self._lags[0] + 5.0) * max_rate_hz), 3)
+        self._outputs = outputs
+        self._lags = lags_s(params)
         self._rows = RingBuffer(max(1, int(params.window_s / params.step_s)), 2 + params.taps)
+        """Time, residual with the laser's constant, inputs."""
         self.network: Network | None = None
         self._in_use: Saved | None = None
         self._pending: _Pending | None = None
-        self._number = 0
-        self._trained_t_s = nan
-        self._rows_since_training = 0
+        self._number = self.nothing_to_learn = 0
+        self._asked_t_s = nan
+        self._new_rows = 0
         self._variance = self._variance_weight = 0.0
         self._evidence = _Evidence()
         self._residual2 = self._heave2 = 0.0
-        self._learned_t_s = nan
+        self._learned_t_s, self._row_t_s = nan, -inf
         self._weight = 0.0
-        self._replaced, self._carry_m = False, 0.0
+        self._replaced, self._left_m = False, 0.0
+        """Left of the network before: it fades out while the new one is in use at once."""
         self._t_s = nan
-        self.value_m = 0.0
+        self.value_m = self.raw_m = 0.0
 
     @property
     def windows(self) -> int:
         """Windows handed out so far."""
-        return self._number
+        return self._number - self.nothing_to_learn
 
-    def state(self, laser_fresh: bool) -> CorrectionState:
+    def state(self, *, laser_is_fresh: bool) -> CorrectionState:
+        """What people should know of it."""
         if not self._params.enabled:
             return CorrectionState.OFF
         if self.network is None:
             return CorrectionState.LEARNING
-        return CorrectionState.ACTIVE if laser_fresh and self._weight > 0.5 else CorrectionState.HOLDING
+        return CorrectionState.ACTIVE if laser_is_fresh and self._weight > 0.5 else CorrectionState.HOLDING
 
     def step(self, t_s: float, observer_m: float, omega_radps: float) -> float:
-        """Correction (m) to add to the observer's output at ``t_s``."""
+        """Correction (m) to add to the observer's output at ``t_s``, which is not among the outputs yet."""
         if not self._params.enabled:
             return 0.0
         dt = min(t_s - self._t_s, 1.0) if isfinite(self._t_s) else 0.0
         self._t_s = t_s
-        self._variance_weight = min(self._variance_weight + dt, SEA_TIME_S)
+        self._variance_weight = min(self._variance_weight + dt, TUNING.sea_time_s)
         if self._variance_weight > 0.0:
             self._variance += dt / self._variance_weight * (observer_m**2 - self._variance)
-        inputs = self._inputs(t_s, observer_m) if self.network is not None else None
-        raw = 0.0
-        target = 0.0
-        if self.network is not None and self._in_use is not None and inputs is not None:
+        if self.network is None or self._in_use is None:
+            return 0.0
+        self.raw_m = target = 0.0
+        if (inputs := self._inputs(t_s, observer_m)) is not None:
             limit = self._in_use.limit_m
-            raw = min(max(self.network.predict(inputs), -limit), limit)
+            self.raw_m = min(max(self.network.predict(inputs), -limit), limit)
             target = self._evidence.share() * self._likeness(omega_radps)
-        self._outputs.push((t_s, observer_m, raw))
-        self._weight += (1.0 - exp(-dt / FADE_S)) * (target - self._weight)
+        faded = exp(-dt / TUNING.fade_s)
+        self._weight += (1.0 - faded) * (target - self._weight)
         if self._replaced:
-            self._carry_m, self._replaced = self.value_m - self._weight * raw, False
-        self._carry_m *= exp(-dt / FADE_S)
-        self.value_m = self._weight * raw + self._carry_m
+            self._left_m, self._replaced = self.value_m - self._weight * self.raw_m, False
+        self._left_m *= faded
+        self.value_m = self._weight * self.raw_m + self._left_m
         return self.value_m
 
-    def learn(self, t_s: float, residual_m: float, constant_m: float) -> None:
+    def learn(self, t_s: float, residual_m: float, constant_m: float, observer_m: float, raw_m: float) -> None:
         """Take a laser reading: ``residual_m`` = signed reading - observer at ``t_s``, the unknown constant included.
 
-        constant_m: the constant as it is known now; nothing is learned before (nan).
+        constant_m: the constant as it is known now; nothing is learned before (nan). observer_m, raw_m: X* and
+        :attr:`raw_m` at ``t_s``.
         """
-        _, observer_m, raw_m = self._outputs.at(t_s).tolist()
         if not self._params.enabled or not isfinite(constant_m + observer_m):
             return
         if self.network is not None:
-            self._evidence.add(t_s, residual_m - constant_m, raw_m)
-        newest = self._rows.last(1)
-        due = not len(newest) or t_s - newest[0, 0] >= 0.95 * self._params.step_s
+            self._evidence.push(t_s, residual_m - constant_m, raw_m)
+        due = t_s - self._row_t_s >= 0.95 * self._params.step_s
         if self._agrees(t_s, residual_m - constant_m, observer_m) and due:
             inputs = self._inputs(t_s, nan)
             if inputs is not None:
-                self._rows.push(np.concatenate(([t_s, residual_m], inputs)))
-                self._rows_since_training += 1
+                self._rows.push(np.concatenate(((t_s, residual_m), inputs)))
+                self._row_t_s = t_s
+                self._new_rows += 1
 
     def _agrees(self, t_s: float, residual_m: float, observer_m: float) -> bool:
         """Whether laser and observer see the same motion, by their recent mean squares."""
         dt = min(t_s - self._learned_t_s, 1.0) if isfinite(self._learned_t_s) else 0.05
         self._learned_t_s = t_s
-        memory = 1.0 - exp(-dt / AGREEMENT_TIME_S)
+        memory = 1.0 - exp(-dt / TUNING.agreement_time_s)
         self._residual2 += memory * (residual_m**2 - self._residual2)
         self._heave2 += memory * (observer_m**2 - self._heave2)
-        return self._residual2 < DISAGREEMENT**2 * self._heave2
+        return self._residual2 < TUNING.disagreement**2 * self._heave2
 
-    def forget_rows(self) -> None:
+    def reset_rows(self) -> None:
         """Drop what was learned from: the lead, the constant or the observer has been changed under it."""
         self._rows.clear()
+        self._row_t_s = -inf
         self._pending = None
-        self._rows_since_training = 0
+        self._new_rows = 0
 
-    def forget_outputs(self) -> None:
-        """The observer was restarted: its outputs do not continue the old ones."""
-        self._outputs.clear()
-        self._weight = self._carry_m = 0.0
-        self.forget_rows()
+    def reset(self) -> None:
+        """The observer was restarted: its outputs do not continue the old ones, which are forgotten elsewhere."""
+        self._weight = self._left_m = 0.0
+        self.reset_rows()
 
     def due(self, t_s: float, omega_radps: float) -> TrainingWindow | None:
-        """The window to train on, when it is time; its last part stays here, held out."""
+        """The window to train on, when it is time and a network may gain by it; its last part stays here, held out."""
         p = self._params
-        fresh_s = self._rows_since_training * p.step_s
+        fresh_s = self._new_rows * p.step_s
         enough = len(self._rows) * p.step_s >= p.min_laser_s and fresh_s >= p.period_s / 3.0
-        waiting = isfinite(self._trained_t_s) and t_s - self._trained_t_s < p.period_s
+        waiting = isfinite(self._asked_t_s) and t_s - self._asked_t_s < p.period_s
         if not p.enabled or not enough or waiting:
             return None
-        rows = self._rows.last(len(self._rows))
-        split = int(len(rows) * (1.0 - HOLDOUT))
-        # The inputs of neighbouring rows overlap: a gap of one input window keeps the held-out rows unseen.
-        training = rows[: max(1, split - p.taps)]
-        mean = float(np.mean(training[:, 1]))
         self._number += 1
-        self._trained_t_s = t_s
-        self._rows_since_training = 0
-        held = rows[split:]
+        self._asked_t_s = t_s
+        self._new_rows = 0
+        rows = self._rows.last(len(self._rows))
+        split = int(len(rows) * (1.0 - TUNING.holdout))
+        # The inputs of neighbouring rows overlap: a gap of one input window keeps the held-out rows unseen.
+        known = rows[: max(1, split - p.taps)]
+        mean = float(np.mean(known[:, 1]))
+        training, held = (
+            Rows(inputs=part[:, 2:].copy(), residuals=part[:, 1] - mean) for part in (known, rows[split:])
+        )
+        limit_m = p.clip * float(np.std(training.residuals))
+        bar_m2 = self._bar_m2(held)
+        if not can_gain(training, held, limit_m=limit_m, bar_m2=bar_m2):
+            self._pending = None
+            self.nothing_to_learn += 1
+            return None
         self._pending = _Pending(
             number=self._number,
-            held_inputs=held[:, 2:].copy(),
-            held_residuals=held[:, 1] - mean,
-            input_std_m=float(np.std(training[:, 2:])),
+            held=held,
+            bar_m2=bar_m2,
+            limit_m=limit_m,
+            input_std_m=float(np.std(training.inputs)),
             omega_radps=omega_radps,
-            residual_rms_m=float(np.std(training[:, 1])),
         )
         return TrainingWindow(
             number=self._number,
-            inputs=np.ascontiguousarray(training[:, 2:]).tobytes(),
-            targets=(training[:, 1] - mean).tobytes(),
-            rows=len(training),
+            inputs=training.inputs.tobytes(),
+            targets=training.residuals.tobytes(),
+            rows=len(training.residuals),
             width=p.taps,
             hidden=p.hidden,
             learning_rate=p.learning_rate,
@@ -267,29 +296,32 @@ class ResidualCorrection:
             seed=self._number,
         )
 
-    def accept(self, trained: TrainedNetwork) -> str:
-        """Judge a network on the rows that were held out: "accepted", "rejected" or "failed"."""
+    def _bar_m2(self, held: Rows) -> float:
+        """Mean square of the held-out residuals, as they are or with the network in use, whichever is less."""
+        bar_m2 = _mean_square(held.residuals)
+        if self.network is None or self._in_use is None:
+            return bar_m2
+        limit_m = self._in_use.limit_m
+        return min(bar_m2, _mean_square(held.residuals - _clipped(self.network, held.inputs, limit_m)))
+
+    def accept(self, trained: TrainedNetwork) -> Verdict:
+        """Judge a network on the rows that were held out."""
         pending = self._pending
         if trained.message or pending is None or trained.number != pending.number:
-            return "failed" if trained.message else "rejected"
+            return Verdict.FAILED if trained.message else Verdict.REJECTED
         self._pending = None
         try:
             network = Network.from_bytes(
                 trained.weights, width=trained.width, hidden=trained.hidden, output=trained.output
             )
         except ValueError:
-            return "failed"
+            return Verdict.FAILED
         if trained.width != self._params.taps:
-            return "failed"
-        limit = self._params.clip * pending.residual_rms_m
-        residuals = pending.held_residuals
-        corrections = np.clip(network.predict_many(pending.held_inputs), -limit, limit)
-        bar = _mean_square(residuals)
-        if self.network is not None and self._in_use is not None:
-            old = np.clip(self.network.predict_many(pending.held_inputs), -self._in_use.limit_m, self._in_use.limit_m)
-            bar = min(bar, _mean_square(residuals - old))
-        if not _mean_square(residuals - corrections) < WORTH * bar:
-            return "rejected"
+            return Verdict.FAILED
+        residuals = pending.held.residuals
+        corrections = _clipped(network, pending.held.inputs, pending.limit_m)
+        if not _mean_square(residuals - corrections) < TUNING.worth * pending.bar_m2:
+            return Verdict.REJECTED
         self._replaced = self.network is not None
         self.network = network
         self._in_use = Saved(
@@ -300,7 +332,7 @@ class ResidualCorrection:
             step_s=self._params.step_s,
             input_std_m=pending.input_std_m,
             omega_radps=pending.omega_radps,
-            limit_m=limit,
+            limit_m=pending.limit_m,
         )
         self._evidence = _Evidence(
             seconds=len(residuals) * self._params.step_s,
@@ -308,7 +340,7 @@ class ResidualCorrection:
             cross=float(corrections @ residuals) / len(residuals),
             total=_mean_square(residuals),
         )
-        return "accepted"
+        return Verdict.ACCEPTED
 
     def _inputs(self, t_s: float, observer_m: float) -> Array | None:
         """The last ``taps`` outputs before ``t_s``, oldest first; the one at ``t_s`` itself is given, unless nan."""
@@ -327,9 +359,10 @@ class ResidualCorrection:
             return 0.0
         amplitude = _ratio(sqrt(max(self._variance, 0.0)), trained.input_std_m)
         frequency = _ratio(omega_radps, trained.omega_radps)
-        return min(_between(amplitude, SAME_AMPLITUDE), _between(frequency, SAME_FREQUENCY))
+        return min(_between(amplitude, TUNING.same_amplitude), _between(frequency, TUNING.same_frequency))
 
     def saved(self) -> Saved | None:
+        """What a restart shall remember."""
         return self._in_use
 
     def restore(self, saved: Saved) -> None:
@@ -349,7 +382,16 @@ class ResidualCorrection:
         self._in_use = saved
         # Nothing but the likeness of the sea speaks for it until the laser does, which soon outweighs this.
         square = (saved.limit_m / p.clip) ** 2
-        self._evidence = _Evidence(seconds=GUARD_TIME_S / 3.0, square=square, cross=square, total=square)
+        self._evidence = _Evidence(seconds=TUNING.guard_time_s / 3.0, square=square, cross=square, total=square)
+
+
+def lags_s(params: Params) -> Array:
+    """(taps,) how long before the last of them each input of a network is, oldest first."""
+    return params.step_s * np.arange(params.taps - 1, -1, -1.0)
+
+
+def _clipped(network: Network, inputs: Array, limit_m: float) -> Array:
+    return np.clip(network.predict_many(inputs), -limit_m, limit_m)
 
 
 def _mean_square(values: Array) -> float:

@@ -10,7 +10,7 @@ The sign of m in eq. (14) is explicit here: a positive lead means that the estim
 
 from __future__ import annotations
 
-from math import atan2, exp, hypot, inf, pi, remainder, sqrt
+from math import atan2, exp, hypot, inf, pi, remainder
 from typing import Annotated, Final
 
 import msgspec
@@ -18,9 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-
-STILL: Final = 1e-9
-"""Share of a reading below which its variation is the rounding of a constant: no laser resolves 12 nm at 12 m."""
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -44,31 +41,42 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Bound on the scale error of the accelerometer that is learned; 0: none is."""
 
 
-GAIN_COHERENCE: Final = 0.98
-"""A gain is learned only where the observer follows the laser that well: noise in the observer makes it look too
-large."""
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """What a comparison must be to be one of sensors."""
+
+    still: float = 1e-9
+    """Share of a reading below which its variation is the rounding of a constant: no laser resolves 12 nm at 12 m."""
+    least_readings: int = 8
+    """Of four unknowns."""
+    worst_condition: float = 1e12
+    """Of the normal equations; beyond, the estimate carries no motion."""
+    gain_coherence: float = 0.98
+    """A gain is learned only where the observer follows the laser that well: noise in the observer makes it look too
+    large."""
+    opposed_periods: float = 0.35
+    """A laser of the wrong sign is half a period off; no sensor is a third of one late."""
+    sensors_s: float = 0.5
+    """A low-pass of 1 Hz makes a sensor 0.23 s late, a slow bus and its polling as much again: beyond is something
+    else."""
+    unlike: float = 2.0
+    """Gain, either way, of no sensor: for an observer whose own gain is not exactly one."""
+    least_gain_limit: float = 0.1
+    """Where no scale is to be learned, one that is off by this is still that of a sensor."""
+    surely: float = 2.0
+    """Standard errors by which a gain must be beyond its bound."""
+    alike: float = 0.1
+    """A gain is that of a unit when it is as near to it."""
 
 
+TUNING: Final = Tuning()
 OPPOSED: Final = "it moves against the heave: sign?"
-OPPOSED_PERIODS: Final = 0.35
-"""A laser of the wrong sign is half a period off; no sensor is a third of one late."""
-SENSORS_S: Final = 0.5
-"""A low-pass of 1 Hz makes a sensor 0.23 s late, a slow bus and its polling as much again: beyond is something else."""
-UNLIKE: Final = 2.0
-"""Gain, either way, of no sensor: for an observer whose own gain is not exactly one."""
-LEAST_GAIN_LIMIT: Final = 0.1
-"""Where no scale is to be learned, one that is off by this is still that of a sensor."""
-SURELY: Final = 2.0
-"""Standard errors by which a gain must be beyond its bound."""
 UNITS: Final = ((1000.0, "mm"), (100.0, "cm"), (39.37, "inches"), (3.281, "feet"))
 """What lasers show distances in, per metre."""
-ALIKE: Final = 0.1
-"""A gain is that of a unit when it is as near to it."""
 
 
 def of_gain(gain: float) -> str:
     """That a laser shows the heave with another scale, and what is likely."""
-    unit = next((name for ratio, name in UNITS if abs(gain / ratio - 1.0) < ALIKE), "")
+    unit = next((name for ratio, name in UNITS if abs(gain / ratio - 1.0) < TUNING.alike), "")
     shown = f"{gain:.0f}" if gain > 99.5 else f"{gain:.3g}"
     return f"it shows {shown} times the heave: {f'is it in {unit}?' if unit else 'scale?'}"
 
@@ -99,7 +107,7 @@ class Comparison(msgspec.Struct, frozen=True):
 
     def is_opposed(self, design_lead_s: float = 0.0) -> bool:
         """Whether the laser moves down where the estimate moves up."""
-        return abs(self.beyond(design_lead_s)) * self.omega_radps > 2.0 * pi * OPPOSED_PERIODS
+        return abs(self.beyond(design_lead_s)) * self.omega_radps > 2.0 * pi * TUNING.opposed_periods
 
 
 def compare(t_s: Array, heave_m: Array, velocity_mps: Array, laser_m: Array, omega_radps: float) -> Comparison | None:
@@ -109,37 +117,39 @@ def compare(t_s: Array, heave_m: Array, velocity_mps: Array, laser_m: Array, ome
     count one independent sample per half period, not one per reading: the residual is as narrow-banded as the sea.
     A laser that shows only the middle of the waves sees much of the velocity and little of the heave: each coefficient
     has its own.
-    None: fewer than 8 readings, or a window in which the estimate or the laser carries no motion.
+    None: too few readings, or a window in which the estimate or the laser carries no motion.
     """
     n = len(t_s)
-    if n < 8:
+    if n < TUNING.least_readings:
         return None
     span = t_s[-1] - t_s[0]
     ramp = (t_s - np.mean(t_s)) / max(span, 1e-9)
     columns = np.column_stack((heave_m, velocity_mps / omega_radps, np.ones(n), ramp))
     normal = columns.T @ columns
-    if np.linalg.cond(normal) > 1e12:
+    if np.linalg.cond(normal) > TUNING.worst_condition:
         return None
     coefficients = np.linalg.solve(normal, columns.T @ laser_m)
     residual = laser_m - columns @ coefficients
     background = columns[:, 2:]
     still = laser_m - background @ np.linalg.lstsq(background, laser_m, rcond=None)[0]
     total = float(still @ still)
-    if total <= n * (STILL * float(np.max(np.abs(laser_m)))) ** 2:
+    if total <= n * (TUNING.still * float(np.max(np.abs(laser_m)))) ** 2:
         return None
     A, B = float(coefficients[0]), float(coefficients[1])
     independent = max(2.0, span * omega_radps / pi)
     gain = max(hypot(A, B), 1e-9)
-    # Of A and B, for a residual of which so few are independent, turned along the phasor and across it.
-    covariance = np.linalg.inv(normal)[:2, :2] * (float(residual @ residual) / independent)
-    along, across = np.array((A, B)) / gain, np.array((-B, A)) / gain
+    # Of A and B, for a residual of which so few are independent, along the phasor (A, B) and across it.
+    turned = np.zeros((4, 2))
+    turned[:2] = np.array(((A, -B), (B, A))) / gain
+    variances = np.einsum("ij,ij->j", turned, np.linalg.solve(normal, turned))
+    along_std, across_std = np.sqrt(np.maximum(variances * float(residual @ residual) / independent, 0.0)).tolist()
     return Comparison(
         lead_s=atan2(-B, A) / omega_radps,
-        lead_std_s=sqrt(max(float(across @ covariance @ across), 0.0)) / gain / omega_radps,
+        lead_std_s=across_std / gain / omega_radps,
         gain=gain,
         coherence=max(0.0, 1.0 - float(residual @ residual) / total),
         omega_radps=omega_radps,
-        gain_std=sqrt(max(float(along @ covariance @ along), 0.0)),
+        gain_std=along_std,
     )
 
 
@@ -180,7 +190,7 @@ class LeadTracker:
         self.learned_s += weight * (measured - self.learned_s)
         self.learned_std_s += weight * (comparison.lead_std_s - self.learned_std_s)
         self.updates += 1
-        if has_true_gain and comparison.coherence > GAIN_COHERENCE and p.gain_limit > 0.0:
+        if has_true_gain and comparison.coherence > TUNING.gain_coherence and p.gain_limit > 0.0:
             shown = min(max(comparison.gain, 1.0 - p.gain_limit), 1.0 + p.gain_limit)
             weight = max(self._weight, 1.0 / (1.0 + self._gains))
             self.gain += weight * (shown - self.gain)
@@ -193,8 +203,11 @@ class LeadTracker:
         p = self._params
         if shown.is_opposed(design_lead_s):
             return OPPOSED
-        limit = 1.0 + max(p.gain_limit, LEAST_GAIN_LIMIT) if has_true_gain else UNLIKE
-        if shown.gain - SURELY * shown.gain_std > limit or shown.gain + SURELY * shown.gain_std < 1.0 / limit:
+        limit = 1.0 + max(p.gain_limit, TUNING.least_gain_limit) if has_true_gain else TUNING.unlike
+        if (
+            shown.gain - TUNING.surely * shown.gain_std > limit
+            or shown.gain + TUNING.surely * shown.gain_std < 1.0 / limit
+        ):
             return of_gain(shown.gain)
         measured = shown.beyond(design_lead_s)
         return of_lead(measured) if abs(measured) > p.limit_s else ""
@@ -204,7 +217,7 @@ class LeadTracker:
         """For people: a lead beyond what sensors have, whether it is learned or refused."""
         if self.refused:
             return f"laser: {self.refused}"
-        return f"laser: {of_lead(self.learned_s)}" if abs(self.learned_s) > SENSORS_S else ""
+        return f"laser: {of_lead(self.learned_s)}" if abs(self.learned_s) > TUNING.sensors_s else ""
 
     def error_std_m(self, heave_m: float, velocity_mps: float) -> float:
         """Standard deviation of what errors of gain and lead make of a heave: it grows and fades with the waves."""

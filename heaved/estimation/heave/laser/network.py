@@ -23,6 +23,8 @@ SIGMOID_PER_STD = 0.1
 
 
 class Output(Enum):
+    """What the output of a network is made with."""
+
     LINEAR = "linear"
     SIGMOID = "sigmoid"
 
@@ -46,10 +48,12 @@ class Network(msgspec.Struct, frozen=True, eq=False, gc=False, kw_only=True):
 
     @property
     def hidden(self) -> int:
+        """Units in the hidden layer."""
         return int(self.W1.shape[0])
 
     @property
     def width(self) -> int:
+        """Inputs."""
         return int(self.W1.shape[1])
 
     def predict(self, window: Array) -> float:

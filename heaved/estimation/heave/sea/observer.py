@@ -117,7 +117,7 @@ class SeaObserver:
         """Means, with this one, that are in part of before a blow."""
         self._disturbances = DisturbanceDetector()
         self._unaided_disturbances = DisturbanceDetector()
-        self._aiding.forget()
+        self._aiding.reset()
         if self._heave is not None:
             kept = self._heave.filter
             self._install(kept.system, kept.steady, nan, np.zeros(len(kept.x)), kept.system.stationary.copy())
@@ -276,7 +276,7 @@ class SeaObserver:
         if self._heave is None or not isfinite(self._heave.filter.t_s) or not self.is_settled:
             return
         before, was_active = self.at(0.0), self._aiding.is_active
-        if self._aiding.take(self._heave, t_s, laser_m, std_m) or self._aiding.is_active != was_active:
+        if self._aiding.step(self._heave, t_s, laser_m, std_m) or self._aiding.is_active != was_active:
             self._moved(self._heave)
         if self._aiding.is_active != was_active:
             self._transfer(self._heave, before)

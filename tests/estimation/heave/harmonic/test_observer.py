@@ -1,4 +1,4 @@
-"""Oracles: a Kalman filter written out here with scipy's matrix exponential, tones whose heave is known, and seas."""
+"""Oracles: scipy's matrix exponential, tones whose heave is known, and seas."""
 
 from collections.abc import Iterable
 
@@ -49,32 +49,6 @@ def rms(values: Iterable[float]) -> float:
 
 
 # --- the filter ------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("components", [1, 3])
-def test_the_ukf_is_the_kalman_filter_of_the_model(components: int) -> None:
-    p = Params(components=components, initial_period_s=7.0)
-    observer = HarmonicObserver(p)
-    omega = 2.0 * np.pi / 7.0 * (1.0 + 0.25 * np.arange(components))
-    H = np.array([1.0, 0.0] * components + [1.0])
-    q = np.array([p.process_noise] * (2 * components) + [p.drift_process_noise_m2]) / 0.05
-    x, P = np.zeros(len(H)), p.initial_variance * np.eye(len(H))
-    rng = np.random.default_rng(4)
-    times = 1e6 + irregular(rng, 14.0)  # before the first search, which changes the model
-    before = None
-    for t in times.tolist():
-        observer.step(t, 0.4 * np.sin(0.9 * t) + 0.1 + 0.05 * rng.standard_normal())
-        dt = t - before if before is not None else 0.0
-        before = t
-        F = rotation(omega, dt)
-        x, P = F @ x, F @ P @ F.T + np.diag(q * dt)
-        R = p.measurement_variance_m2 * 0.05 / max(dt, 1e-3)
-        K = P @ H / (H @ P @ H + R)
-        x, P = x + K * (observer.inertial_m - H @ x), P - np.outer(K, H @ P)
-        unshifted = observer.unshifted()
-        assert unshifted.heave_m == pytest.approx(H[:-1] @ x[:-1], abs=1e-9)
-        assert unshifted.velocity_mps == pytest.approx(np.sum(x[1:-1:2]), abs=1e-9)
-    assert np.abs(H @ x) > 0.0
 
 
 @pytest.mark.parametrize("components", [1, 2])

@@ -7,6 +7,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from heaved.estimation.common.ring import RingBuffer
+from heaved.estimation.heave.laser import ridge
 from heaved.estimation.heave.laser.correction import Params, ResidualCorrection, _Evidence
 from heaved.estimation.heave.laser.network import Network, Output
 from heaved.samples import CorrectionState, TrainedNetwork, TrainingWindow
@@ -46,7 +48,8 @@ class Rig:
     """Runs a correction at 20 Hz on an observer output x(t); the laser shows ``residual(t)`` where it is on."""
 
     def __init__(self, params: Params = PARAMS, step_s: float = 0.05) -> None:
-        self.correction = ResidualCorrection(params, 20.0)
+        self.outputs = RingBuffer(int(10.0 / step_s), 3)
+        self.correction = ResidualCorrection(params, self.outputs)
         self.step_s = step_s
         self.n = 0
         self.history: list[tuple[float, float]] = []
@@ -63,12 +66,25 @@ class Rig:
         while self.t_s < until_s - 1e-9:
             t = self.t_s
             self.history.append((t, x(t)))
-            self.values.append((t, self.correction.step(t, x(t), omega)))
+            self.values.append((t, self.step(t, x(t), omega)))
             if residual is not None:
-                self.correction.learn(t, residual(t) + CONSTANT_M, CONSTANT_M)
+                self.learn(t, residual(t) + CONSTANT_M, CONSTANT_M)
             if due and (window := self.correction.due(t, omega)) is not None:
                 self.windows.append((t, window))
             self.n += 1
+
+    def step(self, t: float, observer_m: float, omega: float = OMEGA) -> float:
+        value_m = self.correction.step(t, observer_m, omega)
+        self.outputs.push((t, observer_m, self.correction.raw_m))
+        return value_m
+
+    def learn(self, t: float, residual_m: float, constant_m: float) -> None:
+        _, observer_m, raw_m = self.outputs.at(t).tolist()
+        self.correction.learn(t, residual_m, constant_m, observer_m, raw_m)
+
+    def reset(self) -> None:
+        self.outputs.clear()
+        self.correction.reset()
 
     def learned(self, gain: float, residual: Signal, until_s: float = 30.0) -> str:
         """Run to the first window, and offer a network of this gain."""
@@ -91,13 +107,21 @@ def third(t: float) -> float:
 
 WAVE_RMS = 0.1 / np.sqrt(2.0)
 
+
+@pytest.fixture
+def every_window(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Windows are handed out though a regression says that there is nothing to learn in them."""
+    monkeypatch.setattr(ridge, "TUNING", msgspec.structs.replace(ridge.TUNING, linear=inf))
+
+
 # --- the rows --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("every_window")
 def test_rows_are_the_outputs_before_each_reading_oldest_first() -> None:
     """Readings between the samples, and a residual that tells the time of its row: both rebuilt by hand."""
     rng = np.random.default_rng(1)
-    correction = ResidualCorrection(PARAMS, 20.0)
+    rig = Rig()
     times = np.cumsum(rng.uniform(0.03, 0.07, 700))
     x = 0.1 * np.sin(OMEGA * times) + 0.02 * rng.standard_normal(len(times))
 
@@ -105,10 +129,10 @@ def test_rows_are_the_outputs_before_each_reading_oldest_first() -> None:
         return 1e-4 * t
 
     for before, t, value in zip(times[:-1].tolist(), times[1:].tolist(), x[1:].tolist(), strict=True):
-        correction.step(t, value, OMEGA)
+        rig.step(t, value)
         between = before + 0.37 * (t - before)
-        correction.learn(between, clock(between) + CONSTANT_M, CONSTANT_M)
-    window = correction.due(times[-1], OMEGA)
+        rig.learn(between, clock(between) + CONSTANT_M, CONSTANT_M)
+    window = rig.correction.due(times[-1], OMEGA)
     assert window is not None
     assert (window.width, window.hidden, window.epochs, window.learning_rate) == (TAPS, 1, 1000, 0.01)
     inputs, targets = arrays(window)
@@ -150,6 +174,7 @@ def test_the_network_sees_in_use_what_it_saw_in_training(step_s: float) -> None:
         assert inputs == pytest.approx(np.interp(t - lags, times, x), abs=1e-12)
 
 
+@pytest.mark.usefixtures("every_window")
 def test_the_newest_quarter_is_held_out_with_a_gap_before_it() -> None:
     """The residual changes its sign for the last quarter: none of those rows may be in the window, but they judge."""
     changed_s = 22.5  # rows from 0.9 s to 30 s: the held-out quarter starts just before
@@ -183,6 +208,23 @@ def test_windows_come_when_enough_is_new() -> None:
     assert rig.windows[5][0] == pytest.approx(100.0 + 10.0 / 3.0, abs=1.5)
 
 
+def test_a_window_with_nothing_to_learn_is_counted_and_not_handed_out() -> None:
+    """Before there is a network, because what is left is noise; with one, because that leaves nothing."""
+    rng = np.random.default_rng(3)
+    rig = Rig()
+    rig.run(60.0, lambda t: 0.01 * rng.standard_normal(), due=True)
+    assert not rig.windows
+    assert (rig.correction.windows, rig.correction.nothing_to_learn) == (0, 4)
+    rig = Rig()
+    assert rig.learned(0.3, lambda t: third(t) + 0.003 * rng.standard_normal()) == "accepted"
+    rig.run(120.0, lambda t: third(t) + 0.003 * rng.standard_normal(), due=True)
+    found = rig.correction
+    assert found.windows + found.nothing_to_learn == 9
+    assert found.nothing_to_learn >= 6  # Of so short windows chance takes five hundredths now and then.
+    rig.run(180.0, lambda t: -third(t) + 0.003 * rng.standard_normal(), due=True)
+    assert rig.windows  # Another sensor, another thing to learn.
+
+
 def test_memory_is_bounded_by_the_window() -> None:
     rig = Rig()
     rig.run(200.0, third)
@@ -210,8 +252,8 @@ def test_nothing_is_learned_from_a_laser_that_does_not_follow(laser: str) -> Non
 def test_without_a_constant_nothing_is_learned() -> None:
     rig = Rig()
     for n in range(1000):
-        rig.correction.step(0.05 * n, wave(0.05 * n), OMEGA)
-        rig.correction.learn(0.05 * n, third(0.05 * n), nan)
+        rig.step(0.05 * n, wave(0.05 * n))
+        rig.learn(0.05 * n, third(0.05 * n), nan)
     assert rig.correction.due(50.0, OMEGA) is None
 
 
@@ -220,15 +262,15 @@ def test_without_a_constant_nothing_is_learned() -> None:
 
 def test_a_network_that_helps_is_accepted_faded_in_and_right() -> None:
     rig = Rig()
-    assert rig.correction.state(True) is CorrectionState.LEARNING
+    assert rig.correction.state(laser_is_fresh=True) is CorrectionState.LEARNING
     assert rig.learned(0.3, third) == "accepted"
     rig.run(60.0, third)
     first = [v for t, v in rig.values if t >= 30.0][:4]
     assert max(map(abs, first)) < 0.3 * 0.1 * 0.1  # faded in, not switched
     late = [(t, v) for t, v in rig.values if t > 50.0]
     assert np.array([v for _, v in late]) == pytest.approx(np.array([third(t) for t, _ in late]), abs=1e-3)
-    assert rig.correction.state(True) is CorrectionState.ACTIVE
-    assert rig.correction.state(False) is CorrectionState.HOLDING
+    assert rig.correction.state(laser_is_fresh=True) is CorrectionState.ACTIVE
+    assert rig.correction.state(laser_is_fresh=False) is CorrectionState.HOLDING
 
 
 @pytest.mark.parametrize("gain", [-0.3, 0.0, 0.7, 0.01])
@@ -272,7 +314,7 @@ def test_a_network_that_has_gone_bad_is_faded_out_by_the_laser() -> None:
     assert rig.rms(50.0) > 0.25 * WAVE_RMS
     rig.run(240.0, lambda t: -third(t))
     assert rig.rms(150.0) < 0.03 * WAVE_RMS
-    assert rig.correction.state(True) is CorrectionState.HOLDING
+    assert rig.correction.state(laser_is_fresh=True) is CorrectionState.HOLDING
 
 
 def beating(rng: np.random.Generator, t: np.ndarray) -> np.ndarray:
@@ -285,7 +327,8 @@ def beating(rng: np.random.Generator, t: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("laser_s", [30.0, 60.0, 90.0])
 def test_agreement_by_chance_is_hardly_ever_applied(laser_s: float) -> None:
     """A correction that has nothing to do with the residual, both narrow-banded: two standard errors are exceeded in
-    2.3 % of cases. One that is half of the residual's mean square is applied for the most part."""
+    2.3 % of cases. One that is half of the residual's mean square is applied for the most part.
+    """
     rng = np.random.default_rng(1)
     t = np.arange(0.0, laser_s, 0.1)
     harm: list[float] = []
@@ -295,7 +338,7 @@ def test_agreement_by_chance_is_hardly_ever_applied(laser_s: float) -> None:
         for residual, found in ((beating(rng, t) + other, harm), (y + other, kept)):
             evidence = _Evidence()
             for row in zip(t.tolist(), residual.tolist(), y.tolist(), strict=True):
-                evidence.add(*row)
+                evidence.push(*row)
             found.append(evidence.share())
     assert np.mean(np.array(harm) > 0.0) < 0.12
     assert laser_s < 90.0 or np.mean(kept) > 0.65
@@ -310,6 +353,7 @@ def test_the_correction_is_clipped() -> None:
     assert 0.8 * limit < max(abs(v) for t, v in rig.values if t >= 60.0) <= 1.03 * limit
 
 
+@pytest.mark.usefixtures("every_window")
 def test_results_that_do_not_belong_or_did_not_come_about() -> None:
     rig = Rig()
     assert rig.correction.accept(gain_network(1, 0.3)) == "rejected"  # nobody asked
@@ -340,7 +384,7 @@ def test_forgotten_rows_take_their_pending_network_with_them() -> None:
     rig.run(30.0, third)
     window = rig.correction.due(rig.t_s, OMEGA)
     assert window is not None
-    rig.correction.forget_rows()
+    rig.correction.reset_rows()
     assert rig.correction.accept(gain_network(window.number, 0.3)) == "rejected"
     rig.run(45.0, third)
     assert rig.correction.due(rig.t_s, OMEGA) is None
@@ -350,7 +394,7 @@ def test_after_a_restart_of_the_observer_the_correction_starts_from_nothing() ->
     rig = Rig()
     assert rig.learned(0.3, third) == "accepted"
     rig.run(60.0, third)
-    rig.correction.forget_outputs()
+    rig.reset()
     rig.run(62.0)
     assert max(abs(v) for t, v in rig.values if 60.0 <= t < 60.9) == 0.0  # not before all inputs are new ones
 
@@ -360,7 +404,7 @@ def test_disabled_is_off() -> None:
     rig.run(60.0, third, due=True)
     assert not rig.windows
     assert rig.rms(0.0) == 0.0
-    assert rig.correction.state(True) is CorrectionState.OFF
+    assert rig.correction.state(laser_is_fresh=True) is CorrectionState.OFF
 
 
 # --- without the laser -----------------------------------------------------------------------------------------------
@@ -412,7 +456,7 @@ def test_a_network_of_another_shape_is_refused(changed: dict[str, object]) -> No
     assert rig.learned(0.3, third) == "accepted"
     saved = rig.correction.saved()
     assert saved is not None
-    other = ResidualCorrection(msgspec.structs.replace(PARAMS, **changed))
+    other = Rig(msgspec.structs.replace(PARAMS, **changed)).correction
     with pytest.raises(ValueError, match=r"saved network 10-1-1 \(linear, 0\.1 s\) does not fit the configured"):
         other.restore(saved)
     assert other.network is None

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from seas import Kalman, model, simulated
 
-from heaved.estimation.common import sigma
 from heaved.estimation.heave.sea.filter import TUNING, GaugeError, SeaFilter
 from heaved.estimation.heave.sea.model import SeaSystem, measurement_variance
 
@@ -65,33 +64,6 @@ def test_it_is_the_textbooks_kalman_filter(system: SeaSystem, sea: tuple[Array, 
         assert abs(innovation - y) < 1e-7
         assert abs(system.heave @ (ours.x - theirs.x)) < 1e-7 * sigma_m
         assert np.max(np.abs(ours.covariance - theirs.P)) < 1e-7 * np.max(theirs.P)
-
-
-@pytest.mark.parametrize("make", [sigma.cubature, sigma.symmetric, sigma.spherical_simplex], ids=lambda f: f.__name__)
-def test_every_set_of_sigma_points_says_the_same(
-    make: object, system: SeaSystem, sea: tuple[Array, Array, Array]
-) -> None:
-    """From the steady covariance: from the stationary one a Cholesky factor has no digits to spare."""
-    t, _, a = sea
-    n = len(system.H)
-    points = make(n)  # type: ignore[operator]
-    steady = system.steady(DT_S)
-    assert steady is not None
-    ours = SeaFilter(system, steady, 0.0, np.zeros(n), steady.P.copy())
-    x, P = np.zeros(n), steady.P.copy()
-    R, H = np.array([[measurement_variance(1e-6, DT_S)]]), system.H[None, :]
-    F, Q = system.transition(DT_S)
-    sigma_m = heave_std(system)
-    for i in range(100):
-        ours.step(t[i], a[i])
-        there = sigma.predict(points, x, P, F, Q)
-        assert there is not None
-        update = sigma.update(points, there.x, there.P, np.array([a[i]]), H, R)
-        assert update is not None
-        x, P = update.x, update.P
-        if ours.rejected == 0:
-            assert abs(system.heave @ (ours.x - x)) < 1e-9 * sigma_m
-            assert np.max(np.abs(ours.covariance - P)) < 1e-9 * np.max(P)
 
 
 def test_the_steady_gain_is_used_when_it_makes_no_difference(

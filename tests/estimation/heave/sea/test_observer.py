@@ -137,7 +137,8 @@ def test_it_settles_within_a_minute(name: str) -> None:
 @pytest.mark.parametrize("name", ["S4", "S6", "SL"])
 def test_a_new_model_takes_over_without_a_jump(name: str) -> None:
     """From sample to sample the heave is the integral of its velocity, at a fit as in the second before it; what
-    is left is what each sample teaches, at first more than later."""
+    is left is what each sample teaches, at first more than later.
+    """
     r = result(name, IRREGULAR[name][0])
     heave, velocity, t = r.heave_m[:, 0], r.velocity_mps, r.case.recording.t_s
     jump = np.abs(np.diff(heave) - 0.05 * 0.5 * (velocity[1:] + velocity[:-1]))

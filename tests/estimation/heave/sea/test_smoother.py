@@ -31,7 +31,8 @@ def steady(system: SeaSystem) -> Steady:
 def rauch_tung_striebel(system: SeaSystem, steady: Steady, x: Array, a: Array) -> tuple[Array, float]:
     """Forwards and backwards over the whole of ``a``: heave (k,), and the variance of the first one.
 
-    x_k|N = x_k + C (x_k+1|N - x_k+1|k), C = P F' inv(P-)."""
+    x_k|N = x_k + C (x_k+1|N - x_k+1|k), C = P F' inv(P-).
+    """
     F, Q, H = steady.F, steady.Q, system.H
     R = steady.S - float(H @ steady.P @ H)
     n, count = len(H), len(a)

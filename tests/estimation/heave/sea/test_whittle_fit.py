@@ -53,7 +53,8 @@ def test_slopes_are_differences_of_the_logarithm(stages: int) -> None:
 @pytest.mark.parametrize("seconds", [60.0, 120.0, 600.0])
 def test_pooling_keeps_the_sums_and_leaves_the_low_ordinates_alone(seconds: float) -> None:
     """Of weights and frequencies; groups as wide as 3 % of their frequency, and the likelihood of a smooth sea as it
-    was, to a hundredth: how closely two models can be told apart."""
+    was, to a hundredth: how closely two models can be told apart.
+    """
     sp = whittle_fit.spectrum(acceleration("S6", seconds), RATE_HZ)
     pooled, weight = whittle_fit._pooled(sp)
     spacing = sp.f_hz[1] - sp.f_hz[0]
@@ -75,7 +76,8 @@ def test_pooling_keeps_the_sums_and_leaves_the_low_ordinates_alone(seconds: floa
 @pytest.mark.parametrize("name", ["S4", "S6", "S6S"])
 def test_the_spectrum_of_a_jonswap_sea_is_found(name: str) -> None:
     """1800 s: Kullback's divergence of the acceleration's spectrum, r - 1 - log r on average over the band (five
-    decades of it), r = true over fitted: a factor of two everywhere would be 0.3. The measured height to a tenth."""
+    decades of it), r = true over fitted: a factor of two everywhere would be 0.3. The measured height to a tenth.
+    """
     sp = whittle_fit.spectrum(acceleration(name, 1800.0), RATE_HZ)
     fitted = whittle_fit.fit([sp], 8, 3, WALK)[0].model
     f = np.linspace(0.02, 0.8, 800)
