@@ -24,6 +24,9 @@ GRAVITY_MPS2 = 9.80665
 """Standard gravity (ISO 80000-3), m/s2."""
 
 
+# ---- what devices say ------------------------------------------------------------------------------------------------
+
+
 class Fault(Enum):
     """Why a sample carries no (trustworthy) values."""
 
@@ -91,6 +94,9 @@ class CraftSample(msgspec.Struct, frozen=True, gc=False, kw_only=True):
 Sample = ImuSample | LaserSample | RatesSample | CraftSample
 
 
+# ---- what a frame is worth -------------------------------------------------------------------------------------------
+
+
 class HeaveState(Enum):
     """How far the published heave can be trusted."""
 
@@ -128,6 +134,39 @@ class Quality(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     reasons: tuple[str, ...] = ()
 
 
+# ---- the heave, elsewhere and at other times -------------------------------------------------------------------------
+
+
+class PointMotion(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """Motion of a monitoring point: that of the IMU, and what the attitude adds at the end of the lever arm."""
+
+    name: str
+    heave_m: float = nan
+    heave_std_m: float = nan
+    """From those of the heave and of the measured attitude; how well the attitude is aligned is not known to us."""
+    heave_velocity_mps: float = nan
+
+
+class HeaveForecast(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """Heave predicted for ``t_s + horizon_s``."""
+
+    horizon_s: float
+    heave_m: float = nan
+    std_m: float = nan
+
+
+class DelayedHeave(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """Heave of a moment that lies some time back, from the samples before and after it (fixed-lag smoothing)."""
+
+    t_s: float
+    """Its own time of validity."""
+    heave_m: float
+    std_m: float
+
+
+# ---- roll, pitch and yaw ahead, and the quiet to come ----------------------------------------------------------------
+
+
 class RockPrediction(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     """Attitude predicted for ``t_s + horizon_s``; standard deviations of the prediction error, and half-widths of the
     interval that holds 95 % of what is measured then.
@@ -157,23 +196,6 @@ class RockScore(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     """Share of measured values within the 95 % interval."""
 
 
-class HeaveForecast(msgspec.Struct, frozen=True, gc=False, kw_only=True):
-    """Heave predicted for ``t_s + horizon_s``."""
-
-    horizon_s: float
-    heave_m: float = nan
-    std_m: float = nan
-
-
-class DelayedHeave(msgspec.Struct, frozen=True, gc=False, kw_only=True):
-    """Heave of a moment that lies some time back, from the samples before and after it (fixed-lag smoothing)."""
-
-    t_s: float
-    """Its own time of validity."""
-    heave_m: float
-    std_m: float
-
-
 class QuietWindow(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     """The next time in which roll, pitch and heave stay within their limits, as seen at ``t_s``."""
 
@@ -196,14 +218,7 @@ class QuietForecast(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     """Confidence of the surest window within the look-ahead; nan: nothing has been learned yet."""
 
 
-class PointMotion(msgspec.Struct, frozen=True, gc=False, kw_only=True):
-    """Motion of a monitoring point: that of the IMU, and what the attitude adds at the end of the lever arm."""
-
-    name: str
-    heave_m: float = nan
-    heave_std_m: float = nan
-    """From those of the heave and of the measured attitude; how well the attitude is aligned is not known to us."""
-    heave_velocity_mps: float = nan
+# ---- the sea, and what shakes the hull -------------------------------------------------------------------------------
 
 
 class WaveSystem(msgspec.Struct, frozen=True, kw_only=True):
@@ -223,28 +238,6 @@ class Vibration(msgspec.Struct, frozen=True, kw_only=True):
     width_hz: float
     """Half the height of its peak is that wide: small for a line, several hertz for a broad band."""
     rms_mps2: float
-
-
-FELT_MPS2: Final = 0.02
-"""RMS from which people on board feel a vibration (ISO 2631-1, annex C: half of them from a peak of 0.015 m/s2 on)."""
-BROAD: Final = 0.5
-"""A peak that is as wide as that share of its frequency is a band, not a line."""
-MOST_NAMED: Final = 3
-
-
-def vibration_in_words(vibration: Sequence[Vibration]) -> str:
-    """``vibration: seen at 3.1 Hz, 0.21 m/s2; from 4.0 to 7.0 Hz, 0.11 m/s2``: the strongest that people would feel;
-    empty: there is none. *Seen*, since what is faster than half the rate of the samples shows at another frequency.
-    """
-    felt = [one for one in vibration if one.rms_mps2 >= FELT_MPS2]
-    return "vibration: seen " + "; ".join(map(_in_words, felt[:MOST_NAMED])) if felt else ""
-
-
-def _in_words(one: Vibration) -> str:
-    low_hz, high_hz = one.frequency_hz - 0.5 * one.width_hz, one.frequency_hz + 0.5 * one.width_hz
-    is_broad = one.width_hz >= BROAD * one.frequency_hz
-    where = f"from {max(low_hz, 0.0):.1f} to {high_hz:.1f}" if is_broad else f"at {one.frequency_hz:.1f}"
-    return f"{where} Hz, {one.rms_mps2:.2f} m/s2"
 
 
 class SeaState(msgspec.Struct, frozen=True, kw_only=True):
@@ -274,6 +267,9 @@ class SeaState(msgspec.Struct, frozen=True, kw_only=True):
     """Density of the accelerometer's white noise, one-sided, as the record shows it."""
     bias_walk_mps2_rts: float = nan
     """Random walk of its bias, as far as the record shows it."""
+
+
+# ---- the stages beside the heave -------------------------------------------------------------------------------------
 
 
 class HullAngles(msgspec.Struct, frozen=True, gc=False, kw_only=True):
@@ -321,6 +317,9 @@ class CraftMotion(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     cautions: tuple[str, ...] = ()
 
 
+# ---- all of it -------------------------------------------------------------------------------------------------------
+
+
 class MotionFrame(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     """All that is known of the motion at ``t_s``: one per IMU sample, one per missed sample time too."""
 
@@ -362,6 +361,9 @@ class MotionFrame(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     """Likewise."""
 
 
+# ---- what is learned from --------------------------------------------------------------------------------------------
+
+
 class TrainingWindow(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     """What the trainer is handed. Arrays travel as little-endian float64 bytes (C order)."""
 
@@ -395,3 +397,27 @@ class TrainedNetwork(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     """CPU time the training took."""
     message: str = ""
     """Empty when well."""
+
+
+# ---- in words --------------------------------------------------------------------------------------------------------
+
+FELT_MPS2: Final = 0.02
+"""RMS from which people on board feel a vibration (ISO 2631-1, annex C: half of them from a peak of 0.015 m/s2 on)."""
+BROAD: Final = 0.5
+"""A peak that is as wide as that share of its frequency is a band, not a line."""
+MOST_NAMED: Final = 3
+
+
+def vibration_in_words(vibration: Sequence[Vibration]) -> str:
+    """``vibration: seen at 3.1 Hz, 0.21 m/s2; from 4.0 to 7.0 Hz, 0.11 m/s2``: the strongest that people would feel;
+    empty: there is none. *Seen*, since what is faster than half the rate of the samples shows at another frequency.
+    """
+    felt = [one for one in vibration if one.rms_mps2 >= FELT_MPS2]
+    return "vibration: seen " + "; ".join(map(_in_words, felt[:MOST_NAMED])) if felt else ""
+
+
+def _in_words(one: Vibration) -> str:
+    low_hz, high_hz = one.frequency_hz - 0.5 * one.width_hz, one.frequency_hz + 0.5 * one.width_hz
+    is_broad = one.width_hz >= BROAD * one.frequency_hz
+    where = f"from {max(low_hz, 0.0):.1f} to {high_hz:.1f}" if is_broad else f"at {one.frequency_hz:.1f}"
+    return f"{where} Hz, {one.rms_mps2:.2f} m/s2"

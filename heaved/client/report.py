@@ -5,24 +5,27 @@ What a daemon says may come from anywhere: no character of it reaches a terminal
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from enum import IntEnum
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
 from heaved.client.stream_client import Snapshot, Trouble, UnreachableError
-from heaved.outputs.records import (
-    DeviceStatus,
-    MotionRecord,
-    ObserverStatus,
-    QuietStatus,
-    RockRecord,
-    RockStatus,
-    StatusRecord,
-)
 from heaved.samples import Fault, HeaveState, vibration_in_words
 from heaved.text import printable
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from heaved.outputs.records import (
+        DeviceStatus,
+        MotionRecord,
+        ObserverStatus,
+        QuietStatus,
+        RockRecord,
+        RockStatus,
+        StatusRecord,
+    )
 
 _FRESH_S: Final = 1.0
 """A frame older than this is no real-time heave."""

@@ -5,15 +5,17 @@ from __future__ import annotations
 import shutil
 import time
 from collections import deque
-from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Final, TextIO
+from typing import TYPE_CHECKING, Final, TextIO
 
 from heaved.client.report import accelerometer_text, duration, signed, spread
 from heaved.client.stream_client import SILENCE_S, StreamConnection, Trouble, UnreachableError
 from heaved.outputs.records import DeviceStatus, MotionRecord, StatusRecord
 from heaved.samples import HeaveState
 from heaved.text import printable
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 _REDRAW_S: Final = 0.2
 _RETRY_S: Final = 0.5

@@ -5,9 +5,8 @@ from __future__ import annotations
 import contextlib
 import socket
 import time
-from collections.abc import Callable, Iterator
 from enum import Enum
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
@@ -15,6 +14,9 @@ from heaved.outputs.records import PROTO_MAJOR, MotionRecord, StatusRecord, Vers
 from heaved.outputs.wire import decode
 from heaved.samples import HeaveState
 from heaved.text import printable_lines
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
 
 _MAX_LINE_BYTES: Final = 1 << 20
 """A STATUS line of many devices has some 10 kB; what sends more without a line end is no daemon of ours."""

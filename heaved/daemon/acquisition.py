@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from math import inf, isfinite, nan
+from typing import TYPE_CHECKING
 
 import structlog
 
 from heaved.daemon.device_health import DeviceHealth, RateMeter
-from heaved.daemon.metrics import DeviceMetrics, Metrics
-from heaved.devices.bus import PollResult
-from heaved.devices.profile import DeviceSpec
 from heaved.estimation.heave.observer import Verdict
-from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
-from heaved.estimation.hull.refit import RefitJob, RefitResult
-from heaved.pipeline import Pipeline
 from heaved.samples import Fault, ImuSample, MotionFrame, RockScore, Sample, TrainedNetwork, TrainingWindow
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from heaved.daemon.metrics import DeviceMetrics, Metrics
+    from heaved.devices.bus import PollResult
+    from heaved.devices.profile import DeviceSpec
+    from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
+    from heaved.estimation.hull.refit import RefitJob, RefitResult
+    from heaved.pipeline import Pipeline
 
 IDLE_RATE_HZ = 10.0
 """Frames a second without any IMU: a consumer then still sees that the daemon is alive and the heave is not."""
@@ -161,7 +165,7 @@ class Acquisition:
         """Hand a training's result to the pipeline, which decides whether it is used."""
         try:
             result = self.pipeline.accept(network)
-        except Exception as error:  # A bug in an estimator must not take the stream down.
+        except Exception as error:  # A bug in an estimator must not take the stream down.  # noqa: BLE001
             self._bug("accept", error)
             result = Verdict.FAILED
         self.trainings += 1
@@ -177,7 +181,7 @@ class Acquisition:
         """Hand a fit of the sea to the pipeline."""
         try:
             result = self.pipeline.accept_fit(fit)
-        except Exception as error:  # Likewise.
+        except Exception as error:  # Likewise.  # noqa: BLE001
             self._bug("accept_fit", error)
             result = Verdict.FAILED
         self._metrics.sea_fits.labels(result).inc()
@@ -213,14 +217,14 @@ class Acquisition:
     def _step(self, sample: Sample) -> MotionFrame | None:
         try:
             return self.pipeline.step(sample)
-        except Exception as error:  # Likewise.
+        except Exception as error:  # Likewise.  # noqa: BLE001
             self._bug("step", error)
         return self._coast(sample.t_s) if isinstance(sample, ImuSample) else None
 
     def _coast(self, t_s: float) -> MotionFrame | None:
         try:
             return self.pipeline.coast(t_s)
-        except Exception as error:  # Likewise.
+        except Exception as error:  # Likewise.  # noqa: BLE001
             self._bug("coast", error)
             return None
 
@@ -246,7 +250,7 @@ class Acquisition:
             if job is not None and job is not self._refit_job:
                 self._refit_job = job
                 self._refit(job)
-        except Exception as error:  # Likewise.
+        except Exception as error:  # Likewise.  # noqa: BLE001
             self._bug("work", error)
         if (failure := self.pipeline.stages.failure) is not None:
             self.pipeline.stages.failure = None

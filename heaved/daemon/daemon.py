@@ -13,18 +13,15 @@ import os
 import threading
 import time
 from collections import Counter
-from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from functools import partial
 from math import nan
-from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import structlog
 
 from heaved import __version__
-from heaved.config import Config
 from heaved.config.read import ConfigError, load_to_run
 from heaved.config.rules import rate_faults
 from heaved.daemon.acquisition import Acquisition
@@ -40,15 +37,21 @@ from heaved.daemon.supervise import cancelled, in_time, supervise
 from heaved.daemon.utc_clock import UtcClock
 from heaved.devices.bus import Bus
 from heaved.devices.link import buses
-from heaved.devices.profile import DeviceSpec
 from heaved.devices.timer import Heartbeat
 from heaved.estimation.stages import Stages
 from heaved.outputs.http import HttpServer, liveness, readiness
 from heaved.outputs.listen import ListenError
-from heaved.outputs.records import StatusRecord
 from heaved.outputs.stream import Publisher
 from heaved.pipeline import Pipeline, PipelineState, assemble, check_state
-from heaved.samples import MotionFrame
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
+    from pathlib import Path
+
+    from heaved.config import Config
+    from heaved.devices.profile import DeviceSpec
+    from heaved.outputs.records import StatusRecord
+    from heaved.samples import MotionFrame
 
 __all__ = ["Daemon", "configure_logging", "run"]
 

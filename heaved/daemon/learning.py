@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import structlog
 
-from heaved.config import Config
-from heaved.daemon.acquisition import Acquisition
-from heaved.daemon.metrics import Metrics
 from heaved.estimation.heave.observer import Verdict
-from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
-from heaved.estimation.hull.refit import RefitJob
-from heaved.samples import TrainedNetwork, TrainingWindow
 from heaved.workers import refit_hull as hull_fitter
 from heaved.workers.jobs import HULL_REFIT, SEA_FIT, TRAINING, Job, Request
 from heaved.workers.process import Worker
-from heaved.workers.refit_hull import HullFit
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
+
+    from heaved.config import Config
+    from heaved.daemon.acquisition import Acquisition
+    from heaved.daemon.metrics import Metrics
+    from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
+    from heaved.estimation.hull.refit import RefitJob
+    from heaved.samples import TrainedNetwork, TrainingWindow
+    from heaved.workers.refit_hull import HullFit
 
 _log = structlog.get_logger(__name__)
 
@@ -99,7 +102,7 @@ class Workers:
         else:
             runs = self._metrics.training_runs if job is TRAINING else self._metrics.sea_fits
             runs.labels(Verdict.FAILED).inc()
-        trouble = reason.split(";")[0]  # Without the growing pause before the next start.
+        trouble = reason.partition(";")[0]  # Without the growing pause before the next start.
         if trouble != self._troubles.get(job.name):
             self._troubles[job.name] = trouble
             _log.warning(f"the {job.name} has failed: the stream goes on with what was learned", reason=reason)

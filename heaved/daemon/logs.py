@@ -12,18 +12,21 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from io import UnsupportedOperation
 from queue import Empty, Full, Queue
 from types import TracebackType
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 import structlog
-from structlog.typing import EventDict, Processor
 
 from heaved.text import printable
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from structlog.typing import EventDict, Processor
 
 LOG_FORMATS = ("human", "json")
 ALIKE: Final = "alike"
@@ -214,7 +217,7 @@ class LineHandler(logging.Handler):
                 self._say(self.format(counted))
             if self._repeats.admits(record, now_s):
                 self._say(self.format(record))
-        except Exception as error:  # What cannot be formatted must not stop who said it.
+        except Exception as error:  # What cannot be formatted must not stop who said it.  # noqa: BLE001
             self._say(f"an event that cannot be printed: {printable(repr(error))}")
 
     def flush(self) -> None:

@@ -7,10 +7,12 @@ import os
 import signal
 import socket
 import threading
-from types import FrameType, TracebackType
-from typing import Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
 import structlog
+
+if TYPE_CHECKING:
+    from types import FrameType, TracebackType
 
 _STOP: Final = (signal.SIGTERM, signal.SIGINT)
 _AGAIN: Final = signal.SIGHUP

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from math import isfinite
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from heaved import __version__
-from heaved.config import Config
-from heaved.daemon.acquisition import Acquisition
-from heaved.daemon.utc_clock import UtcClock
 from heaved.outputs import wire
 from heaved.outputs.fields import ATTITUDE, HULL, HULL_STD, MOTION, rounded
 from heaved.outputs.records import (
@@ -22,6 +19,11 @@ from heaved.outputs.records import (
     StatusRecord,
 )
 from heaved.samples import CorrectionState, Fault, HeaveState, LaserState, MotionFrame, Quality, SeaState
+
+if TYPE_CHECKING:
+    from heaved.config import Config
+    from heaved.daemon.acquisition import Acquisition
+    from heaved.daemon.utc_clock import UtcClock
 
 _SHOWN_S: Final = (0.15, 1.0)
 """Horizons whose predictions the status judges."""

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Collection
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import structlog
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable, Collection
 
 FIRST_PAUSE_S: Final = 0.1
 LONGEST_PAUSE_S: Final = 10.0
@@ -25,7 +27,7 @@ async def supervise(name: str, run: Callable[[], Awaitable[None]]) -> None:
         try:
             await run()
             _log.error("task ended: starting it again", task=name, pause_s=pause_s)
-        except Exception as error:  # Whatever it was, the rest of the daemon goes on.
+        except Exception as error:  # Whatever it was, the rest of the daemon goes on.  # noqa: BLE001
             _log.error("task failed: starting it again", task=name, pause_s=pause_s, exc_info=error)
         if time.monotonic() - started_s > LONG_LIFE_S:
             pause_s = FIRST_PAUSE_S
@@ -49,7 +51,7 @@ async def in_time(name: str, part: Awaitable[object], timeout_s: float) -> bool:
         await asyncio.wait_for(part, timeout_s)
     except TimeoutError:
         _log.warning("does not stop in time: left behind", part=name)
-    except Exception as error:  # The other parts must stop all the same.
+    except Exception as error:  # The other parts must stop all the same.  # noqa: BLE001
         _log.error("error while stopping", part=name, exc_info=error)
     else:
         return True

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from statistics import median
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 STEP_S = 0.5
 """A larger departure is a step (a clock set by hand, the first fix of a time server) and is adopted at once."""

@@ -5,12 +5,15 @@ The simulator knows nothing of the estimator, and a second copy of the equations
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from heaved.estimation.craft.dynamics import Craft, Vessel
 from heaved.simulate.hydrofoil import Hull, Passage, Voyage, sail
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 
 def hull(vessel: Vessel) -> Hull:

@@ -12,28 +12,31 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from heaved.config import Config
 from heaved.config.read import data_directory, load
 from heaved.daemon import daemon
 from heaved.demo import hook
 from heaved.demo.craft_at_sea import voyages
 from heaved.devices.profile import DeviceSpec
 from heaved.estimation.craft.dynamics import Vessel
-from heaved.simulate.faults import PlannedFault
 from heaved.simulate.hydrofoil import Passage
 from heaved.simulate.instruments import Instruments
 from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.seaway import seaway
 from heaved.simulate.shaking import NONE
-from heaved.simulate.slave import Source
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from multiprocessing.connection import Connection
+
+    from heaved.config import Config
+    from heaved.simulate.faults import PlannedFault
+    from heaved.simulate.slave import Source
 
 SERIAL_BAUDRATE: Final = 230_400
 """Of the simulated serial line: it carries the demo's IMU at 100 Hz and its laser at 20 Hz with a third to spare."""

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
 from math import sqrt
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
 from heaved.client.stream_client import SILENCE_S, StreamConnection, Trouble, UnreachableError
 from heaved.outputs.records import MotionRecord
 from heaved.simulate.compensator import Compensator, CompensatorParams, Source, Update
-from heaved.simulate.seaway import Seaway
 from heaved.simulate.winch import Winch, WinchParams, WinchState
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from heaved.simulate.seaway import Seaway
 
 _CONNECT_S: Final = 1.0
 _RETRY_S: Final = 0.5

@@ -8,9 +8,10 @@ keeps it away is the low-pass within the sensor, if its corner, the bandwidth, i
 from __future__ import annotations
 
 from math import floor, inf
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from heaved.devices.profile import BandwidthRegister, DeviceSpec
+if TYPE_CHECKING:
+    from heaved.devices.profile import BandwidthRegister, DeviceSpec
 
 WAVES_HZ: Final = 0.6
 """Highest frequency of waves that vessels follow."""

@@ -18,9 +18,8 @@ import logging
 import struct
 import termios
 import time
-from collections.abc import Callable, Iterable, Sequence
 from math import isnan, nan
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
@@ -39,13 +38,16 @@ from heaved.devices.frames import (
     tcp_senders,
     tcp_stream_is_whole,
 )
+from heaved.devices.host_name import HostName
 from heaved.devices.link import Link, RtuLink, TcpLink, bus_key, explain_open_failure, parse_link, silence_s
 from heaved.devices.liveness import Contact
-from heaved.devices.names import Name
 from heaved.devices.profile import Block, DeviceSpec, Quantity, block_registers
 from heaved.devices.station import PollResult, Reading, Station
-from heaved.devices.timer import DeadlineTimer, Pace
+from heaved.devices.timer import DeadlineTimer, Pace, TimeLimit
 from heaved.samples import Fault
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
 
 __all__ = ["Answer", "Bus", "OpenLink", "PollResult"]
 
@@ -90,11 +92,11 @@ class OpenLink:
         timer: DeadlineTimer,
         clock: Callable[[], float],
         lost: Callable[[], None],
-        name: Name | None = None,
+        name: HostName | None = None,
     ) -> None:
         """``lost`` is called when the other side closes; ``name`` is the host's, if others look it up, too."""
         self.link = link
-        self._name = name or Name(link.host if isinstance(link, TcpLink) else "")
+        self._name = name or HostName(link.host if isinstance(link, TcpLink) else "")
         self._timer = timer
         self._clock = clock
         self._lost = lost
@@ -107,6 +109,7 @@ class OpenLink:
         self._request: Request | None = None
         self._done: asyncio.Future[None] | None = None
         """When the waiting for an answer is over."""
+        self._limit = TimeLimit(self._stop_waiting)
         self._found = b""
         """The answer to the latest request, once it has come."""
         self._transaction = 0
@@ -180,6 +183,7 @@ class OpenLink:
 
     def close(self) -> None:
         """Close the line."""
+        self._limit.close()
         if self._client is not None:
             self._client.close()
 
@@ -194,15 +198,14 @@ class OpenLink:
         self._heard, self._found = b"", b""
         sent_s = self._clock()
         self._request = request
-        loop = asyncio.get_running_loop()
-        self._done = loop.create_future()
-        timeout = loop.call_later(timeout_s, self._stop_waiting)
+        self._done = asyncio.get_running_loop().create_future()
+        self._limit.set(timeout_s)
         self._sent = self._request_frame(request, block.start + first)
         client.ctx.transport.write(self._sent)  # type: ignore[attr-defined]
         try:
             await self._done
         finally:
-            timeout.cancel()
+            self._limit.lift()
             self._request = None
         if not self._found:
             return self._unanswered(client.connected, sent_s, request, timeout_s)
@@ -398,7 +401,7 @@ class Bus:
     # ---- connection --------------------------------------------------------------------------------------------------
 
     async def _keep_open(self, timer: DeadlineTimer) -> None:
-        name = Name(self.link.host if isinstance(self.link, TcpLink) else "")
+        name = HostName(self.link.host if isinstance(self.link, TcpLink) else "")
         while True:
             self._lost.clear()
             connection = OpenLink(self.link, timer, self._clock, self._on_loss, name)

@@ -7,12 +7,15 @@ the transaction number decides.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from heaved.devices.link import READ_ANSWER_BYTES
 from heaved.samples import Fault
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 _MBAP_BYTES = 7
 """Transaction (2), protocol (2), length (2), unit id."""
@@ -98,7 +101,7 @@ def find_rtu_answer(heard: bytes, request: Request) -> bytes:
     return b""
 
 
-def explain_rtu_silence(  # Each cause has its own words.
+def explain_rtu_silence(  # Each cause has its own words.  # noqa: PLR0911
     heard: bytes, request: Request, *, sent: bytes = b"", late_s: float = 0.0
 ) -> Explanation:
     """What the bytes say that came instead of an answer.
@@ -216,7 +219,7 @@ def _tcp_reply(heard: bytes, transaction: int, request: Request) -> bytes:
     return b""
 
 
-def explain_tcp_silence(  # Each cause has its own words.
+def explain_tcp_silence(  # Each cause has its own words.  # noqa: PLR0911
     heard: bytes, transaction: int, request: Request, *, late_s: float = 0.0
 ) -> Explanation:
     """What the bytes say that came instead of an answer. ``late_s``: as for :func:`explain_rtu_silence`."""

@@ -5,14 +5,16 @@ from __future__ import annotations
 import errno
 import socket
 import unicodedata
-from collections.abc import Sequence
 from math import ceil, inf
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 import msgspec
 
 from heaved.devices.profile import DeviceSpec, Profile, block_registers
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600)
 """Rates worth suggesting."""
@@ -139,7 +141,7 @@ def buses(devices: Sequence[DeviceSpec]) -> dict[str, tuple[DeviceSpec, ...]]:
     return found
 
 
-def explain_open_failure(link: Link, error: BaseException) -> str:  # Each cause has its own words.
+def explain_open_failure(link: Link, error: BaseException) -> str:  # Each cause has its own words.  # noqa: PLR0911
     """Why a line could not be opened, and what to do about it."""
     number = error.errno if isinstance(error, OSError) else None
     if number in (errno.EMFILE, errno.ENFILE) and not isinstance(error, socket.gaierror):

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
 from enum import Enum
 from math import inf
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from heaved.devices.profile import MAX_REGISTERS, DeviceSpec, Quantity, role_quantities, si_step
 from heaved.samples import Fault
 from heaved.unchanged import Unchanged
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping, Sequence
 
 STALE_AFTER_S = 0.5
 """A device clock that stands for longer than this is a fault, unless its resolution or the poll rate is coarser."""

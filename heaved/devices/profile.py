@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import struct
 import sys
-from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from math import isfinite, isnan, pi
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import msgspec
 
 from heaved.samples import GRAVITY_MPS2, Fault
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
 
 RegisterType = Literal["int16", "uint16", "int32", "uint32", "float32"]
 ByteOrder = Literal["ABCD", "DCBA", "BADC", "CDAB"]

@@ -12,19 +12,21 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Iterator
 from functools import partial
 from itertools import pairwise
 from math import isfinite, isnan, nan, radians
 from operator import gt, itemgetter
-from pathlib import Path
 from statistics import median_low
-from types import TracebackType
-from typing import Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
 import msgspec
 
 from heaved.samples import CraftSample, ImuSample, LaserSample, RatesSample
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+    from types import TracebackType
 
 COLUMNS: Final = (
     "t_s",

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from math import isnan, nan
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
@@ -23,6 +22,9 @@ from heaved.devices.profile import (
 )
 from heaved.devices.timer import Pace
 from heaved.samples import CraftSample, Fault, ImuSample, LaserSample, RatesSample, Sample
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
 
 _KINDS: Final[dict[Role, Callable[..., Sample]]] = {
     "imu": ImuSample,

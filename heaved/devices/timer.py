@@ -12,10 +12,12 @@ import os
 import struct
 import sys
 import time
-from collections.abc import Callable
-from math import floor
-from types import TracebackType
-from typing import Final, Self
+from math import floor, inf
+from typing import TYPE_CHECKING, Final, Self
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import TracebackType
 
 LOOP_RESOLUTION_S: Final = 1e-3
 """Of the loop's own timers."""
@@ -95,11 +97,56 @@ class DeadlineTimer:
         return time.monotonic() - deadline_s
 
     def _expired(self) -> None:
-        # A wait that was cancelled and begun anew has re-armed the timer: then there is nothing to read yet.
-        with contextlib.suppress(BlockingIOError):
+        try:
             os.read(self._fd, 8)
-            if self._woken is not None and not self._woken.done():
-                self._woken.set_result(None)
+        except BlockingIOError:  # A wait that was cancelled and begun anew has re-armed the timer.
+            return
+        if self._woken is not None and not self._woken.done():
+            self._woken.set_result(None)
+
+
+class TimeLimit:
+    """Calls ``reached`` when a time has run out. It may be set for each of many requests, almost all of which are
+    answered in time: a timer of the loop is armed again only when one has run out, not with every request.
+    """
+
+    def __init__(self, reached: Callable[[], None]) -> None:
+        self._reached = reached
+        self._limit_s = inf
+        self._handle: asyncio.TimerHandle | None = None
+
+    def set(self, duration_s: float) -> None:
+        """From now on, in place of what was set before."""
+        loop = asyncio.get_running_loop()
+        self._limit_s = loop.time() + duration_s
+        if self._handle is None or self._handle.when() > self._limit_s:
+            self._arm(loop)
+
+    def lift(self) -> None:
+        """There is no limit any more."""
+        self._limit_s = inf
+
+    def close(self) -> None:
+        """Leave nothing behind on the loop."""
+        self.lift()
+        if self._handle is not None:
+            self._handle.cancel()
+            self._handle = None
+
+    def _arm(self, loop: asyncio.AbstractEventLoop) -> None:
+        if self._handle is not None:
+            self._handle.cancel()
+        self._handle = loop.call_at(self._limit_s, self._run_out)
+
+    def _run_out(self) -> None:
+        loop, self._handle = asyncio.get_running_loop(), None
+        if self._limit_s == inf:
+            return
+        if loop.time() + LOOP_RESOLUTION_S < self._limit_s:
+            self._arm(loop)
+            return
+        self._limit_s = inf
+        self._reached()
 
 
 class Heartbeat:

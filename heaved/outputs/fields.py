@@ -7,10 +7,9 @@ unit it is the same name. So ``roll_deg`` is the ``roll_rad`` of a record in deg
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import pi
 from operator import attrgetter, itemgetter, mul
-from typing import Final, Generic, TypeVar
+from typing import TYPE_CHECKING, Final, Generic, TypeVar
 
 import msgspec
 
@@ -24,6 +23,9 @@ from heaved.samples import (
     RockPrediction,
     RockScore,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 R = TypeVar("R")
 

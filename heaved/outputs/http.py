@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable
 from http import HTTPStatus
 from math import isfinite
-from typing import Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import msgspec
 import structlog
@@ -20,6 +19,9 @@ from aiohttp.http_exceptions import HttpProcessingError
 from heaved.outputs.listen import Listener, checked_networks, is_allowed
 from heaved.samples import HeaveState, MotionFrame
 from heaved.text import printable
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 _METRICS_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
 _SHUTDOWN_S: Final = 0.2
@@ -89,7 +91,7 @@ class _Refusal(asyncio.Protocol):
         self._answer = answer
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.Transport, transport)
+        self._transport = cast("asyncio.Transport", transport)
         self._refused.add(self)
         # Closing at once would reset the connection of a client that is still sending: it would not read the answer.
         patience_s = _REFUSAL_S if len(self._refused) <= _MAX_CONNECTIONS else 0.0

@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
 from math import inf
-from typing import Protocol, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
-import msgspec
 import structlog
 
 from heaved.outputs import wire
@@ -21,6 +19,11 @@ from heaved.outputs.listen import Listener, checked_networks, is_allowed
 from heaved.outputs.records import ErrorRecord, StatusRecord, VersionRecord
 from heaved.outputs.subscriber import Subscriber
 from heaved.samples import CraftMotion, DelayedHeave, HullAngles, MotionFrame, SeaState
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import msgspec
 
 Slow = TypeVar("Slow", DelayedHeave, HullAngles, CraftMotion, SeaState)
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import asyncio
 import socket
 from collections import deque
-from collections.abc import Callable
 from math import inf
-from typing import Final, Protocol, cast
+from typing import TYPE_CHECKING, Final, Protocol, cast
 
 from heaved.outputs import wire
 from heaved.outputs.records import ErrorRecord
@@ -22,6 +21,9 @@ from heaved.outputs.requests import (
     VersionQuery,
     parse_request,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 _MAX_ERRORS: Final = 5
 _MAX_REQUESTS_PER_S: Final = 20
@@ -118,7 +120,7 @@ class Subscriber(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Greet the client, or turn it away."""
-        self._transport = cast(asyncio.Transport, transport)
+        self._transport = cast("asyncio.Transport", transport)
         _set_options(transport.get_extra_info("socket"))
         self._transport.set_write_buffer_limits(high=0)
         refusal = self._server.admit(self)

@@ -15,12 +15,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 from math import inf, isnan, nan
-from pathlib import Path
-from typing import Final, TextIO
+from typing import TYPE_CHECKING, Final, TextIO
 
 import msgspec
 
-from heaved.config import Config
 from heaved.devices.recording import Recording
 from heaved.estimation.heave.sea.refit import SeaWindow, look
 from heaved.estimation.stages import Stages
@@ -29,6 +27,11 @@ from heaved.replay.table import Table
 from heaved.samples import HeaveState, Quality, Sample
 from heaved.text import printable
 from heaved.workers.process import BlockingTrainer
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from heaved.config import Config
 
 PROGRESS_SAMPLES: Final = 64
 """Progress is told after so many."""
@@ -178,7 +181,7 @@ def _samples(recording: Recording, until_s: float, tally: Tally) -> Iterator[Sam
 def _fit(pipeline: Pipeline, past: SeaWindow, tally: Tally) -> str:
     try:
         fit = look(past)
-    except Exception as error:  # The daemon's fitter would die of it, too: what was learned stays.
+    except Exception as error:  # The daemon's fitter would die of it, too: what was learned stays.  # noqa: BLE001
         tally.failure = repr(error)
         return "failed"
     return pipeline.accept_fit(fit)

@@ -7,16 +7,19 @@ time is known, a minute later; if it never is, until there are too many that wai
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
 from itertools import chain
 from math import inf, nan
 from operator import mul
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from heaved.config import Config
 from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S
 from heaved.outputs.fields import ATTITUDE, FORECAST, HULL, HULL_STD, MOTION, ROCK
 from heaved.samples import DelayedHeave, HeaveForecast, HullAngles, MotionFrame, RockPrediction
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from heaved.config import Config
 
 MAX_STEP_S: Final = 0.5
 """Delayed heaves further apart than this have a hole between them."""

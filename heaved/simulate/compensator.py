@@ -17,15 +17,17 @@ off by is worked off slowly.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from enum import Enum
 from math import exp, inf
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
 from heaved.samples import HeaveState
 from heaved.simulate.winch import SetPoint, WinchParams
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 _NODES: Final = 6
 """Forecasts through which the curve is laid: the nearest ones."""

@@ -9,12 +9,13 @@ what lies above half their rate folds as it does in a real register that is read
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
 
-from heaved.simulate.vessel import Array
+if TYPE_CHECKING:
+    from heaved.simulate.vessel import Array
 
 HARMONICS: Final = 400
 """Of a hum."""

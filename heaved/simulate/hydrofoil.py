@@ -10,8 +10,7 @@ with a lag, and are read back as they stand.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 import msgspec
 import numpy as np
@@ -19,6 +18,9 @@ import numpy as np
 from heaved.samples import GRAVITY_MPS2
 from heaved.simulate.seaway import WaveSystem
 from heaved.simulate.vessel import Array
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 COMPONENTS: Final = 120
 """Waves in a sea."""

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Sequence
 from functools import partial
 from math import inf
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
 
 from heaved.devices.link import Link, RtuLink, TcpLink, bus_key, parse_link
-from heaved.devices.profile import DeviceSpec
 from heaved.simulate.faults import FaultKind, PlannedFault
 from heaved.simulate.slave import Answer, RtuLine, Slave, Source, TcpLine
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from heaved.devices.profile import DeviceSpec
 
 
 class SimulatedPlant:

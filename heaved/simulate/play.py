@@ -8,15 +8,19 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from heaved.devices.profile import DeviceSpec
 from heaved.samples import CraftSample, Fault, ImuSample, LaserSample, Sample
-from heaved.simulate.sensors import Recording
-from heaved.simulate.vessel import Array
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from heaved.devices.profile import DeviceSpec
+    from heaved.simulate.sensors import Recording
+    from heaved.simulate.vessel import Array
 
 LONGEST_GAP_S = 0.5
 """Between readings further apart than this a quantity is missing, not interpolated."""

@@ -15,14 +15,17 @@ Significant heights are those of the *waves*; the vessel makes more or less of t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from heaved.simulate.vessel import CRANE_VESSEL, SMALL_CRAFT, Array, Motion, Real, Responses
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 MEAN_HEADING_RAD = math.radians(40.0)
 COMPONENTS = 384

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -16,9 +16,13 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from heaved.samples import GRAVITY_MPS2, ImuSample, LaserSample, Sample
-from heaved.simulate.seaway import Seaway
 from heaved.simulate.shaking import BUTTERWORTH_DAMPING, NONE, Shake, shaking
 from heaved.simulate.vessel import Array, Motion, Real, Triad, body_rates, specific_force
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from heaved.simulate.seaway import Seaway
 
 LASER_DISTANCE_M = 12.0
 """What the laser reads at zero heave; it reads more as the vessel rises (sign +)."""

@@ -12,9 +12,8 @@ with phases of their own.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from functools import cache
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
@@ -23,6 +22,9 @@ from scipy.special import j0
 
 from heaved.simulate.seaway import COMPONENTS, Seaway
 from heaved.simulate.vessel import Array, Motion, Real, Response
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
 
 Complex = NDArray[np.complex128]
 

@@ -15,18 +15,21 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from math import inf, isnan, nan
 from pathlib import Path
-from typing import Protocol, cast, get_args
+from typing import TYPE_CHECKING, Protocol, cast, get_args
 
 import msgspec
-import numpy as np
 from pymodbus.constants import ExcCodes
 from pymodbus.framer import FramerRTU, FramerSocket
 from pymodbus.pdu import DecodePDU
 
 from heaved.devices.link import RtuLink, TcpLink, character_s, silence_s
 from heaved.devices.profile import DeviceSpec, Quantity, block_registers, encode, role_needs, role_quantities
-from heaved.samples import Sample
 from heaved.simulate.faults import FaultKind, PlannedFault
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from heaved.samples import Sample
 
 _QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 _FUNCTIONS = {3: "holding", 4: "input"}

@@ -113,7 +113,7 @@ async def test_status_when_there_is_no_room(serve: Serve, connect: Connect) -> N
 @pytest.mark.parametrize(
     ("behave", "trouble", "said"),
     [
-        (lambda connection: None, Trouble.SILENT, "nothing is said"),
+        (lambda _connection: None, Trouble.SILENT, "nothing is said"),
         (lambda connection: connection.sendall(VERSION), Trouble.SILENT, "?STATUS is not answered"),
         (lambda connection: connection.sendall(VERSION[:20]), Trouble.SILENT, "nothing is said"),
         (lambda connection: connection.close(), Trouble.CLOSED, "connection"),
@@ -213,5 +213,5 @@ async def test_wait_ends_without_a_usable_heave(serve: Serve) -> None:
 
 def test_wait_ends_without_a_daemon(play: Play) -> None:
     assert not wait_until_ready("127.0.0.1", refused_port(), 0.05)
-    assert not wait_until_ready("127.0.0.1", play(lambda connection: None), 0.05)
+    assert not wait_until_ready("127.0.0.1", play(lambda _connection: None), 0.05)
     assert not wait_until_ready("127.0.0.1", play(endless(b"\x00" * 4096)), 0.05)

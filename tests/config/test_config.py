@@ -351,7 +351,7 @@ def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:
 
 
 UNREADABLE: dict[str, tuple[Callable[[Path], object], str]] = {
-    "missing": (lambda path: None, "cannot be read: No such file"),
+    "missing": (lambda _path: None, "cannot be read: No such file"),
     "directory": (lambda path: path.mkdir(), "cannot be read: Is a directory"),
     "not UTF-8": (lambda path: path.write_bytes(b"\xff\xfe"), "is not UTF-8 text"),
     "UTF-16": (lambda path: path.write_text("[stream]", encoding="utf-16"), "is not UTF-8 text, save it as such"),

@@ -111,13 +111,13 @@ async def test_absent_at_the_start_then_plugged_in(tmp_path: Path) -> None:
         await plant.stop()
         with capture_logs() as logs:
             async with running(config) as daemon:
-                first = await until(daemon, lambda record: not daemon.status().devices[0].up)
-                await until(daemon, lambda record: events(logs).count("device down") == 2)
+                first = await until(daemon, lambda _record: not daemon.status().devices[0].up)
+                await until(daemon, lambda _record: events(logs).count("device down") == 2)
                 assert first["quality"]["heave"] == "invalid"
                 assert metric(daemon, 'heaved_device_up{device="imu"}') == 0
                 await plant.start()
                 await until(daemon, lambda record: record["quality"]["heave"] == "settling")
-                await until(daemon, lambda record: events(logs, "info").count("device back") == 2)
+                await until(daemon, lambda _record: events(logs, "info").count("device back") == 2)
                 assert metric(daemon, 'heaved_device_up{device="imu"}') == 1
     down = next(line for line in logs if line["event"] == "device down")
     assert down["fault"] == "disconnected"
@@ -139,7 +139,7 @@ async def test_unplugged_and_back(tmp_path: Path) -> None:
                 assert metric(daemon, 'heaved_device_up{device="imu"}') == 0
                 plant.clear()
                 await until(daemon, lambda record: record["quality"]["heave"] == "settling")
-                await until(daemon, lambda record: "device back" in events(logs, "info"))
+                await until(daemon, lambda _record: "device back" in events(logs, "info"))
                 assert metric(daemon, 'heaved_reconnects_total{device="imu"}') == 1
     assert events(logs).count("device down") == 1
 
@@ -149,7 +149,7 @@ async def test_a_pipeline_that_stops_is_seen(tmp_path: Path) -> None:
     late_s = [0.0]
     now = asyncio.get_running_loop().time
     async with running(demo_config(tmp_path, device=()), clock=lambda: now() + late_s[0]) as daemon:
-        await until(daemon, lambda record: True)
+        await until(daemon, lambda _record: True)
         quality = Quality(heave=HeaveState.VALID, laser=LaserState.VALID, correction=CorrectionState.ACTIVE)
         frame = MotionFrame(t_s=now(), quality=quality, heave_m=1.0, heave_std_m=0.1, lead_s=0.0, reference_m=1.0)
         daemon.acquisition.last_frame = frame
@@ -237,7 +237,7 @@ async def check_forbidden_port(tmp_path: Path, port: Path) -> None:
     imu = msgspec.structs.replace(config.device[0], link=f"rtu://{port}?baudrate=115200")
     with capture_logs() as logs:
         async with running(msgspec.structs.replace(config, device=(imu,))) as daemon:
-            await until(daemon, lambda record: "device down" in events(logs))
+            await until(daemon, lambda _record: "device down" in events(logs))
             assert "dialout" in daemon.status().devices[0].detail
     line = next(line for line in logs if line["event"] == "device down")
     assert str(port) in line["detail"]
@@ -291,7 +291,7 @@ async def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
             monkeypatch.setattr("heaved.daemon.state.os.fsync", full)
             await daemon.memory.save()
             await daemon.memory.save()
-            await until(daemon, lambda record: True)
+            await until(daemon, lambda _record: True)
             assert metric(daemon, 'heaved_state_saves_total{result="failed"}') == 2
             assert daemon.memory.file.path.read_bytes() == content
     assert events(logs) == ["the state cannot be saved"]
@@ -303,7 +303,7 @@ async def test_a_corrupt_state(tmp_path: Path) -> None:
     (tmp_path / "state" / "state.json").write_text('{"version":1,"sha')
     with capture_logs() as logs:
         async with running(config) as daemon:
-            await until(daemon, lambda record: True)
+            await until(daemon, lambda _record: True)
             assert metric(daemon, 'heaved_state_loads_total{result="refused"}') == 1
     line = next(line for line in logs if line["log_level"] == "warning")
     assert line["kept"] == str(tmp_path / "state" / "state.corrupt")
@@ -328,7 +328,7 @@ async def test_a_state_of_nonsense(tmp_path: Path, content: bytes, reason: str) 
     (tmp_path / "state" / "state.json").write_bytes(content)
     with capture_logs() as logs:
         async with running(demo_config(tmp_path, device=())) as daemon:
-            await until(daemon, lambda record: True)
+            await until(daemon, lambda _record: True)
             assert metric(daemon, 'heaved_state_loads_total{result="refused"}') == 1
     line = next(line for line in logs if line["log_level"] == "warning")
     assert reason in line["reason"]
@@ -348,7 +348,7 @@ async def test_a_state_that_an_estimator_stumbles_over(tmp_path: Path, monkeypat
     StateFile(tmp_path / "state", PipelineState).write(StateFile.encode(SEA[1]))
     with capture_logs() as logs:
         async with running(config) as daemon:
-            await until(daemon, lambda record: True)
+            await until(daemon, lambda _record: True)
             assert not hasattr(daemon.acquisition.pipeline, "stumbled")
     assert "ZeroDivisionError" in next(line for line in logs if "reason" in line)["reason"]
 
@@ -363,7 +363,7 @@ async def test_a_state_of_other_parameters(
     heave = msgspec.structs.replace(params, **other)
     with capture_logs() as logs:
         async with running(msgspec.structs.replace(config, heave=heave)) as daemon:
-            await until(daemon, lambda record: True)
+            await until(daemon, lambda _record: True)
     assert "does not fit this configuration" in next(line for line in logs if "reason" in line)["reason"]
 
 
@@ -374,7 +374,7 @@ def let_die(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     """The worker of that name dies again and again; the other is well."""
     command = (sys.executable, "-c", "import sys; sys.exit('no such module')")
 
-    def make(job: Job[Any, Any], *callbacks: Any) -> Worker[Any, Any]:
+    def make(job: Job[Any, Any], *callbacks: Callable[[Any], None]) -> Worker[Any, Any]:
         if job.name != name:
             return Worker(job, *callbacks)
         dying = msgspec.structs.replace(job, command=command, waits_for_work=False)
@@ -397,7 +397,7 @@ async def test_the_trainer_dies_again_and_again(tmp_path: Path, monkeypatch: pyt
     async with plant_of(msgspec.structs.replace(config, correction=correction)) as (_, config):
         with capture_logs() as logs:
             async with running(config) as daemon:
-                await until(daemon, lambda record: metric(daemon, 'heaved_training_runs_total{result="failed"}') >= 3)
+                await until(daemon, lambda _record: metric(daemon, 'heaved_training_runs_total{result="failed"}') >= 3)
                 await until(daemon, lambda record: record["quality"]["heave"] == "settling")
                 assert metric(daemon, 'heaved_sea_fits_total{result="failed"}') == 0
     check_said_once(logs, "trainer")
@@ -411,7 +411,7 @@ async def test_the_fitter_dies_again_and_again(tmp_path: Path, monkeypatch: pyte
     async with plant_of(config) as (_, config):
         with capture_logs() as logs:
             async with running(config) as daemon:
-                await until(daemon, lambda record: metric(daemon, 'heaved_sea_fits_total{result="failed"}') >= 3)
+                await until(daemon, lambda _record: metric(daemon, 'heaved_sea_fits_total{result="failed"}') >= 3)
                 first = await until(daemon, lambda record: "heave_m" in record)
                 frames: list[Record] = []
                 async with asyncio.timeout(PATIENCE_S), stream_of(daemon) as records:

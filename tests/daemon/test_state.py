@@ -98,18 +98,18 @@ def flipped(content: bytes, place: int, value: int) -> bytes:
 @pytest.mark.parametrize(
     ("damage", "reason"),
     [
-        (lambda content: b"", "damaged"),
+        (lambda _content: b"", "damaged"),
         (lambda content: content[:-20], "damaged"),
         (lambda content: content[: len(content) // 2], "damaged"),
-        (lambda content: bytes(4096), "damaged"),
+        (lambda _content: bytes(4096), "damaged"),
         (lambda content: content.replace(b'"version":3', b'"version":1'), "version 1"),
         (lambda content: content.replace(b'"version":3', b'"version":4'), "version 4"),
         (lambda content: content.replace(b"0.11", b"0.12"), "checksum"),
         (lambda content: content.replace(b"0.11", b"1e999"), "checksum"),
         (lambda content: content.replace(b"0.11", b"NaN"), "damaged"),
-        (lambda content: b"[]", "damaged"),
+        (lambda _content: b"[]", "damaged"),
         (lambda content: b"\xff\xfe" + content, "damaged"),
-        (lambda content: b"[" * 100_000, "damaged"),
+        (lambda _content: b"[" * 100_000, "damaged"),
     ],
 )
 def test_damage_is_seen(file: StateFile[Learned], damage: Callable[[bytes], bytes], reason: str) -> None:
@@ -274,10 +274,10 @@ def memory(file: StateFile[Learned], counted: list[str]) -> Iterator[Memory[Lear
 
 async def test_saved_and_restored(memory: Memory[Learned], counted: list[str]) -> None:
     taken = []
-    await memory.restore(lambda state, age_s: taken.append(state))
+    await memory.restore(lambda state, _age_s: taken.append(state))
     assert taken == []
     await memory.save()
-    await memory.restore(lambda state, age_s: taken.append(state))
+    await memory.restore(lambda state, _age_s: taken.append(state))
     assert taken == [LEARNED]
     assert counted == ["absent", "saved", "restored"]
 
@@ -290,7 +290,7 @@ async def test_a_useless_file_is_set_aside_counted_and_named(
     memory.file.path.write_bytes(content)
     taken = []
     with capture_logs() as logs:
-        await memory.restore(lambda state, age_s: taken.append(state))
+        await memory.restore(lambda state, _age_s: taken.append(state))
     assert taken == []
     (line,) = logs
     assert line["log_level"] == "warning"
@@ -338,7 +338,7 @@ async def test_a_directory_that_cannot_be_is_said_at_the_start(tmp_path: Path, c
     file = StateFile(tmp_path / "a_file" / "heaved", Learned)
     memory = Memory(file, lambda: LEARNED, count_save=counted.append, count_load=counted.append)
     with capture_logs() as logs:
-        await memory.restore(lambda state, age_s: None)
+        await memory.restore(lambda _state, _age_s: None)
         await memory.save()
         await memory.save()
     memory.close()
@@ -348,7 +348,7 @@ async def test_a_directory_that_cannot_be_is_said_at_the_start(tmp_path: Path, c
 
 async def test_a_slow_disk_does_not_hold_the_loop(memory: Memory[Learned], monkeypatch: pytest.MonkeyPatch) -> None:
     disk = threading.Event()
-    monkeypatch.setattr(memory.file, "write", lambda content: disk.wait())
+    monkeypatch.setattr(memory.file, "write", lambda _content: disk.wait())
     saving = asyncio.create_task(memory.save())
     for _ in range(10):
         await asyncio.sleep(0)  # The loop turns while the disk does not.

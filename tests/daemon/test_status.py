@@ -33,9 +33,9 @@ def acquisition() -> Acquisition:
     acquisition = Acquisition(
         make_pipeline(CONFIG),
         metrics=Metrics("test"),
-        publish=lambda frame: None,
-        train=lambda window: None,
-        fit=lambda past: None,
+        publish=lambda _frame: None,
+        train=lambda _window: None,
+        fit=lambda _past: None,
         clock=lambda: 110.0,
     )
     acquisition.set_devices(CONFIG.device)

@@ -35,8 +35,8 @@ from heaved.daemon.supervise import cancelled
 from heaved.devices import bus as modbus
 from heaved.devices.bus import CONNECT_TIMEOUT_S, RETRY_S, Bus, PollResult
 from heaved.devices.frames import find_tcp_answer
+from heaved.devices.host_name import HostName
 from heaved.devices.liveness import PROBE_S
-from heaved.devices.names import Name
 from heaved.devices.profile import Block, Field, Profile
 from heaved.samples import Fault, ImuSample, LaserSample
 
@@ -314,7 +314,7 @@ async def test_no_late_answer_is_taken_from_an_erratic_slave(name: str) -> None:
     profile = counter_profile(kind["registers"])  # type: ignore[arg-type]
     async with running([device(f"rtu://{slave.path}", timeout_ms=20.0, rate_hz=100.0, profile=profile)], results):
         await results.number(120)
-        await results.until(lambda result: sum(map(well, results.all)) >= 5)  # Or the test shows nothing.
+        await results.until(lambda _result: sum(map(well, results.all)) >= 5)  # Or the test shows nothing.
     for handle in underway:
         handle.cancel()
     slave.close()
@@ -327,7 +327,7 @@ def refuse(request: bytes) -> bytes:
 
 @pytest.mark.parametrize(
     ("most", "refuse", "lost"),
-    [(125, refuse, 3), (3, refuse, 1), (3, lambda request: b"", 1)],
+    [(125, refuse, 3), (3, refuse, 1), (3, lambda _request: b"", 1)],
     ids=["longer reads", "in parts", "in parts when longer reads are ignored"],
 )
 async def test_a_lost_answer_costs_one_poll_and_no_more(most: int, refuse: Callable[[bytes], bytes], lost: int) -> None:
@@ -401,7 +401,7 @@ async def test_late_tcp_answers_are_told_apart_by_their_number() -> None:
         results(result)  # type: ignore[arg-type]
 
     task = asyncio.create_task(Bus([device(f"tcp://127.0.0.1:{slave.port}", timeout_ms=20.0)], note).run())
-    await results.until(lambda result: len(ages) >= 8)
+    await results.until(lambda _result: len(ages) >= 8)
     task.cancel()
     with contextlib.suppress(asyncio.CancelledError):
         await task
@@ -420,10 +420,10 @@ def damaged(request: bytes) -> bytes:
 
 
 RTU_FAULTS = [
-    ("mute", lambda request: b"", Fault.TIMEOUT, "no answer"),
+    ("mute", lambda _request: b"", Fault.TIMEOUT, "no answer"),
     ("damaged", damaged, Fault.CRC, "no valid frame"),
-    ("noise", lambda request: bytes(range(0x80, 0xA0)), Fault.CRC, "baudrate"),
-    ("diagnostics noise", lambda request: b"\x50\x08\x00", Fault.CRC, "no valid frame"),
+    ("noise", lambda _request: bytes(range(0x80, 0xA0)), Fault.CRC, "baudrate"),
+    ("diagnostics noise", lambda _request: b"\x50\x08\x00", Fault.CRC, "no valid frame"),
     ("other slave", lambda request: rtu_answer(b"\x07" + request[1:], [1] * 3), Fault.TIMEOUT, "device id 7"),
     ("too short", lambda request: rtu_answer(request, [1] * 2), Fault.LENGTH, "2 registers instead of 3"),
     ("busy", lambda request: rtu(bytes((request[0], request[1] | 0x80, 6))), Fault.EXCEPTION, "device busy"),
@@ -505,13 +505,13 @@ def mbap(request: bytes, pdu: bytes) -> bytes:
 
 
 TCP_FAULTS = [
-    ("mute", lambda request: b"", Fault.TIMEOUT, "no answer"),
+    ("mute", lambda _request: b"", Fault.TIMEOUT, "no answer"),
     ("too short", lambda request: tcp_answer(request, [1] * 2), Fault.LENGTH, "2 registers instead of 3"),
     ("busy", lambda request: mbap(request, b"\x83\x06"), Fault.EXCEPTION, "device busy"),
-    ("not Modbus", lambda request: b"SSH-2.0-OpenSSH_9.6\r\n", Fault.CRC, "check the port"),
+    ("not Modbus", lambda _request: b"SSH-2.0-OpenSSH_9.6\r\n", Fault.CRC, "check the port"),
     ("other function", lambda request: mbap(request, b"\x63\x06"), Fault.EXCEPTION, "function"),
     ("half a frame", lambda request: tcp_answer(request, [1] * 3)[:10], Fault.CRC, "no whole Modbus TCP frame"),
-    ("a whole page", lambda request: b"HTTP/1.1 400 Bad Request\r\n" * 100, Fault.CRC, "check the port"),
+    ("a whole page", lambda _request: b"HTTP/1.1 400 Bad Request\r\n" * 100, Fault.CRC, "check the port"),
     ("half a header", lambda request: request[:5], Fault.CRC, "no whole Modbus TCP frame"),
     ("byte count too great", lambda request: mbap(request, b"\x03\x08" + bytes(6)), Fault.LENGTH, "byte count says 8"),
     ("byte count too small", lambda request: mbap(request, b"\x03\x04" + bytes(6)), Fault.LENGTH, "byte count says 4"),
@@ -650,7 +650,7 @@ async def test_slave_that_closes_idle_connections_is_read_at_every_poll() -> Non
 
 
 async def test_slave_that_closes_without_an_answer_is_not_stormed() -> None:
-    slave = TcpSlave(lambda request: None)
+    slave = TcpSlave(lambda _request: None)
     await slave.start()
     results = Results()
     async with running([device(f"tcp://127.0.0.1:{slave.port}", rate_hz=200.0)], results):
@@ -725,7 +725,7 @@ async def test_out_of_descriptors_is_a_fault_and_no_flood(caplog: pytest.LogCapt
         async with running([device(link)], results):
             resource.setrlimit(resource.RLIMIT_NOFILE, (3, limits[1]))
             try:
-                first = await results.until(lambda result: True)
+                first = await results.until(lambda _result: True)
             finally:
                 resource.setrlimit(resource.RLIMIT_NOFILE, limits)
             back = await results.until(well)
@@ -741,10 +741,10 @@ async def test_a_name_with_several_addresses_is_tried_at_each(monkeypatch: pytes
     slave = TcpSlave(lambda request: tcp_answer(request, [1, 2, 3]))
     await slave.start()
 
-    async def addresses(name: Name, timeout_s: float) -> list[str]:
+    async def addresses(name: HostName, timeout_s: float) -> list[str]:
         return ["127.0.0.9", "127.0.0.1"]  # Nobody listens at the first.
 
-    monkeypatch.setattr(Name, "addresses", addresses)
+    monkeypatch.setattr(HostName, "addresses", addresses)
     results = Results()
     async with running([device(f"tcp://plc.ship:{slave.port}")], results):
         first = (await results.number(1))[0]
@@ -753,10 +753,10 @@ async def test_a_name_with_several_addresses_is_tried_at_each(monkeypatch: pytes
 
 
 async def test_a_name_that_is_not_known_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def addresses(name: Name, timeout_s: float) -> list[str]:
+    async def addresses(name: HostName, timeout_s: float) -> list[str]:
         raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
 
-    monkeypatch.setattr(Name, "addresses", addresses)
+    monkeypatch.setattr(HostName, "addresses", addresses)
     results = Results()
     async with running([device("tcp://plc.ship:502")], results):
         first = (await results.number(1))[0]
@@ -780,7 +780,7 @@ async def test_nothing_floods_the_log(caplog: pytest.LogCaptureFixture) -> None:
     know: what is wrong stands in the results.
     """
     caplog.set_level(logging.INFO)
-    serial_slave = RtuSlave(lambda request: b"\x50\x08\x00")
+    serial_slave = RtuSlave(lambda _request: b"\x50\x08\x00")
     bad = itertools.cycle((b"\x63\x06", b"\x03\x08" + bytes(6), b"\x03\x05" + bytes(5), b"\x03\x02", b"\x83\x02\x02"))
     tcp_slave = TcpSlave(lambda request: mbap(request, next(bad)))
     await tcp_slave.start()

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from heaved.devices.timer import DeadlineTimer, Heartbeat, Pace
+from heaved.devices.timer import DeadlineTimer, Heartbeat, Pace, TimeLimit
 
 
 def test_deadlines_are_counted_from_the_start() -> None:
@@ -98,9 +98,10 @@ class Beats:
         monkeypatch.setattr(loop, "call_at", self._call_at)
         self.heart = Heartbeat(self.lateness_s.append)
 
-    def _call_at(self, due_s: float, callback: Callable[[], None]) -> asyncio.Handle:
-        handle = asyncio.Handle(callback, (), asyncio.get_running_loop())
+    def _call_at(self, due_s: float, callback: Callable[[], None]) -> asyncio.TimerHandle:
+        handle = asyncio.TimerHandle(due_s, callback, (), asyncio.get_running_loop())
         self.due.append((due_s, handle))
+        self.due.sort(key=lambda entry: entry[0])
         return handle
 
     def run(self, until_s: float) -> int:
@@ -150,3 +151,31 @@ async def test_a_stall_is_not_followed_by_a_burst(monkeypatch: pytest.MonkeyPatc
     # Of what was due at 10, 20, 30 and 40 ms, the first and the last; a millisecond is the loop's own.
     assert beats.lateness_s == pytest.approx([0.035, 0.005])
     assert beats.run(100.0501) == 1
+
+
+async def test_a_time_limit_is_reached_unless_it_is_lifted_and_costs_few_timers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    beats = Beats(monkeypatch)
+    reached: list[float] = []
+    limit = TimeLimit(lambda: reached.append(beats.now_s))
+    for number in range(100):  # Answered in time, each of them.
+        limit.set(0.05)
+        beats.run(100.0 + 0.01 * number + 0.002)
+        limit.lift()
+        beats.run(100.0 + 0.01 * (number + 1))
+    assert reached == []
+    assert len(beats.due) <= 1
+    limit.set(0.05)  # And one that is not.
+    beats.run(101.049)
+    assert reached == []
+    beats.run(101.051)
+    assert reached == [pytest.approx(101.05)]
+    limit.set(0.2)
+    limit.set(0.02)  # In place of the longer one.
+    beats.run(102.0)
+    assert len(reached) == 2
+    limit.set(0.01)
+    limit.close()
+    beats.run(103.0)
+    assert len(reached) == 2

@@ -126,7 +126,7 @@ async def test_other_paths_and_methods(server: tuple[str, int]) -> None:
 async def test_a_peer_outside_the_list(
     server: tuple[str, int], health: Health, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(http_module, "is_allowed", lambda address, networks: False)
+    monkeypatch.setattr(http_module, "is_allowed", lambda _address, _networks: False)
     status, _, body = await fetch(server, "/metrics")
     assert status == 403
     assert json.loads(body) == {"error": "127.0.0.1 is not in a network of [http] allow"}
@@ -137,8 +137,8 @@ async def test_a_peer_outside_the_list(
 async def test_what_a_peer_outside_the_list_says_is_not_looked_at(
     server: tuple[str, int], health: Health, monkeypatch: pytest.MonkeyPatch, said: bytes
 ) -> None:
-    monkeypatch.setattr(http_module, "is_allowed", lambda address, networks: False)
-    monkeypatch.setattr(web.Server, "__call__", lambda self: pytest.fail("HTTP is spoken"))
+    monkeypatch.setattr(http_module, "is_allowed", lambda _address, _networks: False)
+    monkeypatch.setattr(web.Server, "__call__", lambda _self: pytest.fail("HTTP is spoken"))
     reader, writer = await asyncio.open_connection(*server)
     writer.write(said)
     head, _, body = (await reader.read()).partition(b"\r\n\r\n")

@@ -361,7 +361,7 @@ async def test_beyond_this_machine_only_with_a_list(serve: Serve) -> None:
 
 async def test_a_peer_outside_the_list_is_told_so(serve: Serve, monkeypatch: pytest.MonkeyPatch) -> None:
     served = await serve()
-    monkeypatch.setattr(publisher_module, "is_allowed", lambda address, networks: False)
+    monkeypatch.setattr(publisher_module, "is_allowed", lambda _address, _networks: False)
     peer = Peer(*await asyncio.open_connection(served.host, served.port))
     (error,) = await peer.rest()
     assert error == {"class": "ERROR", "message": "127.0.0.1 is not in a network of [stream] allow"}
