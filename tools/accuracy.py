@@ -134,11 +134,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(words)
     started = time.monotonic()
     try:
-        report = COMMANDS[options.command].run(options, Output(options.out, not options.no_figures))
+        output = Output(options.out, not options.no_figures)
+        report = COMMANDS[options.command].run(options, output)
         print(report.text)
         took_s = time.monotonic() - started
         if options.record:
-            results.record(__file__, words, report, took_s)
+            results.record(__file__, words, report, output.made_with, took_s)
     except (ValueError, OSError, RuntimeError) as error:
         print(f"accuracy: {error}", file=sys.stderr)
         return 1
