@@ -192,6 +192,7 @@ class SeaFilter:
 
     @property
     def is_steady(self) -> bool:
+        """Whether the covariance is that of the steady filter."""
         return self.P is None
 
     def step(self, t_s: float, a_mps2: float) -> tuple[float, float]:

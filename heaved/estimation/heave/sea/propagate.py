@@ -7,15 +7,18 @@ tau), are kept on a grid of tau, with the derivatives that reach from there to a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.heave.observer import Motion
-from heaved.estimation.heave.sea.model import SeaSystem
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from heaved.estimation.heave.sea.model import SeaSystem
 
 Array = NDArray[np.float64]
 
