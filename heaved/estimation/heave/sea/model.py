@@ -267,6 +267,11 @@ class SeaSystem:
         P[-1, -1] = TUNING.bias_spread_mps2**2
         return P
 
+    @cached_property
+    def stationary_rates(self) -> Array:
+        """Covariance (n, n) of A x, likewise."""
+        return np.asarray(self.A @ self.stationary @ self.A.T)
+
     def steady(self, dt_s: float) -> Steady | None:
         """The filter that the Kalman filter becomes when samples arrive every ``dt_s``; None: it does not converge.
 
