@@ -1,4 +1,4 @@
-"""Every Prometheus metric of the daemon, in one table. Costs: an increment under 1 µs, an observation 1.5 µs.
+"""Every Prometheus metric of the daemon, in one table. Costs: an increment under 1 µs, an observation less.
 
 A gauge describes something that is there now: when that is gone (no frame, no heave that means something, no laser, no
 fit of the sea, an estimate that is not renewed), it is NaN.
@@ -6,7 +6,8 @@ fit of the sea, an estimate that is not renewed), it is NaN.
 
 from __future__ import annotations
 
-from itertools import zip_longest
+from bisect import bisect_left
+from itertools import accumulate, zip_longest
 from math import nan
 from typing import TYPE_CHECKING, Final
 
@@ -14,11 +15,13 @@ from prometheus_client import (
     CollectorRegistry,
     Counter,
     Gauge,
-    Histogram,
     Info,
     disable_created_metrics,
     generate_latest,
 )
+from prometheus_client.metrics_core import HistogramMetricFamily
+from prometheus_client.registry import Collector
+from prometheus_client.utils import floatToGoString
 
 from heaved.samples import (
     MOST_NAMED,
@@ -33,7 +36,7 @@ from heaved.samples import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
 _SHORT_S: Final = (0.00005, 0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.1)
 """Work on the event loop: 50 µs is well, 10 ms is a whole sample period."""
@@ -46,10 +49,54 @@ SEA_S: Final = 600.0
 """A fit of the sea is one of the present sea for so long: it is renewed at least every five minutes."""
 
 
+class Distribution:
+    """How often values fell where, in a fifth of the time that the library's own histogram takes: there are hundreds of
+    values a second.
+    """
+
+    def __init__(self, bounds: tuple[float, ...]) -> None:
+        """``bounds``: upper ends of the buckets, increasing."""
+        self._bounds = bounds
+        self._counts = [0] * (len(bounds) + 1)
+        self.total = 0.0
+        """Sum of the values."""
+
+    def observe(self, value: float) -> None:
+        """One value."""
+        self._counts[bisect_left(self._bounds, value)] += 1
+        self.total += value
+
+    def buckets(self) -> list[tuple[str, float]]:
+        """Values up to each bound, as Prometheus counts."""
+        ends = [*map(floatToGoString, self._bounds), "+Inf"]
+        return [(end, float(count)) for end, count in zip(ends, accumulate(self._counts), strict=True)]
+
+
+class Histogram(Collector):
+    """The distributions of one metric, by their labels."""
+
+    def __init__(self, name: str, what: str, bounds: tuple[float, ...], labels: tuple[str, ...]) -> None:
+        self._name, self._what, self._bounds, self._labels = name, what, bounds, labels
+        self._series: dict[tuple[str, ...], Distribution] = {}
+
+    def labels(self, *values: str) -> Distribution:
+        """The distribution with these labels; it appears with this call."""
+        return self._series.setdefault(values, Distribution(self._bounds))
+
+    def collect(self) -> Iterator[HistogramMetricFamily]:
+        """What the registry asks for."""
+        family = HistogramMetricFamily(self._name, self._what, labels=self._labels)
+        for values, distribution in self._series.items():
+            family.add_metric(values, distribution.buckets(), distribution.total)
+        yield family
+
+
 class DeviceMetrics:
     """The metrics of one device, bound to its name once: looking the labels up costs more than counting."""
 
-    def __init__(self, up: Gauge, reconnects: Counter, poll_duration: Histogram, polls: dict[Fault, Counter]) -> None:
+    def __init__(
+        self, up: Gauge, reconnects: Counter, poll_duration: Distribution, polls: dict[Fault, Counter]
+    ) -> None:
         self._up = up
         self._reconnects = reconnects
         self._poll_duration = poll_duration
@@ -97,7 +144,13 @@ class _Table:
         return counter
 
     def histogram(self, name: str, what: str, buckets: tuple[float, ...], *labels: str) -> Histogram:
-        return Histogram(name, what, labels, registry=self._registry, buckets=buckets)
+        made = Histogram(name, what, buckets, labels)
+        self._registry.register(made)
+        return made
+
+    def distribution(self, name: str, what: str, buckets: tuple[float, ...]) -> Distribution:
+        """A histogram without labels."""
+        return self.histogram(name, what, buckets).labels()
 
 
 class Metrics:
@@ -126,11 +179,13 @@ class Metrics:
         self.reconnects = table.counter("heaved_reconnects_total", "Connections to a device opened again.", "device")
 
     def _have_heave(self, table: _Table) -> None:
-        self.sample_age = table.histogram(
+        self.sample_age = table.distribution(
             "heaved_sample_age_seconds", "From the validity of a frame to its publication.", _BUS_S
         )
-        self.step_duration = table.histogram("heaved_step_duration_seconds", "One step of the pipeline.", _SHORT_S)
-        self.tick_lateness = table.histogram("heaved_tick_lateness_seconds", "Lateness of the polling timer.", _SHORT_S)
+        self.step_duration = table.distribution("heaved_step_duration_seconds", "One step of the pipeline.", _SHORT_S)
+        self.tick_lateness = table.distribution(
+            "heaved_tick_lateness_seconds", "Lateness of the polling timer.", _SHORT_S
+        )
         self.heave = table.unknown("heaved_heave_meters", "Published heave, positive up.")
         self.heave_std = table.unknown("heaved_heave_std_meters", "Standard deviation of the heave.")
         self.reference_error = table.unknown(

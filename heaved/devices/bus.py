@@ -38,9 +38,9 @@ from heaved.devices.frames import (
     tcp_senders,
     tcp_stream_is_whole,
 )
+from heaved.devices.host_name import HostName
 from heaved.devices.link import Link, RtuLink, TcpLink, bus_key, explain_open_failure, parse_link, silence_s
 from heaved.devices.liveness import Contact
-from heaved.devices.names import Name
 from heaved.devices.profile import Block, DeviceSpec, Quantity, block_registers
 from heaved.devices.station import PollResult, Reading, Station
 from heaved.devices.timer import DeadlineTimer, Pace, TimeLimit
@@ -92,11 +92,11 @@ class OpenLink:
         timer: DeadlineTimer,
         clock: Callable[[], float],
         lost: Callable[[], None],
-        name: Name | None = None,
+        name: HostName | None = None,
     ) -> None:
         """``lost`` is called when the other side closes; ``name`` is the host's, if others look it up, too."""
         self.link = link
-        self._name = name or Name(link.host if isinstance(link, TcpLink) else "")
+        self._name = name or HostName(link.host if isinstance(link, TcpLink) else "")
         self._timer = timer
         self._clock = clock
         self._lost = lost
@@ -401,7 +401,7 @@ class Bus:
     # ---- connection --------------------------------------------------------------------------------------------------
 
     async def _keep_open(self, timer: DeadlineTimer) -> None:
-        name = Name(self.link.host if isinstance(self.link, TcpLink) else "")
+        name = HostName(self.link.host if isinstance(self.link, TcpLink) else "")
         while True:
             self._lost.clear()
             connection = OpenLink(self.link, timer, self._clock, self._on_loss, name)

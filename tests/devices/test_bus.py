@@ -35,8 +35,8 @@ from heaved.daemon.supervise import cancelled
 from heaved.devices import bus as modbus
 from heaved.devices.bus import CONNECT_TIMEOUT_S, RETRY_S, Bus, PollResult
 from heaved.devices.frames import find_tcp_answer
+from heaved.devices.host_name import HostName
 from heaved.devices.liveness import PROBE_S
-from heaved.devices.names import Name
 from heaved.devices.profile import Block, Field, Profile
 from heaved.samples import Fault, ImuSample, LaserSample
 
@@ -741,10 +741,10 @@ async def test_a_name_with_several_addresses_is_tried_at_each(monkeypatch: pytes
     slave = TcpSlave(lambda request: tcp_answer(request, [1, 2, 3]))
     await slave.start()
 
-    async def addresses(name: Name, timeout_s: float) -> list[str]:
+    async def addresses(name: HostName, timeout_s: float) -> list[str]:
         return ["127.0.0.9", "127.0.0.1"]  # Nobody listens at the first.
 
-    monkeypatch.setattr(Name, "addresses", addresses)
+    monkeypatch.setattr(HostName, "addresses", addresses)
     results = Results()
     async with running([device(f"tcp://plc.ship:{slave.port}")], results):
         first = (await results.number(1))[0]
@@ -753,10 +753,10 @@ async def test_a_name_with_several_addresses_is_tried_at_each(monkeypatch: pytes
 
 
 async def test_a_name_that_is_not_known_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def addresses(name: Name, timeout_s: float) -> list[str]:
+    async def addresses(name: HostName, timeout_s: float) -> list[str]:
         raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
 
-    monkeypatch.setattr(Name, "addresses", addresses)
+    monkeypatch.setattr(HostName, "addresses", addresses)
     results = Results()
     async with running([device("tcp://plc.ship:502")], results):
         first = (await results.number(1))[0]

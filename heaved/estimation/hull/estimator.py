@@ -70,7 +70,7 @@ class HullDeformation:
             ValueError: ``start = "zero"`` with so3, which has no use for it.
         """
         self._params = p = params or Params()
-        if p.start is Start.ZERO and p.method is Method.SO3:
+        if p.start == Start.ZERO and p.method == Method.SO3:
             raise ValueError('hull: start = "zero" is for ckf and ukf; so3 needs an alignment')
         self._refit_inline = refit_inline
         self._prior = Flexure(
@@ -205,7 +205,7 @@ class HullDeformation:
         if isnan(self._began_s):
             self._began_s, self._first_s = t, float(rows[0, 0])
             self._filtered_s = t
-            if self._params.start is Start.ZERO:
+            if self._params.start == Start.ZERO:
                 self._learned = True
                 self._begin(make_filter(self._params.method, np.eye(3), 0.0, self._prior, self._noise), t)
         if self._learned:
@@ -273,7 +273,7 @@ class HullDeformation:
         if not record:
             return
         # Only so3 knows of a delay; and a second of record does not tell it from a rotation.
-        search_s = TUNING.longest_delay / p.rate_hz if final and p.method is Method.SO3 else 0.0
+        search_s = TUNING.longest_delay / p.rate_hz if final and p.method == Method.SO3 else 0.0
         found = align_record(record, self._out_hz, search_s)
         if found is None:
             return

@@ -13,7 +13,7 @@ MOST_ADDRESSES: Final = 4
 """Tried for one name."""
 
 
-class Name:
+class HostName:
     """A host, looked up once at a time however often it is asked for."""
 
     def __init__(self, host: str) -> None:

@@ -7,7 +7,7 @@ import socket
 
 import pytest
 
-from heaved.devices.names import MOST_ADDRESSES, Name
+from heaved.devices.host_name import MOST_ADDRESSES, HostName
 
 
 class NameServer:
@@ -30,14 +30,14 @@ class NameServer:
 @pytest.mark.parametrize("host", ["10.0.0.7", "::1", "fd00::7"])
 async def test_an_address_is_not_looked_up(host: str, monkeypatch: pytest.MonkeyPatch) -> None:
     server = NameServer(monkeypatch)
-    assert await Name(host).addresses(0.0) == [host]
+    assert await HostName(host).addresses(0.0) == [host]
     assert server.asked == 0
 
 
 async def test_a_name_is_looked_up_once_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """A name server that is away would take a thread for every attempt to connect."""
     server = NameServer(monkeypatch)
-    name = Name("plc.ship")
+    name = HostName("plc.ship")
     for _ in range(3):
         with pytest.raises(socket.gaierror) as caught:
             await name.addresses(0.01)
@@ -57,4 +57,4 @@ async def test_a_name_that_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
     server.found = socket.gaierror(socket.EAI_NONAME, "Name or service not known")
     server.answers.set()
     with pytest.raises(socket.gaierror, match="not known"):
-        await Name("plc.shop").addresses(1.0)
+        await HostName("plc.shop").addresses(1.0)
