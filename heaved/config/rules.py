@@ -177,14 +177,14 @@ def _stage_faults(config: Config, carried: Mapping[str, Collection[str]], *, is_
             faults.append('hull.enabled: needs the body rates of a device of role "imu"')
         elif lacking := rates.difference(carried.get("imu", rates)):
             faults.append(f'hull.enabled: the profile of the device of role "imu" has no {", ".join(sorted(lacking))}')
-    if config.attitude.enabled and config.attitude.source is fusion.Source.SENSORS and is_complete:
+    if config.attitude.enabled and config.attitude.source == fusion.Source.SENSORS and is_complete:
         sensors: set[str] = set().union(*(carried.get(role, ()) for role in ("craft", "heave_sensor", "pitch_sensor")))
         if sensors.isdisjoint(("heave_m", "pitch_rad")):
             faults.append(
                 'attitude.source: "sensors" needs heave_m or pitch_rad from a device of role "craft", "heave_sensor" '
                 'or "pitch_sensor"; "own" takes the heave and pitch of heaved itself'
             )
-    if config.attitude.enabled and config.attitude.source is fusion.Source.OWN and "imu" not in carried and is_complete:
+    if config.attitude.enabled and config.attitude.source == fusion.Source.OWN and "imu" not in carried and is_complete:
         faults.append('attitude.source: "own" needs a device of role "imu"')
     return faults
 
@@ -242,7 +242,7 @@ def _heave_faults(config: Config) -> list[str]:
 def _stage_params_faults(config: Config) -> list[str]:
     """Parameters of the stages that do not go together."""
     faults = []
-    if config.hull.start is hull.Start.ZERO and config.hull.method is hull.Method.SO3:
+    if config.hull.start == hull.Start.ZERO and config.hull.method == hull.Method.SO3:
         faults.append('hull.start: "zero" is for the methods ckf and ukf; so3 needs an alignment')
     if config.attitude.enabled:
         try:

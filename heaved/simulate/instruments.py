@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from heaved.samples import CraftSample, Fault, ImuSample, LaserSample, Sample
+from heaved.simulate.gyro_shaking import GyroLine, GyroShake
 from heaved.simulate.hydrofoil import CraftShake, CraftShaking, Passage, Voyage
 from heaved.simulate.second_imu import CraneBase, SecondImu
 from heaved.simulate.sensors import (
@@ -26,7 +27,7 @@ from heaved.simulate.sensors import (
     mounted,
     reading_std,
 )
-from heaved.simulate.shaking import BUTTERWORTH_DAMPING, NONE, Shake, Shaking, shaking
+from heaved.simulate.shaking import BUTTERWORTH_DAMPING, NONE, Line, Shake, Shaking, shake_of, shaking
 from heaved.simulate.vessel import Array, Motion, MotionSource, Triad, body_rates, specific_force
 
 if TYPE_CHECKING:
@@ -196,6 +197,13 @@ class Instruments:
         self._lasers: dict[str, Laser] = {}
         self._base, self._voyage = base or CraneBase(), voyage
         self._second: dict[str, SecondImu] = {}
+        lines = [part for part in shake_of(shake).vibration if isinstance(part, Line) and part.rate_radps > 0.0]
+        self._crane_shake = GyroShake(
+            vibration=tuple(
+                GyroLine(hz=line.hz, midships_radps=line.rate_radps, local_radps=line.rate_radps) for line in lines
+            )
+        )
+        """What turns the feet of the IMU amidships turns those at the crane base as much."""
         self._craft: dict[str, CraftSensors] = {}
 
     def read(self, device: DeviceSpec, t_s: float) -> Sample:
@@ -218,7 +226,13 @@ class Instruments:
         """The IMU at the crane base, which knows the true deformation."""
         if device.name not in self._second:
             self._second[device.name] = SecondImu(
-                self._sea, self._model, self._base, rate_hz=device.rate_hz, seed=self._seed, name=device.name
+                self._sea,
+                self._model,
+                self._base,
+                rate_hz=device.rate_hz,
+                seed=self._seed,
+                name=device.name,
+                shake=self._crane_shake,
             )
         return self._second[device.name]
 

@@ -201,7 +201,7 @@ class BlockingTrainer:
         if self._process is None:
             self._stderr.seek(0)
             self._stderr.truncate()
-            self._process = subprocess.Popen(  # One of our own modules, by our own interpreter.
+            self._process = subprocess.Popen(
                 self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._stderr, env=_environment()
             )
         process = self._process

@@ -1,4 +1,4 @@
-"""Frames between the daemon and the trainer process: a length of four bytes, big-endian, then one msgpack record."""
+"""Frames between us and a worker process: a length of four bytes, big-endian, then one msgpack record."""
 
 from __future__ import annotations
 

@@ -36,12 +36,12 @@ def pack(number: int, job: RefitJob) -> HullJob:
 
 def work(job: HullJob) -> HullFit:
     """Refit."""
-    return HullFit(number=job.number, body=pickle.dumps(refit(pickle.loads(job.body))))  # From us.
+    return HullFit(number=job.number, body=pickle.dumps(refit(pickle.loads(job.body))))
 
 
 def unpack(fit: HullFit) -> RefitResult | None:
     """None: the refit was in vain."""
-    result = pickle.loads(fit.body)  # From our own process.
+    result = pickle.loads(fit.body)
     assert result is None or isinstance(result, RefitResult)
     return result
 

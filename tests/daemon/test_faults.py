@@ -374,7 +374,7 @@ def let_die(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     """The worker of that name dies again and again; the other is well."""
     command = (sys.executable, "-c", "import sys; sys.exit('no such module')")
 
-    def make(job: Job[Any, Any], *callbacks: Any) -> Worker[Any, Any]:
+    def make(job: Job[Any, Any], *callbacks: Callable[[Any], None]) -> Worker[Any, Any]:
         if job.name != name:
             return Worker(job, *callbacks)
         dying = msgspec.structs.replace(job, command=command, waits_for_work=False)

@@ -94,3 +94,17 @@ def test_devices_of_the_stages_are_read_by_their_roles() -> None:
     refused = instruments.read(craft, 1.0)
     assert isinstance(refused, CraftSample)
     assert math.isnan(refused.heave_m)  # No voyage: the device refuses.
+
+
+def test_what_shakes_the_gyros_amidships_shakes_those_at_the_crane_base() -> None:
+    """A line of 2 mrad/s about every axis."""
+    crane = load(data_directory() / "hull.toml").device[2]
+    assert isinstance(crane, DeviceSpec)
+    shaken, still = (
+        Instruments(seaway("S5", 1), sensor="ideal", shake=shake).second_imu(crane) for shake in ("gyros", "")
+    )
+    t = np.arange(0.0, 60.0, 0.05)
+    a, b = (
+        np.array([(r.gx_radps, r.gy_radps, r.gz_radps) for r in map(imu.read, t.tolist())]) for imu in (shaken, still)
+    )
+    assert np.std(a - b, axis=0) == pytest.approx([2e-3 / math.sqrt(2.0)] * 3, rel=0.02)

@@ -144,7 +144,7 @@ class AttitudeFusion:
         """
         self._params = p = params if params is not None else Params()
         size = len(State)
-        if (p.bank or (Differ.POINT_SETS if p.mode is Mode.INSTANT else Differ.SEAS)) is Differ.SEAS:
+        if (p.bank or (Differ.POINT_SETS if p.mode == Mode.INSTANT else Differ.SEAS)) == Differ.SEAS:
             seas, sets = p.seas, [sigma.cubature(size)] * len(p.seas)
         else:
             seas, sets = (p.seas[-1],) * 2, [sigma.cubature(size), sigma.spherical_simplex(size)]
@@ -154,7 +154,7 @@ class AttitudeFusion:
         self._model = CraftModel(p.vessel, p.wave, seas, white)
         self._R = (p.heave_noise_m**2, p.pitch_noise_rad**2)
         self._noise = CraftNoise(self._R)
-        averaged = p.mode is Mode.EWMA
+        averaged = p.mode == Mode.EWMA
         memory_s, margin = (p.average_s, p.margin) if averaged else (0.0, 0.0)
         self._best = BestOf(self._count, len(Channel), memory_s, margin)
         self._inputs = CraftInputs(p.vessel, p.stuck_after_s)
@@ -232,7 +232,7 @@ class AttitudeFusion:
         """False: a covariance is none any more."""
         assert self._bank is not None
         filters = self._bank
-        if self._params.mode is Mode.IMM:
+        if self._params.mode == Mode.IMM:
             keep, move = bank.stay(self._count, dt_s, self._params.mean_stay_s)
             filters, self._probabilities = bank.mix(filters, self._probabilities, keep, move)
         inputs = self._inputs
@@ -264,11 +264,11 @@ class AttitudeFusion:
             else:
                 self._outside_t_s[channel] = nan
                 log_likelihood -= 0.5 * (innovation**2 / variance + np.log(variance))
-                if p.mode is not Mode.IMM:
+                if p.mode != Mode.IMM:
                     self._best.step(channel, dt_s, before)
             filters = bank.update(filters, state, innovation, variance)
         self._bank = filters
-        if p.mode is Mode.IMM:
+        if p.mode == Mode.IMM:
             self._probabilities = bank.reweigh(self._probabilities, log_likelihood, TUNING.least_probability)
             self._best.serve_all(int(self._probabilities.argmax()))
 
@@ -319,7 +319,7 @@ class AttitudeFusion:
         """
         if self._bank is None:
             raise ValueError("no estimate yet: nothing has been measured")
-        if self._params.mode is Mode.IMM:
+        if self._params.mode == Mode.IMM:
             return bank.combine(self._bank, self._probabilities)
         heave, pitch = self.serving
         x, P = self._bank.x[heave], self._bank.P[heave]
@@ -334,7 +334,7 @@ class AttitudeFusion:
         x, P = self.moments()
         z, z_rate, theta, theta_rate = x[:4].tolist()
         std = [sqrt(max(variance, 0.0)) for variance in P.diagonal()[:4].tolist()]
-        if self._params.mode is Mode.IMM:
+        if self._params.mode == Mode.IMM:
             probabilities = tuple(self._probabilities.tolist())
         else:
             probabilities = tuple(0.5 * self.serving.count(i) for i in range(self._count))

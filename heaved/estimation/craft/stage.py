@@ -32,7 +32,7 @@ class AttitudeStage:
         Raises:
             ArithmeticError: as :class:`AttitudeFusion`.
         """
-        self._own = params.source is Source.OWN
+        self._own = params.source == Source.OWN
         self._estimator = AttitudeFusion(params)
         self._heave_t_s = self._own_t_s = -inf
         self._pitch_rad, self._pitch_t_s, self._pitch_used = nan, -inf, True

@@ -91,8 +91,8 @@ class Consistency:
             # Both at once is a ship at rest under coarse registers.
             (HullWarning.STUCK_MIDSHIPS, stuck[0] and not stuck[1]),
             (HullWarning.STUCK_LOCAL, stuck[1] and not stuck[0]),
-            (HullWarning.MISSING_MIDSHIPS, checks[0].missing),
-            (HullWarning.MISSING_LOCAL, checks[1].missing),
+            (HullWarning.MISSING_MIDSHIPS, checks[0].missing and not slow[0]),
+            (HullWarning.MISSING_LOCAL, checks[1].missing and not slow[1]),
             (HullWarning.LOW_RATE_MIDSHIPS, slow[0]),
             (HullWarning.LOW_RATE_LOCAL, slow[1]),
             (HullWarning.DELAY, abs(delay_s) > self._params.delay_warning_ms * 1e-3),

@@ -49,7 +49,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     enabled: bool = False
     method: Method = Method.SO3
     rate_hz: Annotated[float, msgspec.Meta(ge=2, le=50)] = 10.0
-    """Common time base of the two IMUs."""
+    """Common time base of the two IMUs, at the least: it takes the rate of the slower one, up to 25 Hz."""
     start: Start = Start.ALIGN
     start_s: Annotated[float, msgspec.Meta(ge=2, le=60)] = 5.0
     """Record for the alignment, longer while the motion does not suffice."""

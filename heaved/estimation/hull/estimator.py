@@ -44,7 +44,7 @@ from heaved.estimation.hull.refit import (
 )
 from heaved.estimation.hull.slow_motion import COLUMNS, SlowMotion, SlowPair, SlowReading
 from heaved.estimation.hull.so3 import Noise
-from heaved.estimation.hull.streams import RateCheck, Stream, TwoStreams
+from heaved.estimation.hull.streams import RateCheck, RatePair, Stream, TwoStreams
 from heaved.estimation.hull.tuning import TUNING
 from heaved.samples import HullAngles
 
@@ -70,7 +70,7 @@ class HullDeformation:
             ValueError: ``start = "zero"`` with so3, which has no use for it.
         """
         self._params = p = params or Params()
-        if p.start is Start.ZERO and p.method is Method.SO3:
+        if p.start == Start.ZERO and p.method == Method.SO3:
             raise ValueError('hull: start = "zero" is for ckf and ukf; so3 needs an alignment')
         self._refit_inline = refit_inline
         self._prior = Flexure(
@@ -78,14 +78,6 @@ class HullDeformation:
             np.full(3, p.flexure_mu_radps),
             np.full(3, 2.0 * pi * p.flexure_hz),
         )
-        self._ring = RingBuffer(
-            int((max(p.refit_after_s, TUNING.forecast_window_s) + 2.0 * TUNING.longest_start_s) * p.rate_hz), 7
-        )
-        self._pair = self._new_pair()
-        self._out_hz = self._pair.out_hz
-        self._least_noise = sqrt(2.0 * self._out_hz) * p.gyro_noise_deg_rth * DEG_RTH
-        self._slow = RingBuffer(int(TUNING.forecast_window_s * self._out_hz), 4)
-        """Slow rates midships."""
         self._streams = TwoStreams(p.rate_hz)
         self._checks = (RateCheck(), RateCheck())
         self._consistency = Consistency(p)
@@ -93,6 +85,17 @@ class HullDeformation:
         self.latest: HullEstimate | None = None
         self._t_s = -inf
         self._generation = 0
+        self._take_rate(p.rate_hz)
+
+    def _take_rate(self, rate_hz: float) -> None:
+        """Pairs come at this rate: begin."""
+        p, self._rate_hz = self._params, rate_hz
+        record_s = max(p.refit_after_s, TUNING.forecast_window_s) + 2.0 * TUNING.longest_start_s
+        self._ring = RingBuffer(int(record_s * rate_hz), 9)
+        self._out_hz = self._new_pair().out_hz
+        self._least_noise = sqrt(2.0 * self._out_hz) * p.gyro_noise_deg_rth * DEG_RTH
+        self._slow = RingBuffer(int(TUNING.forecast_window_s * self._out_hz), 4)
+        """Slow rates midships."""
         self._start_over()
 
     def _start_over(self) -> None:
@@ -121,9 +124,8 @@ class HullDeformation:
         self._start_over()
 
     def _new_pair(self) -> SlowPair:
-        p = self._params
-        least = sqrt(p.rate_hz) * p.gyro_noise_deg_rth * DEG_RTH
-        return SlowPair(SlowMotion(p.rate_hz, least), SlowMotion(p.rate_hz, least))
+        least = sqrt(self._rate_hz) * self._params.gyro_noise_deg_rth * DEG_RTH
+        return SlowPair(SlowMotion(self._rate_hz, least), SlowMotion(self._rate_hz, least))
 
     def _noise_of(self, sample_radps: Array) -> Noise:
         p = self._params
@@ -154,7 +156,9 @@ class HullDeformation:
         stream.push(t_s, rates_radps)
         estimate = None
         for pair in self._streams.due():
-            estimate = self.step(pair.t_s, pair.midships_radps, pair.local_radps)
+            if self._rate_hz != self._streams.rate_hz:
+                self._take_rate(self._streams.rate_hz)
+            estimate = self._step(pair)
         return estimate
 
     def step(self, t_s: float, midships_radps: Array, local_radps: Array) -> HullEstimate:
@@ -162,6 +166,10 @@ class HullDeformation:
 
         Never raises on data: what cannot be used is named in the estimate, a filter that breaks down starts over.
         """
+        return self._step(RatePair(t_s, midships_radps, local_radps))
+
+    def _step(self, pair: RatePair) -> HullEstimate:
+        t_s = pair.t_s
         if not isfinite(t_s) or t_s <= self._t_s:
             if not isfinite(t_s) or self._t_s - t_s < TUNING.longest_gap_s:
                 return self._publish() if self.latest is None else self.latest
@@ -169,11 +177,9 @@ class HullDeformation:
         elif len(self._ring) and t_s - self._t_s > TUNING.longest_gap_s:
             self._break_record()
         self._t_s = t_s
-        row = np.empty(7)
-        row[0] = t_s
-        row[1:4] = self._checks[0].checked(t_s, midships_radps)
-        row[4:] = self._checks[1].checked(t_s, local_radps)
-        self._ring.push(row)
+        midships = self._checks[0].checked(t_s, pair.midships_radps)
+        local = self._checks[1].checked(t_s, pair.local_radps)
+        self._ring.push((t_s, *midships, *local, pair.midships_after_s, pair.local_after_s))
         ahead = self._pair.ahead
         rows = self._ring.last(self._pair.back + ahead + 1)
         due = len(rows) > ahead + TUNING.shortest_window and self._pair.is_due(
@@ -199,7 +205,7 @@ class HullDeformation:
         if isnan(self._began_s):
             self._began_s, self._first_s = t, float(rows[0, 0])
             self._filtered_s = t
-            if self._params.start is Start.ZERO:
+            if self._params.start == Start.ZERO:
                 self._learned = True
                 self._begin(make_filter(self._params.method, np.eye(3), 0.0, self._prior, self._noise), t)
         if self._learned:
@@ -267,7 +273,7 @@ class HullDeformation:
         if not record:
             return
         # Only so3 knows of a delay; and a second of record does not tell it from a rotation.
-        search_s = TUNING.longest_delay / p.rate_hz if final and p.method is Method.SO3 else 0.0
+        search_s = TUNING.longest_delay / p.rate_hz if final and p.method == Method.SO3 else 0.0
         found = align_record(record, self._out_hz, search_s)
         if found is None:
             return
@@ -301,7 +307,7 @@ class HullDeformation:
         if waiting or short or self.due_refit is not None or self._filter is None:
             return
         first = isnan(self._refit_s) and self._whole
-        reach_s = (self._pair.ahead + 0.5) / p.rate_hz
+        reach_s = (self._pair.ahead + 0.5) / self._rate_hz
         rows = self._ring.since((self._record_s if first else t - p.refit_after_s) - reach_s)
         self._refit_s = t
         job = RefitJob(
@@ -327,7 +333,7 @@ class HullDeformation:
         self._pair = pair = result.pair.copy()
         if result.filter is not None and self._whole:
             filter = copy(result.filter)
-            rows = self._ring.since(result.filtered_s - (pair.back + 0.5) / self._params.rate_hz)
+            rows = self._ring.since(result.filtered_s - (pair.back + 0.5) / self._rate_hz)
             if run(filter, pair.through(rows.copy(), result.filtered_s), self._began_s, result.filtered_s):
                 self._filter = filter
         self._filter.flexure = self._flexure = result.flexure

@@ -41,7 +41,7 @@ class EulerFilter:
     def __init__(self, method: Method, angles_rad: tuple[float, float, float], flexure: Flexure, noise: Noise) -> None:
         """``method``: ckf or ukf."""
         self.method = method
-        self._points = sigma.cubature(N) if method is Method.CKF else sigma.symmetric(N, 1.0, 0.0, 3.0 - N)
+        self._points = sigma.cubature(N) if method == Method.CKF else sigma.symmetric(N, 1.0, 0.0, 3.0 - N)
         self.noise = noise
         self.iterations = 1
         self.x = np.zeros(N)

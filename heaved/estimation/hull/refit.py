@@ -27,7 +27,7 @@ Filter = So3Filter | EulerFilter
 
 def make_filter(method: Method, C0: Array, delay_s: float, flexure: Flexure, noise: Noise) -> Filter:
     """The filter of a method, from a static deformation C0 (3, 3)."""
-    if method is Method.SO3:
+    if method == Method.SO3:
         return So3Filter(C0, delay_s, flexure, noise)
     return EulerFilter(method, to_euler(C0), flexure, noise)
 
@@ -102,7 +102,7 @@ class RefitJob(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """All that a refit needs, copied: it may be computed anywhere."""
 
     rows: Array
-    """(n, 7): t, midships rates, local rates; nan where missing. Contiguous."""
+    """(n, 9): as of :class:`SlowPair`; nan where missing. Contiguous."""
     pair: SlowPair
     """As it stands at the last row."""
     method: Method

@@ -34,7 +34,9 @@ Array = NDArray[np.float64]
 MEDIAN_OF_SQUARE: Final = 0.4549
 """Of a standard normal value."""
 COLUMNS: Final = (slice(1, 4), slice(4, 7))
-"""Rates of both triads in a row of a record."""
+"""Rates of both triads in a row of a record ..."""
+AFTER: Final = (7, 8)
+"""... and by how much later than the row's own time they were taken."""
 
 
 class SlowRate(msgspec.Struct, frozen=True, eq=False, gc=False):
@@ -221,16 +223,18 @@ class SlowMotion:
                 np.full(TUNING.spectrum_lines, float(np.median(square)) / (6.0 * MEDIAN_OF_SQUARE * self.rate_hz))
             )
 
-    def identify(self, t_s: Array, rates: Array) -> Array | None:
+    def identify(self, t_s: Array, after_s: Array, rates: Array) -> Array | None:
         """Spectrum (lines,) of the vibration of a record, rates (n, 3), nan where missing; None: it is too short.
 
-        Missing readings are first put in as the present spectrum expects them; what that leaves open is added as white.
+        t_s (n,) are places on the grid, after_s (n,) says how much later the readings were taken. What is missing, or
+        was not taken on the grid, is first put in as the present spectrum expects it; what that leaves open is added
+        as white.
         Hence identifying again with the spectrum that was found finds it better. Below the end of the waves only
         the white part is assumed.
         """
         place = np.round((t_s - t_s[0]) * self.rate_hz).astype(np.int64)
-        series = np.full((int(place[-1]) + 1, 3), np.nan)
-        series[place] = rates
+        series = np.full((int(place[-1]) + 1, 4), np.nan)
+        series[place] = np.column_stack([rates, after_s])
         count = max(1, len(series) // TUNING.spectrum_segment)
         powers = [p for part in np.array_split(series, count) if (p := self._spectrum(part)) is not None]
         if not powers:
@@ -240,24 +244,32 @@ class SlowMotion:
         power[~above] = np.quantile(power[above], TUNING.white_quantile)
         return np.asarray(power)
 
-    def _spectrum(self, series: Array) -> Array | None:
-        known = np.isfinite(series[:, 0])
+    def _spectrum(self, part: Array) -> Array | None:
+        """Of one piece (n, 4): rates on the grid, and by how much later they were taken."""
+        series, after_s, known = part[:, :3], part[:, 3], np.isfinite(part[:, 0])
         n = len(series)
         if np.count_nonzero(known) < max(TUNING.spectrum_from, 0.3 * n):
             return None
         white = 0.0
-        if not known.all():
-            lag = np.arange(n) / self.rate_hz
-            covariance = self._smooth(lag) + self._covariance(lag)
-            there, here = np.flatnonzero(known), np.flatnonzero(~known)
-            factor, info = dpotrf(covariance[np.abs(np.subtract.outer(there, there))], lower=1)
+        here = ~(known & (np.abs(after_s) < TUNING.on_grid / self.rate_hz))
+        if here.any():
+            grid_s = np.arange(n) / self.rate_hz
+            there_s = (grid_s + after_s)[known]
+            table = self._covariance(np.arange(TUNING.lags_per_step * (n + 1)) / (TUNING.lags_per_step * self.rate_hz))
+
+            def covariance(a_s: Array, b_s: Array) -> Array:
+                lag = np.abs(np.subtract.outer(a_s, b_s))
+                vibration = np.interp(lag * (TUNING.lags_per_step * self.rate_hz), np.arange(len(table)), table)
+                return np.asarray(self._smooth(lag) + vibration)
+
+            factor, info = dpotrf(covariance(there_s, there_s), lower=1)
             if info != 0:
                 return None
-            across = covariance[np.abs(np.subtract.outer(there, here))]
+            across = covariance(there_s, grid_s[here])
             series = series.copy()
-            series[here] = across.T.dot(dpotrs(factor, series[there], lower=1)[0])
-            left = covariance[0] - np.sum(across * dpotrs(factor, across, lower=1)[0], axis=0)
-            white = float(np.sum(np.minimum(np.maximum(left, 0.0), self._table[0]))) / n / self.rate_hz
+            series[here] = across.T.dot(dpotrs(factor, part[known, :3], lower=1)[0])
+            left = self._motion + table[0] - np.sum(across * dpotrs(factor, across, lower=1)[0], axis=0)
+            white = float(np.sum(np.minimum(np.maximum(left, 0.0), table[0]))) / n / self.rate_hz
         # Differences and a taper of low side lobes (Blackman & Harris): the waves are a million times as strong.
         bends = np.diff(series, 2, axis=0)
         phase = 2.0 * pi * (np.arange(n - 2) + 0.5) / (n - 2)
@@ -273,7 +285,7 @@ SlowReading = tuple[float, SlowRate | None, SlowRate | None]
 
 
 class SlowPair:
-    """Both gyro triads of a hull; rows (n, 7) are t, midships rates, local rates."""
+    """Both gyro triads of a hull; rows (n, 9) are t, midships rates, local rates, how much later each was taken."""
 
     def __init__(self, midships: SlowMotion, local: SlowMotion) -> None:
         self.midships, self.local = midships, local
@@ -291,8 +303,11 @@ class SlowPair:
     def at(self, rows: Array, ahead: int) -> SlowReading:
         """Time and both slow motions ``ahead`` rows before the last one."""
         t = float(rows[-1 - ahead, 0])
-        offset = rows[:, 0] - t
-        return t, self.midships.at(offset, rows[:, 1:4]), self.local.at(offset, rows[:, 4:])
+        midships, local = (
+            motion.at(rows[:, 0] + rows[:, after] - t, rows[:, columns])
+            for motion, columns, after in zip((self.midships, self.local), COLUMNS, AFTER, strict=True)
+        )
+        return t, midships, local
 
     def through(self, rows: Array, after_s: float = -inf, to_end: bool = False) -> list[SlowReading]:
         """What is slow in a record wherever it is due, later than ``after_s``. Readings that are none are struck out.
@@ -311,12 +326,12 @@ class SlowPair:
         return found
 
     def identify(self, rows: Array, rounds: int = 1) -> None:
-        """Learn what vibrates from a record; ``rounds``: so often where readings are missing."""
-        for band, columns in zip((self.midships, self.local), COLUMNS, strict=True):
-            rates = rows[:, columns]
-            rounds = rounds if np.isnan(rates).any() else 1
-            for number in range(rounds):
-                power = band.identify(rows[:, 0], rates)
+        """Learn what vibrates from a record; ``rounds``: so often where readings are missing or off the grid."""
+        for band, columns, after in zip((self.midships, self.local), COLUMNS, AFTER, strict=True):
+            rates, after_s = rows[:, columns], rows[:, after]
+            is_even = not np.isnan(rates).any() and float(np.abs(after_s).max()) * band.rate_hz < TUNING.on_grid
+            for number in range(1 if is_even else rounds):
+                power = band.identify(rows[:, 0], after_s, rates)
                 if power is None:
                     break
                 if 0 < number < rounds - 1:

@@ -1,18 +1,18 @@
-"""Two gyro streams on one time base: each with its own rate, jitter, latency and gaps.
+"""Two gyro streams on one grid: each with its own rate, jitter, latency and gaps.
 
-At every instant of a common grid a cubic is fitted by least squares to the readings around it. A slow IMU, of about the
-grid's own rate, is interpolated; where its readings fall on the grid they are taken as they are, and one that is lost
-is missing. Of a fast IMU what lies within three grid steps on either side is averaged under a taper, each reading with
-the time that it stands for, so that a lost one makes no wrong mean: what vibrates at or above the grid's rate and would
-fold into the wave band is weakened a thousandfold, and in the wave band the fit is flat to some parts in a million,
-so that two IMUs of unlike rates still agree. A reading far from what the others around it say is left out of the mean.
-Repeated readings, which a slave gives when it is asked faster than it samples, are dropped: they would look like a
-delay.
+The grid has the rate of the slower stream, within limits, and each of its instants takes a reading with the time that
+this was taken at: nothing is interpolated, a reading that is lost is missing. Of a stream that is faster than the grid
+what lies within three grid steps on either side is averaged: a cubic is fitted by least squares under a taper, each
+reading with the time that it stands for, so that a lost one makes no wrong mean. What vibrates at or above the grid's
+rate and would fold into the wave band is weakened a thousandfold, and in the wave band the fit is flat to some parts in
+a million, so that two IMUs of unlike rates still agree. A reading far from what the others around it say is left out of
+the mean. Repeated readings, which a slave gives when it is asked faster than it samples, are dropped: they would look
+like a delay.
 """
 
 from __future__ import annotations
 
-from math import inf, isfinite, nan
+from math import inf, isfinite, isnan, nan
 from typing import Final
 
 import msgspec
@@ -30,18 +30,21 @@ _NOTHING.setflags(write=False)
 
 
 class RatePair(msgspec.Struct, frozen=True, eq=False, gc=False):
-    """Both rates (3,), rad/s, at ``t_s``; nan where a stream had nothing."""
+    """Both rates (3,), rad/s, about ``t_s``; nan where a stream had nothing."""
 
     t_s: float
     midships_radps: Array
     local_radps: Array
+    midships_after_s: float = 0.0
+    """By how much later than ``t_s`` the reading was taken, and ..."""
+    local_after_s: float = 0.0
+    """... that of the other."""
 
 
 class Stream:
     """The recent readings of one IMU."""
 
-    def __init__(self, grid_step_s: float, max_rate_hz: float) -> None:
-        self._grid_step_s = grid_step_s
+    def __init__(self, max_rate_hz: float) -> None:
         self._max_rate_hz = max_rate_hz
         self._ring = RingBuffer(int(TUNING.kept_s * max_rate_hz), 4)
         self._unchanged = Unchanged()
@@ -55,7 +58,7 @@ class Stream:
         """Stamp of the newest reading, repeated ones included."""
         self.period_s = nan
         """Usual time between different readings; nan before there are two."""
-        self._kept_t_s = -inf
+        self._kept_t_s = self._handed_t_s = -inf
         self._usual_square, self._squares = np.zeros(3), 0
 
     def push(self, t_s: float, rates_radps: Array) -> None:
@@ -81,7 +84,7 @@ class Stream:
             weight = TUNING.shorter_period_weight if longer_s < 0.0 else TUNING.longer_period_weight
             self.period_s = since_s - (1.0 - weight) * longer_s
         self._ring.push((t_s, x, y, z))
-        if self._is_fast:
+        if self._is_fast(1.0 / TUNING.most_grid_hz):
             self._gate()
 
     @property
@@ -89,53 +92,44 @@ class Stream:
         """Nothing but repetitions for a second."""
         return _is_stuck(self._unchanged)
 
-    @property
-    def _is_fast(self) -> bool:
-        return self.period_s < TUNING.averaged_below * self._grid_step_s
+    def rate_hz(self) -> float:
+        """Of most readings of late, lost ones or not; nan with too few."""
+        t_s = self._ring.last(TUNING.rate_from)[:, 0]
+        return 1.0 / float(np.median(np.diff(t_s))) if len(t_s) >= TUNING.fewest_averaged else nan
 
-    @property
-    def _reach_s(self) -> float:
-        return (TUNING.averaged_reach if self._is_fast else TUNING.interpolated_reach) * self._grid_step_s
+    def _is_fast(self, step_s: float) -> bool:
+        return self.period_s < TUNING.averaged_below * step_s
 
-    @property
-    def covered_s(self) -> float:
-        """Up to here :meth:`at` has all that it wants: two readings later, and half the width of the fit."""
-        if len(self._ring) < 2:
-            return -inf
-        before, newest = self._ring.last(2)[:, 0].tolist()
-        return float(min(before, newest - self._reach_s))
+    def covered_s(self, step_s: float) -> float:
+        """Up to here :meth:`at` has all that it wants."""
+        newest_s = float(self._ring.last(1)[0, 0]) if len(self._ring) else -inf
+        return newest_s - (TUNING.averaged_reach if self._is_fast(step_s) else 0.5) * step_s
 
-    def at(self, t_s: float) -> Array:
-        """(3,) the fitted rate; nan without two readings on either side, or where they lie too far apart."""
+    def at(self, t_s: float, step_s: float) -> tuple[Array, float]:
+        """The rate (3,) of the grid's instant ``t_s``, and how much later it was taken; nan: there is none.
+
+        A reading is handed out once: at the instant nearest to it, or the next one where that has another.
+        """
         rows = self._ring.last(len(self._ring))
-        times, reach = rows[:, 0], self._reach_s
-        middle = int(np.searchsorted(times, t_s))
-        first = min(int(np.searchsorted(times, t_s - reach)), middle - TUNING.neighbours)
-        end = max(int(np.searchsorted(times, t_s + reach, side="right")), middle + TUNING.neighbours)
-        if first < 0 or end > len(times):
-            return _NOTHING
-        own = self.period_s if isfinite(self.period_s) else self._grid_step_s
-        longest = TUNING.longest_join * min(max(own, self._grid_step_s), TUNING.slowest_joined * self._grid_step_s)
-        if self._is_fast:
-            rows = rows[first:end]
-            rows = rows[np.isfinite(rows[:, 1])]
-            if len(rows) < TUNING.fewest_averaged or float(np.max(np.diff(rows[:, 0]))) > longest:
-                return _NOTHING
-            u = (rows[:, 0] - t_s) / reach
-            # Each with the time that it stands for, half the way to either neighbour.
-            weights = np.maximum(1.0 - u * u, 0.0) ** TUNING.taper_power * np.gradient(u)
-            V = u[:, None] ** np.arange(4)
-            return np.asarray(np.linalg.solve(V.T @ (weights[:, None] * V), V.T @ (weights[:, None] * rows[:, 1:]))[0])
-        off = (times[middle - 1 : middle + 1] - t_s) / self._grid_step_s
-        if np.min(np.abs(off)) < TUNING.on_grid:
-            return np.array(rows[middle - 1 + int(np.argmin(np.abs(off))), 1:])
+        if not self._is_fast(step_s):
+            least_s = max(self._handed_t_s, t_s - TUNING.latest_handed * step_s)
+            first, end = np.searchsorted(rows[:, 0], (least_s, t_s + 0.5 * step_s), "right")
+            if first == end:
+                return _NOTHING, 0.0
+            self._handed_t_s = float(rows[first, 0])
+            return rows[first, 1:].copy(), self._handed_t_s - t_s
+        reach_s = TUNING.averaged_reach * step_s
+        first, end = np.searchsorted(rows[:, 0], (t_s - reach_s, t_s + reach_s))
         rows = rows[first:end]
-        is_lost = own < 1.5 * self._grid_step_s and float(np.max(np.abs(off - np.round(off)))) < TUNING.on_grid
-        if is_lost or float(np.max(np.diff(rows[:, 0]))) > longest:
-            return _NOTHING
-        V = ((rows[:, 0] - t_s) / reach)[:, None] ** np.arange(4)
+        rows = rows[np.isfinite(rows[:, 1])]
+        if len(rows) < TUNING.fewest_averaged or float(np.max(np.diff(rows[:, 0]))) > TUNING.longest_join * step_s:
+            return _NOTHING, 0.0
+        u = (rows[:, 0] - t_s) / reach_s
+        # Each with the time that it stands for, half the way to either neighbour.
+        weights = np.maximum(1.0 - u * u, 0.0) ** TUNING.taper_power * np.gradient(u)
+        V = u[:, None] ** np.arange(4)
         # The normal equations: four columns of order one, and several times faster than a decomposition.
-        return np.asarray(np.linalg.solve(V.T @ V, V.T @ rows[:, 1:])[0])
+        return np.linalg.solve(V.T @ (weights[:, None] * V), V.T @ (weights[:, None] * rows[:, 1:]))[0], 0.0
 
     def _gate(self) -> None:
         """Strike out the middle one of the last five readings when it is far from the middle of its neighbours.
@@ -163,30 +157,52 @@ class Stream:
 
 
 class TwoStreams:
-    """Push both streams as they come; it hands out the pairs of the grid that are due."""
+    """Push both streams as they come; it hands out the pairs of the grid that are due.
 
-    def __init__(self, rate_hz: float, max_rate_hz: float = 250.0) -> None:
-        self._step_s = 1.0 / rate_hz
-        self.midships = Stream(self._step_s, max_rate_hz)
-        self.local = Stream(self._step_s, max_rate_hz)
+    Attributes:
+        rate_hz: of the grid; nan before it is known.
+    """
+
+    def __init__(self, least_hz: float, max_rate_hz: float = 250.0) -> None:
+        """``least_hz``: the grid is no slower, though the streams may be."""
+        self._least_hz = least_hz
+        self.rate_hz = nan
+        self.midships = Stream(max_rate_hz)
+        self.local = Stream(max_rate_hz)
+        self._first_s = nan
         self._next = -1
-        """Number of the next grid instant: it falls on next * step."""
+        """Number of the next grid instant: it falls on next / rate_hz."""
 
     def due(self) -> list[RatePair]:
         """The pairs that both streams reach past, or that have waited long enough."""
-        newest = max(self.midships.t_s, self.local.t_s)
-        if not isfinite(newest):
+        newest_s = max(self.midships.t_s, self.local.t_s)
+        if not isfinite(newest_s) or (isnan(self.rate_hz) and not self._begin(newest_s)):
             return []
-        if self._next < 0 or not -TUNING.longest_jump_s < newest - self._next * self._step_s < TUNING.longest_jump_s:
-            self._next = int(np.ceil(newest / self._step_s))
+        step_s = 1.0 / self.rate_hz
+        if not -TUNING.longest_jump_s < newest_s - self._next * step_s < TUNING.longest_jump_s:
+            self._next = int(np.ceil(newest_s * self.rate_hz))
         pairs: list[RatePair] = []
         while True:
-            t = self._next * self._step_s
-            covered = min(self.midships.covered_s, self.local.covered_s)
-            if t > max(covered, newest - TUNING.wait_s):
+            t_s = self._next / self.rate_hz
+            covered_s = min(self.midships.covered_s(step_s), self.local.covered_s(step_s))
+            if t_s > max(covered_s, newest_s - TUNING.wait_s):
                 return pairs
-            pairs.append(RatePair(t, self.midships.at(t), self.local.at(t)))
+            (midships, midships_after_s), (local, local_after_s) = (
+                stream.at(t_s, step_s) for stream in (self.midships, self.local)
+            )
+            pairs.append(RatePair(t_s, midships, local, midships_after_s, local_after_s))
             self._next += 1
+
+    def _begin(self, newest_s: float) -> bool:
+        """When the streams have been heard for long enough, the grid takes their rate and begins with them."""
+        if not 0.0 <= newest_s - self._first_s <= TUNING.longest_jump_s:
+            self._first_s = newest_s
+        if newest_s - self._first_s < TUNING.heard_s:
+            return False
+        slower_hz = np.fmin(self.midships.rate_hz(), self.local.rate_hz())
+        self.rate_hz = float(np.fmin(np.fmax(self._least_hz, slower_hz), max(self._least_hz, TUNING.most_grid_hz)))
+        self._next = int(np.ceil(self._first_s * self.rate_hz))
+        return True
 
 
 class RateCheck:

@@ -14,16 +14,20 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Grouped by the file that uses them. Where no source is named, the value was chosen on simulated hulls."""
 
     # --- streams: two IMUs on one grid --------------------------------------------------------------------------------
-    interpolated_reach: float = 1.5
-    """Half width of the fit to a slow stream, grid steps."""
+    heard_s: float = 2.0
+    """Streams are heard for so long before the grid takes their rate."""
+    rate_from: int = 200
+    """Readings that this is taken from at the most."""
+    most_grid_hz: float = 25.0
+    """The grid is no faster, unless it is configured so: what a hull does, and what shakes it, is well below."""
     averaged_reach: float = 3.0
     """Half width of the fit to a fast stream, grid steps."""
     averaged_below: float = 0.75
     """Grid steps between readings below which a stream is fast."""
     taper_power: int = 4
     """(1 - u^2) to this power weighs a fast stream: with the cubic, at least 60 dB down from the grid's rate on."""
-    on_grid: float = 1e-5
-    """Grid steps by which a reading that stands for the grid may be off it."""
+    on_grid: float = 1e-3
+    """Grid steps by which a reading may be off the grid and pass for one that is on it in a spectrum."""
     fewest_averaged: int = 6
     """Readings that an average is made of."""
     stream_gate_std: float = 8.0
@@ -37,12 +41,10 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Of an interval in the mean period when it is shorter ..."""
     longer_period_weight: float = 0.01
     """... and when it is longer: one with a lost reading in it is no period."""
-    neighbours: int = 2
-    """Readings on either side that a fit takes at the least."""
+    latest_handed: float = 0.75
+    """Grid steps by which a reading may be older than the instant that takes it; half of one without jitter."""
     longest_join: float = 2.5
-    """Readings further apart than so many of their steps are not joined."""
-    slowest_joined: float = 4.0
-    """Grid steps: readings of a stream that is slower count as missing."""
+    """Readings further apart than so many grid steps are not averaged together."""
     wait_s: float = 1.0
     """How long a grid instant waits for the slower stream."""
     kept_s: float = 8.0

@@ -223,10 +223,8 @@ def predicted(t_s: float, last: Attitude, rock: Sequence[RockPrediction]) -> Att
     two horizons, by less than they are apart.
     """
     soon, later, *_ = rock
-    if (
-        not max(soon.roll_std_rad, soon.pitch_std_rad) <= TUNING.known_rad
-        or not t_s - last.measured_s <= TUNING.longest_s
-    ):
+    are_known = max(soon.roll_std_rad, soon.pitch_std_rad) <= TUNING.known_rad
+    if not (are_known and t_s - last.measured_s <= TUNING.longest_s):
         return None
     apart_s = later.horizon_s - soon.horizon_s
     roll_rate = (later.roll_rad - soon.roll_rad) / apart_s

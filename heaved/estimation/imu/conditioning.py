@@ -81,7 +81,7 @@ class Conditioned(msgspec.Struct, frozen=True, gc=False):
     notes: Notes
 
 
-class _Group:
+class _Channels:
     """Three channels that are measured together, and which of their readings are new."""
 
     def __init__(self) -> None:
@@ -92,15 +92,14 @@ class _Group:
     def step(self, t_s: float, a: float, b: float, c: float) -> float:
         """When readings that are not all nan were measured; nan where they are those of before."""
         self._polled_s = t_s
-        are_other = a != self._a, b != self._b, c != self._c
-        is_whole = all(are_other)
+        is_a, is_b, is_c = a != self._a, b != self._b, c != self._c
         # nan is unlike itself: a channel that is not there has not changed.
-        is_new = (are_other[0] and not isnan(a)) or (are_other[1] and not isnan(b)) or (are_other[2] and not isnan(c))
+        is_new = (is_a and not isnan(a)) or (is_b and not isnan(b)) or (is_c and not isnan(c))
         if is_new:
             if isnan(self._first_s):
                 self._first_s = t_s
             self._a, self._b, self._c, self._changed_s = a, b, c, t_s
-        measured_s = self.clock.step(t_s, is_new, is_whole)
+        measured_s = self.clock.step(t_s, is_new, is_a and is_b and is_c)
         if isnan(measured_s) and self._changed_s == self._first_s and t_s - self._first_s > TUNING.constant_s:
             return t_s
         return measured_s
@@ -141,11 +140,11 @@ class Conditioner:
     """Judges the samples of one IMU, in order of time."""
 
     def __init__(self) -> None:
-        self._forces, self._angles, self._rates = _Group(), _Group(), _Group()
+        self._forces, self._angles, self._rates = _Channels(), _Channels(), _Channels()
         # Without ax or ay the tilt is not removed: what is measured counts as measured otherwise.
-        self._along = _Accelerometer(StuckDetector(rests=True, by_chance=True), TUNING.sideways_mps2)
-        self._across = _Accelerometer(StuckDetector(rests=True, by_chance=True), TUNING.sideways_mps2)
-        self._mast = _Accelerometer(StuckDetector(must_live=True), HEAVE_ACCELERATION_MPS2, GRAVITY_MPS2)
+        self._ax = _Accelerometer(StuckDetector(rests=True, by_chance=True), TUNING.sideways_mps2)
+        self._ay = _Accelerometer(StuckDetector(rests=True, by_chance=True), TUNING.sideways_mps2)
+        self._az = _Accelerometer(StuckDetector(must_live=True), HEAVE_ACCELERATION_MPS2, GRAVITY_MPS2)
         self._roll_stuck, self._pitch_stuck = StuckDetector(rests=True), StuckDetector(rests=True)
         self._both_stuck = StuckDetector(rests=True)
         self._rate_stuck = StuckDetector(rests=True)
@@ -156,7 +155,7 @@ class Conditioner:
     @property
     def spikes(self) -> int:
         """Readings refused because an acceleration jumped, or cannot be."""
-        return sum(axis.gate.rejected for axis in (self._along, self._across, self._mast))
+        return sum(axis.gate.rejected for axis in (self._ax, self._ay, self._az))
 
     def step(self, sample: ImuSample) -> Conditioned:
         """Judge one sample, later than the last one."""
@@ -185,8 +184,7 @@ class Conditioner:
                 pitch_std_rad=self._pitch_gate.std_rad,
                 measured_s=attitude_t_s,
             )
-        if t_s - self._noted_s >= TUNING.notes_every_s:
-            self._note(t_s)
+        self._note(t_s)
         return Conditioned(
             sample=ImuSample(
                 t_s=t_s,
@@ -211,8 +209,7 @@ class Conditioner:
 
     def _none(self, t_s: float, device_fault: Fault, fault: Fault) -> Conditioned:
         """A sample of which nothing is taken."""
-        if t_s - self._noted_s >= TUNING.notes_every_s:
-            self._note(t_s)
+        self._note(t_s)
         nothing, clock = ImuSample(t_s=t_s, fault=device_fault), self._angles.clock
         return Conditioned(nothing, fault, nan, 0.0, None, clock.uncertainty_s, clock.is_slow, self._notes)
 
@@ -227,14 +224,11 @@ class Conditioner:
         if not (isnan(ax) and isnan(ay) and isnan(az)):
             force_t_s = self._forces.step(t_s, ax, ay, az)
         if not isnan(force_t_s):
-            x, y, fault = (
-                self._along.step(force_t_s, ax),
-                self._across.step(force_t_s, ay),
-                self._mast.step(force_t_s, az),
-            )
-            if x is Fault.OUT_OF_RANGE or y is Fault.OUT_OF_RANGE:
+            of_x, of_y = self._ax.step(force_t_s, ax), self._ay.step(force_t_s, ay)
+            fault = self._az.step(force_t_s, az)
+            if of_x is Fault.OUT_OF_RANGE or of_y is Fault.OUT_OF_RANGE:
                 fault = Fault.OUT_OF_RANGE
-            ax, ay = ax if x is Fault.NONE else nan, ay if y is Fault.NONE else nan
+            ax, ay = ax if of_x is Fault.NONE else nan, ay if of_y is Fault.NONE else nan
         elif self._forces.hangs:
             fault = Fault.STUCK
         if not isfinite(az):
@@ -252,14 +246,11 @@ class Conditioner:
         if isnan(t_s):
             return nan, nan, nan, nan
         roll, pitch = wrapped(roll), wrapped(pitch)
-        moves = max(self._along.detector.spread, self._across.detector.spread) > TUNING.sways_mps2
+        moves = max(self._ax.detector.spread, self._ay.detector.spread) > TUNING.sways_mps2
         # Through a coarse register either may rest at a crest for a second; both at once hardly do.
-        is_roll, is_pitch = (
-            self._roll_stuck.step(t_s, roll, moves=moves),
-            self._pitch_stuck.step(t_s, pitch, moves=moves),
-        )
         both = self._both_stuck.step(t_s, roll + UNLIKE * pitch, moves=moves)
-        roll, pitch = nan if is_roll or both else roll, nan if is_pitch or both else pitch
+        roll = nan if self._roll_stuck.step(t_s, roll, moves=moves) or both else roll
+        pitch = nan if self._pitch_stuck.step(t_s, pitch, moves=moves) or both else pitch
         # Gravity along the deck confirms a first reading.
         is_confirmed = (
             abs(sample.ax_mps2 - GRAVITY_MPS2 * sin(pitch)) < TUNING.leans_mps2
@@ -285,13 +276,14 @@ class Conditioner:
         return gx, gy, gz
 
     def _note(self, t_s: float) -> None:
-        """Renew what there is to say; it is the same record while that does not change."""
+        """Renew what there is to say, now and then; it is the same record while that does not change."""
+        if t_s - self._noted_s < TUNING.notes_every_s:
+            return
         self._noted_s = t_s
         both = self._both_stuck.is_stuck
-        angles = [
-            name for name, one in (("roll", self._roll_stuck), ("pitch", self._pitch_stuck)) if both or one.is_stuck
-        ]
-        forces = [name for name, axis in (("ax", self._along), ("ay", self._across)) if axis.detector.is_stuck]
+        pairs = ("roll", self._roll_stuck), ("pitch", self._pitch_stuck)
+        angles = [name for name, detector in pairs if both or detector.is_stuck]
+        forces = [name for name, axis in (("ax", self._ax), ("ay", self._ay)) if axis.detector.is_stuck]
         found = [f"imu: {' and '.join(names)} stuck" for names in (angles, forces) if names]
         if not angles and self._angles.hangs:
             found.append("imu: attitude stuck")

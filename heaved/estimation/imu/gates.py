@@ -9,7 +9,7 @@ told from the motion. Readings that no longer change are those of :mod:`heaved.u
 
 from __future__ import annotations
 
-from math import exp, inf, isfinite, isnan, nan, pi, radians
+from math import exp, inf, isfinite, nan, pi, radians
 from typing import Final
 
 import msgspec
@@ -119,24 +119,18 @@ class AngleGate:
     """Judges one angle, whose differences are taken the short way round.
 
     Attributes:
-        rejected: readings refused so far.
+        rate_radps: its derivative, as the last readings that were believed have shown it.
     """
 
     def __init__(self, most_rad: float = ANGLE_RAD) -> None:
         """``most_rad``: beyond it, either way, nothing is believed."""
-        self.rejected = 0
         self._most = most_rad
         self._t_s = -inf
-        self._angle, self._rate = nan, 0.0
+        self._angle, self.rate_radps = nan, 0.0
         self._usual_s = self._usual_off = 0.0
         self._count = 0
         self._row: list[tuple[float, float]] = []
         """Of readings that agree with each other while they are not believed yet."""
-
-    @property
-    def rate_radps(self) -> float:
-        """As the last readings that were believed have shown it."""
-        return self._rate
 
     @property
     def std_rad(self) -> float:
@@ -150,7 +144,6 @@ class AngleGate:
         """
         if not abs(angle_rad) <= self._most:
             self._row.clear()
-            self.rejected += not isnan(angle_rad)
             return False
         elapsed_s = t_s - self._t_s
         if elapsed_s > ANGLES.stale_s:
@@ -158,7 +151,7 @@ class AngleGate:
                 self._begin(t_s, angle_rad, 0.0)
                 return True
             return self._is_proven(t_s, angle_rad, ANGLES.agreeing_s)
-        off = wrapped(angle_rad - self._angle - self._rate * elapsed_s)
+        off = wrapped(angle_rad - self._angle - self.rate_radps * elapsed_s)
         # The motion is not straight: over several intervals it leads astray by as many times more.
         longer = elapsed_s / self._usual_s if elapsed_s > self._usual_s > 0.0 else 1.0
         if self._count >= ANGLES.first:
@@ -166,7 +159,6 @@ class AngleGate:
         else:
             limit = ANGLES.unknown_rad + ANGLES.unknown_rate_radps * elapsed_s
         if abs(off) > limit:
-            self.rejected += 1
             return self._is_proven(t_s, angle_rad, ANGLES.elsewhere_s)
         self._count += 1
         far = abs(off) / longer
@@ -174,10 +166,10 @@ class AngleGate:
             self._usual_off += (far - self._usual_off) / self._count
             self._usual_s += (elapsed_s - self._usual_s) / self._count
         else:
-            self._usual_off *= 1.0 + ANGLES.adjusted if far > self._usual_off else 1.0 - ANGLES.adjusted
-            self._usual_off = max(self._usual_off, ANGLES.least_rad)
+            adjusted = 1.0 + ANGLES.adjusted if far > self._usual_off else 1.0 - ANGLES.adjusted
+            self._usual_off = max(adjusted * self._usual_off, ANGLES.least_rad)
             self._usual_s += ANGLES.adjusted * (elapsed_s - self._usual_s)
-        self._rate += off * (1.0 - exp(-elapsed_s / ANGLES.slope_s)) / elapsed_s
+        self.rate_radps += off * (1.0 - exp(-elapsed_s / ANGLES.slope_s)) / elapsed_s
         self._t_s, self._angle = t_s, angle_rad
         if self._row:
             self._row.clear()
@@ -198,6 +190,6 @@ class AngleGate:
         return True
 
     def _begin(self, t_s: float, angle_rad: float, rate_radps: float) -> None:
-        self._t_s, self._angle, self._rate = t_s, angle_rad, rate_radps
+        self._t_s, self._angle, self.rate_radps = t_s, angle_rad, rate_radps
         self._count = 0
         self._row.clear()

@@ -87,10 +87,8 @@ class _Mean:
     def step(self, value: float, along_s: float) -> float:
         """Bias after another value, which stands for so long."""
         self._seconds = min(self._seconds + along_s, TUNING.memory_s)
-        share, off = (
-            along_s / self._seconds,
-            min(max(value, -TUNING.plausible_mps2), TUNING.plausible_mps2) - self._mean,
-        )
+        share = along_s / self._seconds
+        off = min(max(value, -TUNING.plausible_mps2), TUNING.plausible_mps2) - self._mean
         self._mean += share * off
         self._variance += share * (off * off - self._variance)
         if self._seconds < TUNING.first_s:

@@ -21,9 +21,11 @@ from heaved.estimation.imu.attitude import up_acceleration
 from heaved.samples import GRAVITY_MPS2
 
 
-class UnitsTuning(msgspec.Struct, frozen=True, kw_only=True):
-    """Of a :class:`UnitsCheck`."""
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """When units and signs are wrong."""
 
+    every_s: float = 0.1
+    """Readings are looked at so often."""
     near_mps2: float = 4.0
     """az is that near to gravity most of the time, in any sea and at any heel."""
     told_s: float = 5.0
@@ -31,26 +33,17 @@ class UnitsTuning(msgspec.Struct, frozen=True, kw_only=True):
     back_s: float = 1.0
     """Near it for so long it is well again; the crests of a sea, gravity removed, are shorter."""
     kept: int = 50
-    """Readings that are looked at."""
-    every_s: float = 0.1
-    """They are so far apart."""
+    """Readings away from it that are looked at together."""
     uneven: float = 0.3
     """Readings that lie about their median by more than this share of it, or of g, are not gravity in any unit."""
     in_g: float = 0.25
     """az in g is that near to one."""
     in_unit: float = 0.2
     """az in another unit is that near, relatively, to gravity in it."""
-
-
-class SignTuning(msgspec.Struct, frozen=True, kw_only=True):
-    """Of a :class:`SignCheck`."""
-
-    every_s: float = 0.1
-    """Samples closer together are left out,"""
     gap_s: float = 1.0
-    """and ones further apart do not follow each other."""
+    """Angles and accelerations further apart do not follow the ones before."""
     memory_s: float = 60.0
-    """Of slopes and variances."""
+    """Of the slopes of accelerations on angles, and of variances."""
     learnt_s: float = 30.0
     """Of motion, before anything is said of signs."""
     slow_s: float = 3.0
@@ -60,7 +53,9 @@ class SignTuning(msgspec.Struct, frozen=True, kw_only=True):
     least_mps2: float = 0.02
     """RMS of g sin(angle) below which there is nothing to tell: a tenth of a degree."""
     suspect_slope: float = -0.5
+    """Slope of the acceleration on g sin(angle), 1 by rights, below which the sign is suspected,"""
     suspect_correlation: float = -0.8
+    """if the correlation of the two is below this."""
     cleared_slope: float = -0.2
     """From here on a suspicion is dropped."""
     most_sway: float = 1.5
@@ -70,8 +65,7 @@ class SignTuning(msgspec.Struct, frozen=True, kw_only=True):
     """Times the variance below the waves with the tilt removed, over that without."""
 
 
-UNITS: Final = UnitsTuning()
-SIGNS: Final = SignTuning()
+TUNING: Final = Tuning()
 OTHER_UNITS: Final = (("mm/s2", 1e3), ("cm/s2 or in mg", 1e2), ("ft/s2", 3.28084))
 """Units that are told by their size, in so many per m/s2."""
 
@@ -86,53 +80,53 @@ class UnitsCheck:
     def __init__(self) -> None:
         self.reason = ""
         self._since_s = self._wrong_s = self._kept_s = nan
-        self._kept: deque[tuple[float, float, float]] = deque(maxlen=UNITS.kept)
+        self._kept: deque[tuple[float, float, float]] = deque(maxlen=TUNING.kept)
 
     def step(self, t_s: float, ax: float, ay: float, az: float) -> None:
         """Specific force as read; az is finite."""
-        is_wrong = not abs(az - GRAVITY_MPS2) < UNITS.near_mps2
+        is_wrong = not abs(az - GRAVITY_MPS2) < TUNING.near_mps2
         if is_wrong:
             self._wrong_s = t_s
             if isnan(self._since_s):
                 self._since_s, self._kept_s = t_s, -1e300
         elif isnan(self._since_s):
             return
-        elif t_s - self._wrong_s >= UNITS.back_s:
+        elif t_s - self._wrong_s >= TUNING.back_s:
             self._since_s = nan
             self._kept.clear()
             self.reason = ""
             return
-        if t_s - self._kept_s >= UNITS.every_s:
+        if t_s - self._kept_s >= TUNING.every_s:
             self._kept_s = t_s
             self._kept.append((ax, ay, az))
-            if is_wrong and t_s - self._since_s >= UNITS.told_s:
+            if is_wrong and t_s - self._since_s >= TUNING.told_s:
                 self.reason = self._likeness()
 
     def _likeness(self) -> str:
         """What the readings that are kept look like; empty: nothing that is known."""
         ax, ay, az = (median(column) if isfinite(sum(column)) else nan for column in zip(*self._kept, strict=True))
-        if abs(az - GRAVITY_MPS2) < UNITS.near_mps2:
+        if abs(az - GRAVITY_MPS2) < TUNING.near_mps2:
             return ""  # Most are well.
         spread = median(abs(row[2] - az) for row in self._kept)
         size = abs(az)
-        if abs(size - 1.0) < UNITS.in_g and spread < UNITS.in_g:
+        if abs(size - 1.0) < TUNING.in_g and spread < TUNING.in_g:
             return "az about 1: in g? m/s2 are wanted" if az > 0.0 else "az about -1: in g, and upside down?"
-        if not spread < UNITS.uneven * max(size, GRAVITY_MPS2):
+        if not spread < TUNING.uneven * max(size, GRAVITY_MPS2):
             return ""
         return _likeness_of(ax, ay, az)
 
 
 def _likeness_of(ax: float, ay: float, az: float) -> str:
     """The same of readings that are steady, and neither gravity nor in g."""
-    if abs(az) < UNITS.near_mps2:
-        if max(abs(ax), abs(ay)) > GRAVITY_MPS2 - UNITS.near_mps2:
+    if abs(az) < TUNING.near_mps2:
+        if max(abs(ax), abs(ay)) > GRAVITY_MPS2 - TUNING.near_mps2:
             axis, value = ("ax", ax) if abs(ax) > abs(ay) else ("ay", ay)
             return f"az about 0 and {axis} about {value:.1f} m/s2: mounted on its side? z is up"
         return "az about 0: gravity removed? at rest +9.8 m/s2 are wanted"
-    if abs(az + GRAVITY_MPS2) < UNITS.near_mps2:
+    if abs(az + GRAVITY_MPS2) < TUNING.near_mps2:
         return "az about -9.8 m/s2: wrong sign, or upside down? at rest it is +9.8"
     for unit, per_mps2 in OTHER_UNITS:
-        if abs(az / (per_mps2 * GRAVITY_MPS2) - 1.0) < UNITS.in_unit:
+        if abs(az / (per_mps2 * GRAVITY_MPS2) - 1.0) < TUNING.in_unit:
             return f"az about {az:.0f}: in {unit}? m/s2 are wanted"
     return f"az about {az:.3g}, not 9.8 m/s2: another unit, or another register?"
 
@@ -151,9 +145,9 @@ class _Line:
         self._xx += share * ((1.0 - share) * dx * dx - self._xx)
         self._xy += share * ((1.0 - share) * dx * dy - self._xy)
         self._yy += share * ((1.0 - share) * dy * dy - self._yy)
-        if self._xx < SIGNS.least_mps2**2 or self._xy > SIGNS.cleared_slope * self._xx:
+        if self._xx < TUNING.least_mps2**2 or self._xy > TUNING.cleared_slope * self._xx:
             self.is_suspect = False
-        elif self._xy < SIGNS.suspect_slope * self._xx and self._xy < SIGNS.suspect_correlation * sqrt(
+        elif self._xy < TUNING.suspect_slope * self._xx and self._xy < TUNING.suspect_correlation * sqrt(
             self._xx * self._yy
         ):
             self.is_suspect = True
@@ -203,17 +197,17 @@ class SignCheck:
     @property
     def is_open(self) -> bool:
         """Whether there is a suspicion that has not been held against enough of what is below the waves yet."""
-        return bool(self.suspicion) and self._warm_seconds < SIGNS.memory_s
+        return bool(self.suspicion) and self._warm_seconds < TUNING.memory_s
 
     def step(self, t_s: float, ax: float, ay: float, az: float, roll_rad: float, pitch_rad: float) -> None:
-        """Specific force and attitude of one moment, all finite; more often than SIGNS.every_s is not looked at."""
+        """Specific force and attitude of one moment, all finite; more often than TUNING.every_s is not looked at."""
         since_s = t_s - self._t_s
-        if since_s < SIGNS.every_s - 1e-6:
+        if since_s < TUNING.every_s - 1e-6:
             return
         self._t_s = t_s
-        if not since_s < SIGNS.gap_s:
+        if not since_s < TUNING.gap_s:
             return
-        self._seconds = min(self._seconds + since_s, SIGNS.memory_s)
+        self._seconds = min(self._seconds + since_s, TUNING.memory_s)
         share = since_s / self._seconds
         self._roll.step(share, GRAVITY_MPS2 * sin(roll_rad), ay)
         self._pitch.step(share, GRAVITY_MPS2 * sin(pitch_rad), ax)
@@ -224,15 +218,15 @@ class SignCheck:
         self._conclude()
 
     def _look_below(self, since_s: float, ax: float, ay: float, az: float, roll_rad: float, pitch_rad: float) -> None:
-        is_warm = self._seconds > SIGNS.warm_s
+        is_warm = self._seconds > TUNING.warm_s
         if is_warm:
-            self._warm_seconds = min(self._warm_seconds + since_s, SIGNS.memory_s)
-        gain, share = 1.0 - exp(-since_s / SIGNS.slow_s), since_s / max(self._warm_seconds, since_s)
+            self._warm_seconds = min(self._warm_seconds + since_s, TUNING.memory_s)
+        gain, share = 1.0 - exp(-since_s / TUNING.slow_s), since_s / max(self._warm_seconds, since_s)
         self._with.step(gain, share, up_acceleration(ax, ay, az, roll_rad, pitch_rad), is_warm)
         self._without.step(gain, share, az - GRAVITY_MPS2, is_warm)
 
     def _conclude(self) -> None:
-        if self._seconds < SIGNS.learnt_s:
+        if self._seconds < TUNING.learnt_s:
             return
         pairs = ((self._roll, "roll", "ay"), (self._pitch, "pitch", "ax"))
         suspects = [(line, angle, axis) for line, angle, axis in pairs if line.is_suspect]
@@ -242,6 +236,6 @@ class SignCheck:
         names = ", ".join([f"{angle} and {axis} disagree" for _, angle, axis in suspects])
         self.suspicion = f"{names}: wrong sign?"
         sways = max(line.opposed_mps2 for line, _, _ in suspects)
-        is_worse = self._warm_seconds > SIGNS.learnt_s and self._with.variance > SIGNS.worse * self._without.variance
-        if is_worse or sways > SIGNS.most_sway * sqrt(self._square) or self.certain:
+        is_worse = self._warm_seconds > TUNING.learnt_s and self._with.variance > TUNING.worse * self._without.variance
+        if is_worse or sways > TUNING.most_sway * sqrt(self._square) or self.certain:
             self.certain = self.suspicion

@@ -162,8 +162,8 @@ class SensorClock:
         if before_s - (clock.tick_s + steps * period_s) > clock.tick_s + (steps + 1) * period_s - t_s:
             steps += 1
         expected_s = clock.tick_s + steps * period_s
-        off_s = max(before_s - expected_s, expected_s - t_s)
-        is_surprise = off_s > max(0.5 * poll_s, TUNING.uneven * period_s)
+        outside_s = max(before_s - expected_s, expected_s - t_s)
+        is_surprise = outside_s > max(0.5 * poll_s, TUNING.uneven * period_s)
         self._surprises = max(self._surprises + is_surprise - TUNING.surprising, 0.0)
         if self._surprises > TUNING.surprises:
             self._begin()
@@ -172,9 +172,8 @@ class SensorClock:
         gap_s = t_s - before_s
         off_s = before_s + 0.5 * gap_s - expected_s
         weight = min((poll_s / gap_s) ** 2, 1.0)  # An interval that is longer says less.
-        self._scatter_s2 += (
-            weight * (min(off_s * off_s, gap_s * gap_s) - self._scatter_s2) / min(clock.ticks, TUNING.scatter_memory)
-        )
+        share = weight / min(clock.ticks, TUNING.scatter_memory)
+        self._scatter_s2 += share * (min(off_s * off_s, gap_s * gap_s) - self._scatter_s2)
         clock.correct(weight * off_s, steps)
         clock.tick_s = min(max(clock.tick_s, before_s), t_s)
         return clock.tick_s

@@ -287,7 +287,7 @@ def test_equal_seas_are_one_filter(moderate: Moderate) -> None:
             last = other
             assert state(other) == pytest.approx(state(one), rel=1e-9, abs=1e-12)
             assert stds(other) == pytest.approx(stds(one), rel=1e-9)
-        assert last.probabilities == pytest.approx((1 / 3,) * 3)
+    assert last.probabilities == pytest.approx((1 / 3,) * 3)
 
 
 def test_instant_takes_per_channel_the_filter_with_the_smaller_innovation(moderate: Moderate) -> None:

@@ -20,7 +20,6 @@ from heaved.estimation.heave.laser.correction import ResidualCorrection
 from heaved.estimation.heave.laser.error_scale import DelayedScale
 from heaved.estimation.heave.laser.lead import LeadTracker
 from heaved.estimation.heave.laser.reference import Reference
-from heaved.estimation.heave.observer import HeaveObserver, LaserAided
 from heaved.samples import Fault, LaserSample
 from heaved.unchanged import StuckDetector
 

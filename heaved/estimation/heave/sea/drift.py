@@ -31,6 +31,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Standard deviations of a drift that is not expected."""
     seems_far: float = 1.5
     """The same, above one more of which errors are said to be as many times larger."""
+    highest_hz: float = 1.0
+    """Of what is left of a record by weights over half a minute and more, 1e-13 is faster."""
     all_there: float = 2.0
     """Samples by which the last ones may span more than they do when none is missing: elsewhere weights see the
     waves."""
@@ -51,8 +53,9 @@ def drift_variances(weights: Array, dt_s: float, model: SeaModel) -> tuple[float
     """Variance (m/s2)2 of a sum of samples every ``dt_s``, so weighed, by ``model`` but for the walk of its bias, and
     what a walk of 1 (m/s2)2/s adds."""
     n = 4 * len(weights)
-    f = np.fft.rfftfreq(n, dt_s)[1:].astype(np.float64)
+    f: Array = np.fft.rfftfreq(n, dt_s)[1:].astype(np.float64)
     passed = np.abs(np.fft.rfft(weights, n)[1:]) ** 2 * f[0]
+    f, passed = f[f <= TUNING.highest_hz], passed[f <= TUNING.highest_hz]
     walk = 2.0 / (2.0 * pi * f) ** 2
     rest = model.acceleration_spectrum(f, dt_s) - model.bias_walk_psd * walk
     return float(passed @ rest), float(passed @ walk)

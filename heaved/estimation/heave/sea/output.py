@@ -39,11 +39,15 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Time constant T of the change from one model to the next."""
     least_m: float = 1e-5
     """It is over when less than that is left."""
+    response_s: float = 400.0
+    """Of the filter's answer to an impulse: nothing is left of it then."""
     recovering: float = 0.1
     """Share of the heave that its error is more than while the filter finds its way back after a gap."""
 
 
 TUNING: Final = Tuning()
+IMPULSE_BLOCK: Final = 64
+"""Samples of an impulse's answer that are taken together."""
 
 
 class BumplessTransfer:
@@ -266,12 +270,20 @@ class SeaHeave:
 
 
 def _power_response(f: SeaFilter, f_hz: Array) -> Array:
-    """(n,) |heave|^2 that the steady filter makes of an acceleration of 1 m/s2 at each frequency."""
-    steady, system, identity = f.steady, f.system, np.eye(len(f.x))
-    loop = (identity - np.outer(steady.K, system.H)) @ steady.F
-    turns = np.exp(-2j * np.pi * steady.dt_s * f_hz)[:, None, None]
-    states = np.linalg.solve(identity - turns * loop, np.broadcast_to(steady.K[:, None], (len(f_hz), len(f.x), 1)))
-    return np.asarray(np.abs(states[..., 0] @ system.heave) ** 2)
+    """(n,) |heave|^2 that the steady filter makes of an acceleration of 1 m/s2 at each frequency: the transform of its
+    answer to an impulse, heave L^k K with L = (I - K H) F, taken in two stages, within blocks and of them."""
+    steady, system = f.steady, f.system
+    loop = steady.F - np.outer(steady.K, system.H @ steady.F)
+    within, starts = [steady.K], [system.heave]
+    for _ in range(1, IMPULSE_BLOCK):
+        within.append(loop @ within[-1])
+    block = np.linalg.matrix_power(loop, IMPULSE_BLOCK)
+    for _ in range(round(TUNING.response_s / steady.dt_s / IMPULSE_BLOCK)):
+        starts.append(starts[-1] @ block)
+    turns = -2j * np.pi * steady.dt_s * f_hz
+    each = np.exp(np.outer(turns, np.arange(len(within)))) @ np.array(within)
+    each *= np.exp(np.outer(turns, IMPULSE_BLOCK * np.arange(len(starts)))) @ np.array(starts)
+    return np.asarray(np.abs(each.sum(axis=1)) ** 2)
 
 
 def _std(row: Array, P: Array) -> float:

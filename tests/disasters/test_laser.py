@@ -1,16 +1,23 @@
-"""What goes wrong with a laser, as a table, for one that aids and for one that teaches. Oracle: the simulator's truth,
-and the same recording without a laser.
+"""What goes wrong with a laser: one table of disasters over two seas, for one that aids and for one that teaches.
 
-A lie is an error of more than four published standard deviations while ``valid``.
+Oracle: the simulator's truth, and the same recording without a laser. A lie is an error of more than four published
+standard deviations while ``valid``. What is done to the readings is of the table of ``tools/accuracy.py faults`` where
+that has it.
 """
+
+from __future__ import annotations
 
 import copy
 from collections.abc import Callable
 from functools import cache
+from math import inf
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
 import pytest
+from evidence.faults.disasters import Deed, Span, blank, creeping, mapped, noisy, raised, rows
+from numpy.typing import NDArray
 from pipelines import pipeline, rms
 
 from heaved.estimation.heave import params as heave
@@ -21,9 +28,17 @@ from heaved.samples import HeaveState, LaserSample, LaserState, MotionFrame
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import LASER_DISTANCE_M, Recording, record
 
-Array = np.ndarray
-Change = Callable[[Array, Array, np.random.Generator], Array]
-"""Of the readings (n,) at times (n,) since the beginning of the disaster; nan: there is none."""
+Array = NDArray[np.float64]
+Instead = Callable[[Array, Array, np.random.Generator], Array]
+"""Readings (n,) at times (n,) since the beginning of the disaster, of honest ones; nan: there is none."""
+
+
+class Change(NamedTuple):
+    """What is done to the laser, and for how long."""
+
+    deed: Deed
+    lasts_s: float = inf
+
 
 SETTLED_S, BEGIN_S, END_S = 40.0, 120.0, 220.0
 RATE_HZ = 20.0
@@ -52,17 +67,12 @@ Frames = list[tuple[float, MotionFrame]]
 
 def run(pipe: Pipeline, name: str, start_s: float, end_s: float, change: Change | None = None) -> Frames:
     """Frames from ``start_s`` to ``end_s``, each with the error of its heave; the laser changed as asked."""
-    recording, frames = sea(name), []
-    first, last = np.searchsorted(recording.t_s, (start_s, end_s))
-    rows = slice(int(first), int(last))
-    cut = msgspec.structs.replace(
-        recording, **{f: getattr(recording, f)[rows] for f in recording.__struct_fields__ if f != "truth"}
-    )
-    readings = cut.laser_m
+    honest, frames = sea(name), []
+    delivered = rows(honest, (honest.t_s >= start_s) & (honest.t_s < end_s))
     if change is not None:
-        readings = change(cut.t_s - start_s, readings.copy(), np.random.default_rng(7))
-    truth = dict(zip(cut.t_s.tolist(), recording.truth.heave_m[rows].tolist(), strict=True))
-    for sample in msgspec.structs.replace(cut, laser_m=readings).samples():
+        delivered = change.deed(delivered, Span(start_s, start_s + change.lasts_s), np.random.default_rng(7))
+    truth = dict(zip(delivered.t_s.tolist(), delivered.truth.heave_m.tolist(), strict=True))
+    for sample in delivered.samples():
         frame = pipe.step(sample)
         if (window := pipe.fit_due()) is not None:
             pipe.accept_fit(looked(window))
@@ -106,71 +116,76 @@ def lies(frames: Frames) -> int:
     return sum(f.quality.heave is HeaveState.VALID and abs(e) > 4.0 * f.heave_std_m for e, f in frames)
 
 
-def during(seconds: float, instead: Change) -> Change:
-    return lambda t, m, rng: np.where(t < seconds, instead(t, m, rng), m)
+LASER = ("laser_m",)
+
+
+def of(instead: Instead) -> Change:
+    """Other readings from its beginning on."""
+
+    def deed(recording: Recording, span: Span, rng: np.random.Generator) -> Recording:
+        inside = span.holds(recording.t_s)
+        values = instead(recording.t_s - span.start_s, recording.laser_m, rng)
+        return msgspec.structs.replace(recording, laser_m=np.where(inside, values, recording.laser_m))
+
+    return Change(deed)
+
+
+def during(seconds: float, change: Change) -> Change:
+    return Change(change.deed, seconds)
 
 
 def leap(metres: float) -> Change:
-    return lambda t, m, rng: m + metres
-
-
-def opposed(t: Array, m: Array, rng: np.random.Generator) -> Array:
-    return 2.0 * LASER_DISTANCE_M - m
+    return Change(raised("laser_m", metres))
 
 
 def times(ratio: float) -> Change:
-    return lambda t, m, rng: ratio * m
+    return Change(mapped(LASER, lambda m: ratio * m))
 
 
-def silent(t: Array, m: Array, rng: np.random.Generator) -> Array:
-    return np.full(len(t), np.nan)
+OPPOSED = Change(mapped(LASER, lambda m: 2.0 * LASER_DISTANCE_M - m))
+SILENT = Change(blank(LASER, 1.0))
+NOISY = Change(noisy(LASER, 0.01))
+"""Five times what is configured."""
+SHORT = Change(mapped(LASER, lambda m: np.clip(m, LASER_DISTANCE_M - 0.25, LASER_DISTANCE_M + 0.25)))
+"""The end of its range lies within the waves."""
 
 
+@of
 def boat(t: Array, m: Array, rng: np.random.Generator) -> Array:
     return 2.0 + 0.2 * np.sin(1.1 * t) + 0.01 * rng.standard_normal(len(t))
 
 
+@of
 def ship(t: Array, m: Array, rng: np.random.Generator) -> Array:
     """A target that moves with the sensor."""
     return 7.0 + 0.002 * rng.standard_normal(len(t))
 
 
+@of
 def spray(t: Array, m: Array, rng: np.random.Generator) -> Array:
     return np.where(rng.random(len(t)) < 0.1, m + rng.standard_normal(len(t)), m)
 
 
+@of
 def random(t: Array, m: Array, rng: np.random.Generator) -> Array:
     return np.where(np.isnan(m), np.nan, rng.uniform(0.0, 30.0, len(t)))
 
 
-def noisy(t: Array, m: Array, rng: np.random.Generator) -> Array:
-    """Five times what is configured."""
-    return m + 0.01 * rng.standard_normal(len(t))
-
-
-def short(t: Array, m: Array, rng: np.random.Generator) -> Array:
-    """The end of its range lies within the waves."""
-    return np.asarray(np.clip(m, LASER_DISTANCE_M - 0.25, LASER_DISTANCE_M + 0.25))
-
-
-def creeping(mps: float) -> Change:
-    return lambda t, m, rng: m + mps * t
-
-
 def late(seconds: float) -> Change:
-    rows = round(seconds * RATE_HZ)
-    return lambda t, m, rng: np.concatenate((m[:1].repeat(rows), m[:-rows]))
+    count = round(seconds * RATE_HZ)
+    return of(lambda t, m, rng: np.concatenate((m[:1].repeat(count), m[:-count])))
 
 
 def one_in(count: int) -> Change:
-    def thinned(t: Array, m: Array, rng: np.random.Generator) -> Array:
-        return np.where(np.arange(len(t)) % count == 0, m, np.nan)
-
-    return thinned
+    return of(lambda t, m, rng: np.where(np.arange(len(t)) % count == 0, m, np.nan))
 
 
 def then(first: Change, second: Change, after_s: float) -> Change:
-    return lambda t, m, rng: np.where(t < after_s, first(t, m, rng), second(t, m, rng))
+    def deed(recording: Recording, span: Span, rng: np.random.Generator) -> Recording:
+        begun = first.deed(recording, Span(span.start_s, span.start_s + after_s), rng)
+        return second.deed(begun, Span(span.start_s + after_s, span.end_s), rng)
+
+    return Change(deed)
 
 
 class Disaster(msgspec.Struct, frozen=True):
@@ -190,12 +205,12 @@ AIDING = [
     Disaster("a leap of 5 cm", leap(0.05), NO_AID),
     Disaster("a leap of 3 cm", leap(0.03), NO_AID),
     Disaster("a leap while it settles", during(15.0, leap(1.0)), "no fresh reference", begin_s=SETTLED_S),
-    Disaster("a leap in a pause", then(silent, leap(-0.7), 10.0), "another target"),
-    Disaster("a pause", during(30.0, silent), "no fresh reference"),
+    Disaster("a leap in a pause", then(SILENT, leap(-0.7), 10.0), "another target"),
+    Disaster("a pause", during(30.0, SILENT), "no fresh reference"),
     Disaster("zero", during(30.0, times(0.0)), "laser: stuck"),
     Disaster("stuck", times(0.0), "laser: stuck", False),
-    Disaster("opposed for a while", during(30.0, opposed), NO_AID),
-    Disaster("opposed", opposed, "it moves against the heave: sign?", False, SETTLED_S),
+    Disaster("opposed for a while", during(30.0, OPPOSED), NO_AID),
+    Disaster("opposed", OPPOSED, "it moves against the heave: sign?", False, SETTLED_S),
     Disaster("a boat", during(20.0, boat), NO_AID),
     Disaster("a part of the ship", ship, "it does not follow the heave", False, SETTLED_S),
     Disaster("millimetres", times(1000.0), "no fresh reference", False, SETTLED_S),
@@ -203,9 +218,9 @@ AIDING = [
     Disaster("late by 0.3 s", late(0.3), "s behind the accelerometer: latency_ms?", False, SETTLED_S),
     Disaster("random", random, NO_AID, False),
     Disaster("spray", spray, ""),
-    Disaster("noise", noisy, ""),
-    Disaster("a short range", short, "laser: stuck"),
-    Disaster("a target that gives way", creeping(0.01 / 60.0), ""),
+    Disaster("noise", NOISY, ""),
+    Disaster("a short range", SHORT, "laser: stuck"),
+    Disaster("a target that gives way", Change(creeping("laser_m", 0.01 / 60.0)), ""),
     Disaster("one reading a second", one_in(20), "no fresh reference", begin_s=SETTLED_S),
 ]
 
@@ -256,7 +271,7 @@ TEACHING = [
     ("centimetres", times(100.0), "it shows 100 times the heave: is it in cm?"),
     ("feet", times(3.2808), "it shows 3.28 times the heave: is it in feet?"),
     ("a fifth too much", times(1.2), "it shows 1.2 times the heave: scale?"),
-    ("opposed", opposed, "it moves against the heave: sign?"),
+    ("opposed", OPPOSED, "it moves against the heave: sign?"),
     ("a part of the ship", ship, "it does not follow the heave"),
     ("stuck", times(0.0), "laser: stuck"),
     ("random", random, "no fresh reference"),
@@ -287,10 +302,10 @@ def test_a_lead_beyond_what_sensors_have_is_told() -> None:
 
 PASSING = {
     "a leap of 1 m": leap(1.0),
-    "opposed for a while": during(30.0, opposed),
+    "opposed for a while": during(30.0, OPPOSED),
     "spray": spray,
-    "a short range": short,
-    "a leap in a pause": then(silent, leap(-0.7), 10.0),
+    "a short range": SHORT,
+    "a leap in a pause": then(SILENT, leap(-0.7), 10.0),
 }
 
 
