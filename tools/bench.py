@@ -163,9 +163,9 @@ def predictors() -> dict[str, Callable[[float, Sample], object]]:
     """Fresh ones; three axes and seven horizons unless it says otherwise."""
     direct, rated = DirectRockPredictor(), DirectRockPredictor()
     single = DirectPredictor(1)
-    paper = maximum_likelihood.RockPredictor(maximum_likelihood.Params(horizons_s=ML_HORIZONS_S))
+    paper = maximum_likelihood.MaximumLikelihoodPredictor(maximum_likelihood.Params(horizons_s=ML_HORIZONS_S))
     return {
-        "ml": lambda t, x: paper.step(t, x[0], x[1], x[2]),
+        "ml": lambda t, x: paper.step(t, x[:3]),
         "direct": lambda t, x: direct.step(t, x[:3]),
         "direct, with rates": lambda t, x: rated.step(t, x[:3], x[3:]),
         "direct, one channel": lambda t, x: single.step(t, x[:1]),

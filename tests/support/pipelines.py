@@ -1,6 +1,6 @@
 """Pipelines and recordings for the tests of the whole estimator."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 
 import msgspec
 import numpy as np
@@ -27,7 +27,7 @@ class NoRock(RockEstimator):
     def __init__(self) -> None:
         super().__init__(rock.Params())
 
-    def step(self, readings: Conditioned) -> Sequence[RockPrediction]:
+    def step(self, readings: Conditioned) -> tuple[RockPrediction, ...]:
         return self.at(readings.sample.t_s)
 
 

@@ -1,28 +1,42 @@
 """Rock prediction at the bound: direct regression of each horizon on geometrically spaced lags.
 
-One linear regression per horizon, of the motion h later on means of the past over blocks that grow with their age
-(:mod:`heaved.estimation.rock.lags`), learned with exponential forgetting. It is the finite-past Wiener predictor with
-some 34 taps instead of 800, found from the record itself: no model of the ship is needed, and no recursion of one-step
-predictions that would let its errors grow.
+One linear regression per horizon, of the motion h later on means of the past over spans that grow with their age
+(:mod:`heaved.estimation.rock.features`), learned with exponential forgetting. It is the finite-past Wiener predictor
+with some 34 taps instead of 800, found from the record itself: no model of the ship is needed, and no recursion of
+one-step predictions that would let its errors grow.
 
-* What is fitted is the residual to a fading-memory extrapolation up to 0.5 s, to the latest block beyond.
-* All features are differences to the latest block, and the slow mean is one of them. So every prediction moves with the
+* What is fitted is the residual to a fading-memory extrapolation up to 0.5 s, to the newest mean beyond.
+* All features are differences to the newest mean, and the slow mean is one of them. So every prediction moves with the
   level: a list, a change of draught or heading shifts nothing but the mean.
 * Experts run side by side: regressions on 2, 10 and 40 s of lags (each learns once its own lags are filled), the
   extrapolation, hold and the mean. Per horizon the one with the least realised error is published.
-* Work is in samples on an even grid (:mod:`heaved.estimation.rock.sample_clock`); equations are taken every 0.2 s,
-  and every few seconds they are summed and, some sets in turn, solved (:mod:`heaved.estimation.rock.learner`).
+* Work is in samples on an even grid (:mod:`heaved.estimation.rock.sample_clock`), whatever their rate: means and
+  learned targets (:mod:`heaved.estimation.rock.learner`) take what noise there is out of many samples. Equations are
+  taken every 0.2 s, and every few seconds they are summed and, some sets in turn, solved.
+
+::
+
+    sample, rates --- rate gate                          every 0.2 s         every 1-4 s
+       |                |          window of samples --- row, waits for  --- experts scored and chosen,
+       '--- gate of each channel --- and running sums    its targets         equations summed and solved
+                ^  (holes: a filter)        |                                      |
+                '--- one step ahead ---  map of sums to curve  <-------------------'
+                                            '--- predictions, deviations
 
 A missing sample is filled with the prediction. Where many are missing, a channel is predicted by a filter that needs
 none of them (:mod:`heaved.estimation.rock.holes`), nothing is learned from what was filled, and the lags are given what
 the filter knows of the holes once it hands over again. What else may be wrong with samples is dealt with in
 :mod:`heaved.estimation.rock.gate`. While the motion leaves its own range nothing is learned.
+
+Readings that come regularly, but not with every sample, are a stream of their own rate; from the samples in between
+is predicted along the curve of the last reading, and deviations are those of horizons that much longer.
 """
 
 from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Sequence
+from enum import StrEnum
 from math import ceil, exp, inf, isfinite, nan
 from typing import Annotated, Final
 
@@ -30,49 +44,33 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.estimation.common.sample_rate import are_still_apart, usual_interval
+from heaved.estimation.rock import experts, gate, learner, sample_clock
 from heaved.estimation.rock.experts import Switch
-from heaved.estimation.rock.features import Regressors
-from heaved.estimation.rock.gate import JUDGED_S, Channel, Timing
-from heaved.estimation.rock.holes import NODE_S, NODES, HoleFilter
-from heaved.estimation.rock.lags import SMOOTHED_S, SampleWindow, curve_weights, fading_taps, lag_knots
-from heaved.estimation.rock.learner import (
-    BATCH_S,
-    EXPERT_SPANS_S,
-    FILTER_LIKE,
-    ROW_S,
-    Learner,
-    expert_count,
-    first_choice,
-)
+from heaved.estimation.rock.fading import finite_taps
+from heaved.estimation.rock.features import Regressors, SampleWindow, curve_spline, lag_knots, samples_per_step
+from heaved.estimation.rock.gate import Channel, Limits, Timing
+from heaved.estimation.rock.holes import NODES, HoleFilter
+from heaved.estimation.rock.holes import TUNING as HOLES
+from heaved.estimation.rock.learner import Learner, expert_count, first_choice
+from heaved.estimation.rock.rate_gate import RateGate
 from heaved.estimation.rock.sample_clock import SampleClock
-from heaved.predictions import Limits
 
 Array = NDArray[np.float64]
 
-BACKWARDS: Final = 20
-"""Stamps in a row that are not later: the clock has been set back, begin anew."""
-HOLES_MEMORY_S: Final = 2.0
-"""Of what is missing."""
-HOLES_S: Final = (0.4, 0.15)
-"""So much missing within that memory makes a channel one with holes, and so little ends it."""
-RATED_HOLES_S: Final = (0.1, 0.05)
-"""The same where rates are given: they tell much, while they are there."""
-RUN_S: Final = 0.15
-"""And so much missing on end begins it."""
-FILLED_S: Final = 10.0
-"""What the filter said of its errors fades within that time, for the lags hold what it has filled them with."""
-MEASURED: Final = 0.75
-"""Share of the nodes that a filter for holes learns from that were measured: the odd missing one is filled well."""
-SURPRISED_S: Final = 0.5
-"""Predictions for so long ahead, the longest that is known so soon, show that the motion has become another one,"""
-SURPRISED: Final = 1.5
-"""when they are off by more than usual by so many of their deviations; what is more widens all others."""
-SURPRISED_FOR_S: Final = 4.0
-OUT: Final = 4
-"""Predictions are looked at as often as experts are chosen: so often beyond the limits on end, which is longer than a
-spike is seen, and everything begins anew."""
-LEARNED_TOGETHER: Final = 40
-"""Rows (of the learner) after which the filters for holes learn; from every other one, for neighbours are alike."""
+
+class Reset(StrEnum):
+    """What there is to count."""
+
+    RESTART = "restart"
+    """The stream was begun anew: its clock was set back, or it has another rate."""
+    OUT_OF_BOUNDS = "out of bounds"
+    """Likewise, for what it predicted."""
+    LOST_TRACK = "lost track"
+    """One channel was begun anew: what was read is not what its filter for holes followed."""
+    SPIKE = "spike"
+    """Samples held back for good."""
+    LEVEL_STEP = "level step"
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -85,6 +83,75 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Gaps up to this are filled with predictions; after longer ones the lags are filled anew."""
     choice_s: Annotated[float, msgspec.Meta(ge=0.1, le=4.0)] = 1.0
     """Predictions are scored and experts chosen so often: how soon a turn is noticed, and a good part of the cost."""
+
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """What this file is set to."""
+
+    backwards: int = 20
+    """Stamps in a row that are not later: the clock has been set back, begin anew."""
+    first: int = 11
+    """Stamps before the interval is known,"""
+    first_s: float = 2.0
+    """and so much time: the polls of a start are held up by 20-50 ms now and then, and jitter has to average out.
+    Nothing is lost, for nothing is published before 2 s are there."""
+    looked_at_s: tuple[float, ...] = (3.5, 6.0)
+    """So long after the first sample the stamps are looked at once more: what 2 s of late ones have shown may be some
+    percent off;"""
+    looked: int = 256
+    """the last so many of them."""
+    other: float = 0.002
+    """Change of the interval by which everything that was built for it is built anew: 10 ms in 5 s."""
+    same_s: float = 1e-4
+    """Samples closer together are one; where they come in bursts, those closer than the shortest interval."""
+    bursts: float = 0.7
+    """Share of the samples that are farther apart than that, below which they come in bursts."""
+    wait_s: float = 8.0
+    """For so long readings are waited for to show their rate: a sensor of 1.4 Hz does."""
+    slower: float = 1.5
+    """Intervals of samples to one of readings, at least, that make them a stream of their own,"""
+    regular: float = 0.7
+    """and share of their intervals that are the usual one,"""
+    usual: float = 0.2
+    """within so much of it."""
+    beyond_s: float = 0.5
+    """A curve is believed for so long after its last horizon,"""
+    short_s: float = 2.0
+    """and goes on for so long where that is less than this: beyond, it moves little for what is known of it."""
+    late_s: float = 1e-5
+    """A sample that is late by less is on time."""
+    holes_memory_s: float = 2.0
+    """Of what is missing."""
+    holes_s: tuple[float, float] = (0.4, 0.15)
+    """So much missing within that memory makes a channel one with holes, and so little ends it."""
+    rated_holes_s: tuple[float, float] = (0.1, 0.05)
+    """The same where rates are given: they tell much, while they are there."""
+    run_s: float = 0.15
+    """And so much missing on end begins it."""
+    filled_s: float = 10.0
+    """What the filter said of its errors fades within that time, for the lags hold what it has filled them with."""
+    measured: float = 0.75
+    """Share of the nodes that a filter for holes learns from that were measured: the odd missing one is filled well."""
+    filter_like: int = 1
+    """The expert that sees as much of the past as the filter for holes."""
+    surprised_s: float = 0.5
+    """Predictions for so long ahead, the longest that is known so soon, show that the motion has become another one,"""
+    surprised: float = 1.5
+    """when they are off by more than usual by so many of their deviations; what is more widens all others."""
+    surprised_for_s: float = 4.0
+    grown: float = 2.0
+    """A force that is new moves a ship as the square of time, but not for more than so many times as long as it takes
+    to be noticed: a ship comes back."""
+    out: int = 4
+    """Predictions are looked at as often as experts are chosen: so often beyond the limits on end, which is longer than
+    a spike is seen, and everything begins anew."""
+    learned_together: int = 40
+    """Rows (of the learner) after which the filters for holes learn; from every other one, for neighbours are alike."""
+
+
+TUNING: Final = Tuning()
+First = tuple[float, Sequence[float], Sequence[float]]
+"""Stamp, values and rates of one of the first samples."""
 
 
 class DirectPredictor:
@@ -109,181 +176,287 @@ class DirectPredictor:
         """
         self._params = params if params is not None else Params()
         self.horizons_s = tuple(sorted(set(self._params.horizons_s)))
-        self._horizons = np.array(self.horizons_s)
+        longest_s = self.horizons_s[-1]
+        more_s = [longest_s + TUNING.beyond_s] if longest_s < TUNING.short_s else []
+        self._horizons = np.array([*self.horizons_s, *more_s])
+        """And one more, where the curve of a moment without a sample would end too soon."""
+        self._published = slice(0, len(self.horizons_s))
         self._n = channels
         self._with_rates = rates
         self._no_rates = [0.0] * channels
-        self._unknown_curve = np.full((len(self.horizons_s) + 1, channels), nan)
+        self._unknown_curve = np.full((len(self._horizons) + 1, channels), nan)
+        self._growth = np.clip(self._horizons / TUNING.surprised_s, 1.0, TUNING.grown)[:, None] ** 2
         self._limits = limits
-        self.begun_anew: Counter[str] = Counter()
-        """By reason: the stream, or (lost track) one channel of it."""
+        self.begun_anew: Counter[Reset] = Counter()
+        """By reason: how often the stream, or (lost track) one channel of it, was begun anew."""
+        self._channels: list[Channel] = []
+        self._of_before: Counter[Reset] = Counter()
+        """Spikes and level steps of the streams before this one."""
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything."""
-        self._clock = SampleClock()
-        self._t_s = -inf
+        """Forget everything but what is counted."""
+        self._of_before = Counter({Reset.SPIKE: self.spikes, Reset.LEVEL_STEP: self.level_steps})
+        self.t_s = -inf
+        """Of the last sample that was taken."""
+        self._read_s = [-inf] * self._n
+        """Of the last reading of each channel."""
         self._backwards = 0
-        self._pending: list[tuple[float, Sequence[float], Sequence[float]]] = []
-        self._built = False
-        self._channels: list[Channel] = []
+        self._same_s = TUNING.same_s
+        self._is_sparse = False
+        """Readings come at their own rate: samples without any are not taken."""
+        self._first: list[First] = []
+        """The first samples, until they have been looked at for the last time."""
+        self._looks = list(TUNING.looked_at_s)
+        """When that is due, after the first."""
+        self._clock: SampleClock | None = None
+        """None until the rate is known, and everything is built for it."""
+        self._rate_gate = RateGate(self._n)
+        self._forget_built()
+
+    def _forget_built(self) -> None:
+        self._channels = []
         self.filters: list[HoleFilter] = []
         """Of the channels, for holes."""
         self.holed: set[int] = set()
         """The channels that are predicted by them."""
-        self.given_back: dict[int, tuple[int, Array]] = {}
+        self._left: dict[int, tuple[int, Array]] = {}
         """Of those that no longer are: when that ended, and the deviations now and at the horizons then."""
-        experts = expert_count(rates=self._with_rates)
+        count = expert_count(rates=self._with_rates)
         self.surplus = [0.0] * self._n
         """By how much of themselves deviations are larger than usual: the motion has just become another one."""
-        self._switch = Switch(self._horizons, experts, self._n, first_choice(self._horizons))
-        self.curve = self._unknown_curve
-        """What is known of the latest sample (filled where it was missing) and of the horizons, (H + 1, n)."""
-        self.values = self._unknown_curve[1:]
+        self._switch = Switch(self._horizons, count, self._n, first_choice(self._horizons))
+        self._curve = self._unknown_curve
+        """What is known of the latest sample (filled where it was missing) and of the horizons."""
+        self.values = self._unknown_curve[1:][self._published]
+        """What is predicted."""
+
+    # -- what is known of the errors -------------------------------------------------------------------------------
 
     @property
     def std(self) -> Array:
         """Standard deviation of the prediction errors, (H, n)."""
-        return self._switch.std
+        return self._switch.std[self._published]
 
     @property
     def half_width(self) -> Array:
         """Half-width of the 95 % interval, (H, n)."""
-        return self._switch.half_width
+        return self._switch.half_width[self._published]
 
     @property
     def rms_error(self) -> Array:
         """Rolling RMS of what was published, against what was measured then, (H, n)."""
-        return self._switch.rms_error
+        return self._switch.rms_error[self._published]
 
     @property
     def coverage(self) -> Array:
         """Rolling share of measured values inside the published interval, (H, n)."""
-        return self._switch.coverage
-
-    @property
-    def shaking_square(self) -> Array:
-        """Mean square of what of each channel is vibration and noise, (n,)."""
-        return self._learner.shaking_square if self._built else np.zeros(self._n)
+        return self._switch.coverage[self._published]
 
     @property
     def spikes(self) -> int:
-        """Samples held back for good since the stream was begun."""
-        return sum(channel.spikes for channel in self._channels)
+        """Samples held back for good."""
+        return self._of_before[Reset.SPIKE] + sum(channel.spikes for channel in self._channels)
 
     @property
     def level_steps(self) -> int:
-        """Steps of the level since the stream was begun."""
-        return sum(channel.level_steps for channel in self._channels)
+        """Steps of the level."""
+        return self._of_before[Reset.LEVEL_STEP] + sum(channel.level_steps for channel in self._channels)
+
+    @property
+    def resets(self) -> Counter[Reset]:
+        """By reason, as far as there are any: what was begun anew, held back, or moved."""
+        return self.begun_anew + Counter({Reset.SPIKE: self.spikes, Reset.LEVEL_STEP: self.level_steps})
 
     @property
     def restarts(self) -> int:
         """Times that the stream was begun anew."""
-        return self.begun_anew["restart"] + self.begun_anew["out of bounds"]
+        return self.begun_anew[Reset.RESTART] + self.begun_anew[Reset.OUT_OF_BOUNDS]
 
     @property
     def experts(self) -> NDArray[np.intp]:
         """The expert in office, (H, n): 0, 1, 2 regressions by their lags, then extrapolation, hold, mean, and the
         regressions without rates."""
-        return self._switch.best
+        return self._switch.best[self._published]
 
-    def spread(self, channel: int, ahead_s: Array) -> Array:
+    def deviations(self, t_s: float) -> tuple[Array, Array]:
+        """Standard deviations and half-widths of what is predicted from a moment: those of horizons longer by the age
+        of the readings, or what the filter for holes says, if that is more."""
+        std, half_width = self._switch.std, self._switch.half_width
+        if max(self.surplus) > 0.0:
+            wider = 1.0 + self._growth * self.surplus
+            std, half_width = std * wider, half_width * wider
+        if min(self._read_s) >= t_s and not self.holed and not self._left:
+            return self._of_horizons(std), self._of_horizons(half_width)
+        std, half_width, horizons = std.copy(), half_width.copy(), self._horizons
+        for c, read_s in enumerate(self._read_s):
+            if read_s < t_s:
+                later = horizons + (t_s - read_s)
+                std[:, c] = np.interp(later, horizons, std[:, c])
+                half_width[:, c] = np.interp(later, horizons, half_width[:, c])
+            if c in self.holed or c in self._left:
+                spread = self._spread if c in self.holed else self._spread_left
+                own = spread(c, horizons + (t_s - self.t_s))
+                half_width[:, c] = np.fmax(half_width[:, c], experts.TUNING.gaussian_quantile * own)
+                std[:, c] = np.fmax(std[:, c], own)
+        return self._of_horizons(std), self._of_horizons(half_width)
+
+    def _of_horizons(self, found: Array) -> Array:
+        return found if len(found) == len(self.horizons_s) else found[self._published]
+
+    def _spread(self, channel: int, ahead_s: Array) -> Array:
         """Deviations, so long after the latest grid time, of a channel that is predicted by its filter for holes.
 
         Of what it does not see, for its model ends after 10 s, the regression on as many tells.
         """
         deviations: Array = np.sqrt(self.filters[channel].variance(self._row_index, ahead_s))
-        return np.fmax(deviations, np.interp(ahead_s, self._horizons, self._switch.rms_of(FILTER_LIKE)[:, channel]))
+        alike = self._switch.rms_of(TUNING.filter_like)[:, channel]
+        return np.fmax(deviations, np.interp(ahead_s, self._horizons, alike))
 
-    def spread_left(self, channel: int, ahead_s: Array) -> Array:
+    def _spread_left(self, channel: int, ahead_s: Array) -> Array:
         """The same of a channel that was predicted so until lately."""
-        row, deviations = self.given_back[channel]
-        fade = exp((row - self._row_index) * self._interval_s / FILLED_S)
+        row, deviations = self._left[channel]
+        fade = exp((row - self._row_index) * self._interval_s / TUNING.filled_s)
         if fade < 0.05:
-            del self.given_back[channel]
+            del self._left[channel]
         left: Array = fade * np.interp(ahead_s, self._curve_s, deviations)
         return left
+
+    # -- samples ---------------------------------------------------------------------------------------------------
 
     def step(self, t_s: float, values: Sequence[float], rates: Sequence[float] | None = None) -> Array:
         """Take one sample of all channels (nan: not known) and predict from it, (H, n).
 
         A sample that is not later than the last one is ignored; twenty of them in a row begin everything anew.
         """
-        if not t_s > self._t_s:
+        if not t_s > self.t_s:
             self._backwards += t_s == t_s
-            if self._backwards >= BACKWARDS:
+            if self._backwards >= TUNING.backwards:
                 self._restart()
             return self.values
         self._backwards = 0
-        self._t_s = t_s
-        given = self._no_rates if rates is None else rates
-        if not self._built:
-            self._pending.append((t_s, tuple(values), tuple(given)))
-            self._begin()
+        if t_s - self.t_s < self._same_s:
             return self.values
-        steps = self._clock.step(t_s)
-        late_s = self._clock.late_s
-        if steps > self._longest_gap:
-            for channel in self._channels:
-                channel.lose()
-            self.holed.clear()
-            self._learner.forget(slice(None))
-            steps = 1
-        for _ in range(steps - 1):
-            self._row(self._unmeasured, self._unmeasured, 0.0)
-        if steps > 0:
-            self._row(values, given, late_s)
-        if self._out >= OUT:
-            self._restart("out of bounds")
-        elif self._batch_due and self._clock.changed():
+        if isfinite(sum(values)):
+            self._read_s = [t_s] * self._n
+        else:
+            values = [value if isfinite(value) else nan for value in values]
+            known = [value == value for value in values]
+            if self._is_sparse and not any(known):
+                self.values = self.at(t_s)
+                return self.values
+            self._read_s = [t_s if there else before for there, before in zip(known, self._read_s, strict=True)]
+        rates = self._no_rates if rates is None else self._rate_gate.step(t_s, rates)
+        if self._clock is None and t_s - self.t_s > self._params.max_gap_s:
+            self._first = []
+        self.t_s = t_s
+        if self._clock is None or len(self._first):
+            self._first.append((t_s, values, rates))
+        if self._clock is None:
+            self._find_rate(t_s)
+            return self.values
+        steps, late_s = self._clock.step(t_s), self._clock.late_s
+        self._rows(steps, values, rates, late_s)
+        if self._out >= TUNING.out:
+            self._restart(Reset.OUT_OF_BOUNDS)
+        elif self._first and (self._clock.is_other or t_s - self._first[0][0] >= self._looks[0]):
+            self._look_again(self._clock)
+        elif self._clock.is_other:
             self._restart()
         else:
             self._publish(late_s)
         return self.values
 
-    def _restart(self, reason: str = "restart") -> None:
+    def at(self, t_s: float) -> Array:
+        """Predictions as seen from a moment without a sample, a little after the last one."""
+        if self._clock is None or not 0.0 <= t_s - self.t_s <= self._params.max_gap_s:
+            return self._unknown_curve[1:][self._published]
+        at_s = t_s - self.t_s + self._clock.late_s + self._horizons[self._published]
+        end_s = float(self._horizons[-1])
+        seen: Array = self._curve_spline(np.minimum(at_s, end_s)) @ self._curve
+        seen[at_s > end_s + TUNING.beyond_s] = nan
+        return seen
+
+    def _restart(self, reason: Reset = Reset.RESTART) -> None:
         self.begun_anew[reason] += 1
         self.reset()
 
-    def _begin(self) -> None:
-        if not self._clock.start([t for t, _, _ in self._pending]):
+    # -- the rate --------------------------------------------------------------------------------------------------
+
+    def _find_rate(self, t_s: float) -> None:
+        """Once the rate is known: build, and take what has waited."""
+        first = self._first
+        if len(first) < TUNING.first or t_s - first[0][0] < TUNING.first_s:
             return
-        self._build(self._clock.interval_s)
-        index = np.rint((np.array([t for t, _, _ in self._pending]) - self._pending[-1][0]) / self._clock.interval_s)
-        steps = np.diff(index, prepend=index[0] - 1.0).astype(int).tolist()
-        for count, (_, values, rates) in zip(steps, self._pending, strict=True):
-            for _ in range(count - 1):
-                self._row(self._unmeasured, self._unmeasured, 0.0)
-            if count > 0:
-                self._row(values, rates, 0.0)
-        self._pending.clear()
-        self._publish(self._clock.late_s)
+        least_s = sample_clock.TUNING.least_s
+        stamps_s = [t for t, _, _ in first]
+        apart = np.diff(stamps_s, prepend=-inf) >= least_s
+        if np.mean(apart) < TUNING.bursts and self._same_s < least_s:
+            self._same_s = least_s
+            self._first = [one for one, is_apart in zip(first, apart.tolist(), strict=True) if is_apart]
+            self._find_rate(t_s)
+            return
+        read_s = [t for t, values, _ in first if any(value == value for value in values)]
+        if len(read_s) < len(first):
+            if len(read_s) < TUNING.first and t_s - first[0][0] < TUNING.wait_s:
+                return
+            interval_s = max(usual_interval(np.array(stamps_s)), least_s)
+            if _own_interval(read_s) > TUNING.slower * interval_s:
+                self._is_sparse = True
+                self._first = [one for one in first if any(value == value for value in one[1])]
+        self._build(SampleClock([t for t, _, _ in self._first]))
 
-    # -- geometry, for one sample interval -------------------------------------------------------------------------
+    def _look_again(self, clock: SampleClock) -> None:
+        """More of the first samples may show another interval: then all is built for that."""
+        stamps_s = np.array([t for t, _, _ in self._first[-TUNING.looked :]])
+        if clock.is_other:
+            recent = int(np.count_nonzero(stamps_s >= self.t_s - sample_clock.TUNING.judged_s))
+            clock = SampleClock(stamps_s[-max(recent, TUNING.first) :].tolist())
+        elif not are_still_apart(stamps_s - stamps_s[0], clock.interval_s):
+            clock = SampleClock(stamps_s.tolist())
+        if abs(clock.interval_s - self._interval_s) > TUNING.other * self._interval_s:
+            self._forget_built()
+            self._build(clock)
+        else:
+            self._clock = clock
+            self._publish(clock.late_s)
+        while self._looks and self.t_s - self._first[0][0] >= self._looks[0]:
+            del self._looks[0]
+        if not self._looks:
+            self._first = []
 
-    def _build(self, interval_s: float) -> None:
-        """Everything whose shape depends on the sample interval."""
-        self._built = True
+    def _build(self, clock: SampleClock) -> None:
+        """Everything whose shape depends on the sample interval; then the first samples are taken."""
+        self._clock = clock
+        self._build_for(clock.interval_s)
+        steps = clock.steps_of([t for t, _, _ in self._first])
+        for count, (_, values, rates) in zip(steps, self._first, strict=True):
+            self._rows(count, values, rates, 0.0)
+        self._publish(clock.late_s)
+
+    def _build_for(self, interval_s: float) -> None:
         horizons, n = self._horizons, self._n
         count = len(horizons)
-        knots = lag_knots(interval_s, EXPERT_SPANS_S[-1])
-        taps = fading_taps(interval_s, np.append(horizons, [0.0, 1e-3]))
+        self._interval_s = interval_s
+        knots = lag_knots(interval_s, learner.TUNING.expert_spans_s[-1])
+        taps = finite_taps(interval_s, np.append(horizons, [0.0, 1e-3]))
         settling = taps.shape[1]
         self._longest_gap = max(round(self._params.max_gap_s / interval_s), 3)
-        judged = max(round(JUDGED_S / interval_s), 3)
+        judged = max(round(gate.TUNING.judged_s / interval_s), 3)
         self._unmeasured, self._rates = [nan] * n, [0.0] * n
 
-        self._nodes = max(1, round(NODE_S / interval_s)) * np.arange(NODES)
+        self._nodes = max(1, round(HOLES.node_s / interval_s)) * np.arange(NODES)
         """Of the filters, in rows back from the newest."""
-        learned = LEARNED_TOGETHER * max(1, round(ROW_S / interval_s))
-        reach = max(int(knots[-1]) + round((BATCH_S + 1.0) / interval_s) + judged, int(self._nodes[-1]) + learned)
-        keep = reach + round(SMOOTHED_S / interval_s) + 8
+        learned = TUNING.learned_together * max(1, round(learner.TUNING.row_s / interval_s))
+        batch = round((learner.TUNING.batch_s + 1.0) / interval_s)
+        reach = max(int(knots[-1]) + batch + judged, int(self._nodes[-1]) + learned)
+        keep = reach + round(learner.TUNING.smoothed_s / interval_s) + 8
         columns = 3 * n if self._with_rates else 2 * n
         self._window = SampleWindow(knots, columns, max(keep, settling))
         # Predictions by extrapolation, and the slope now.
         taps = np.concatenate([taps[:count], (taps[-1:] - taps[-2:-1]) / 1e-3])
         self._regressors = Regressors(self._window, n, taps, rates=self._with_rates)
-        now, soon = fading_taps(interval_s, np.array([interval_s, interval_s + 1e-3]))
+        now, soon = finite_taps(interval_s, np.array([interval_s, interval_s + 1e-3]))
         self._next_slope = np.zeros(self._regressors.width)
         """On the vectors of the sample before: the slope of the extrapolation at the next one."""
         self._next_slope[-settling:] = (soon - now)[::-1] / 1e-3
@@ -301,32 +474,37 @@ class DirectPredictor:
         self._batch_due = False
 
         self._curve_s = np.append(0.0, horizons)
-        self._surprised_node = max(int(np.searchsorted(horizons, SURPRISED_S + 1e-6)) - 1, 0)
-        ahead = max(round(float(horizons[self._surprised_node]) / interval_s), 1)
+        self._surprised_node = max(int(np.searchsorted(horizons, TUNING.surprised_s + 1e-6)) - 1, 0)
+        self._bridged = bridged = samples_per_step(interval_s)
+        """Samples between the first knots: so many missing in a row are no hole, for means hold the readings beside."""
+        ahead = max(round(float(horizons[self._surprised_node]) / interval_s / bridged), 1)
         self._earlier: deque[list[float]] = deque(maxlen=ahead)
+        self._lowest, self._highest = np.full((n, 1), -inf), np.full((n, 1), inf)
+        """Of what is predicted, while there are limits."""
         self._surprise = [0.0] * n
         """Of each channel: by how many deviations predictions were off lately, at most; it fades."""
+        self._surprise_fade = exp(-bridged * interval_s / TUNING.surprised_for_s)
         # Interpolation of the predicted curve: one sample on, and its slope at each horizon.
+        self._curve_spline = curve_spline(horizons)
         ahead_s = interval_s * np.arange(1, ceil(horizons[-1] / interval_s) + 2)
-        gap_weights = curve_weights(horizons, ahead_s)
+        gap_weights = self._curve_spline(np.minimum(ahead_s, horizons[-1]))
         self._one_step = gap_weights[:1]
-        self._slopes = curve_weights(horizons, horizons, derivative=1)
+        self._slopes = self._curve_spline(horizons, 1)
         self._seen = np.zeros((n, count + 3, 1))
         self._map = self._mapped()
         self._levels: list[float] = []
         timing = Timing(interval_s=interval_s, settling=settling, longest_gap=self._longest_gap, judged=judged)
         self._channels = [Channel(timing, gap_weights) for _ in range(n)]
-        self._interval_s = interval_s
         self._row_index = 0
         self._out = 0
         """Times on end that predictions were beyond the limits."""
         self.filters = [HoleFilter(int(self._nodes[1]), interval_s, float(horizons[-1])) for _ in range(n)]
-        self._holes_s = RATED_HOLES_S if self._with_rates else HOLES_S
+        self._holes_s = TUNING.rated_holes_s if self._with_rates else TUNING.holes_s
         self._missing = [0.0] * n
-        """Samples missing lately."""
+        """Samples missing lately, of those further from the reading before than the first knots are apart."""
         self._missed_row = [0] * n
         """When that was."""
-        self._until_learned = LEARNED_TOGETHER
+        self._until_learned = TUNING.learned_together
 
     @property
     def _curves(self) -> Array:
@@ -341,7 +519,23 @@ class DirectPredictor:
         curve = np.concatenate([now, self._learner.weights], axis=1)
         return np.concatenate([curve, self._one_step @ curve, slope], axis=1)
 
-    # -- one sample ------------------------------------------------------------------------------------------------
+    # -- one sample on the grid ------------------------------------------------------------------------------------
+
+    def _rows(self, steps: int, values: Sequence[float], rates: Sequence[float], late_s: float) -> None:
+        """So many steps of the grid, the last of which is a sample."""
+        if steps > self._longest_gap:
+            for channel in self._channels:
+                channel.lose()
+            self.holed.clear()
+            self._learner.forget(slice(None))
+            steps = 1
+        before, between = self._rates, self._unmeasured
+        for k in range(1, steps):
+            if self._with_rates and steps <= self._bridged:
+                between = [x + k / steps * (y - x) for x, y in zip(before, rates, strict=True)]
+            self._row(self._unmeasured, between, 0.0)
+        if steps > 0:
+            self._row(values, rates, late_s)
 
     def _row(self, values: Sequence[float], rates: Sequence[float], late_s: float) -> None:
         """One step of the grid: take the sample, predict, learn when it is time."""
@@ -351,12 +545,13 @@ class DirectPredictor:
         self._row_index += 1
         for c, channel in enumerate(channels):
             if c in self.holed:
-                x, measured = self._take_holed(c, values[c], late_s)
+                x, measured = self._step_holed(c, values[c], late_s)
             else:
-                x, measured = channel.take(values[c], late_s, curves[c], *near[c])
+                x, measured = channel.step(values[c], late_s, curves[c], *near[c])
             if channel.since == 1:
                 window.flatten(c, x)
                 self._learner.forget(c)
+                self._lowest[c], self._highest[c] = -inf, inf
             taken.append(x)
             known.append(measured)
             means.append(channel.mean)
@@ -368,72 +563,78 @@ class DirectPredictor:
                 rates = [r if isfinite(r) else p if isfinite(p) else 0.0 for r, p in zip(rates, expected, strict=True)]
             self._rates = list(rates)
             taken += self._rates
-        window.append(taken + means, known)
-        if not all(known):
+        window.push(taken + means, known)
+        all_known = all(known)
+        if not all_known:
             for c, channel in enumerate(channels):
                 if (instead := channel.judge()) is not None:
                     window.replace(c, instead)
                 if not known[c] and not isfinite(values[c]):
                     self._miss(c)
         np.matmul(self._map, self._regressors.now()[:, :, None], out=self._seen)
-        if not all(known):
+        if not all_known:
             for c, channel in enumerate(channels):
                 if not isfinite(values[c]) and c not in self.holed and channel.since:
-                    curves[c] = channel.carried(self._curve_s)
+                    curves[c] = channel.last_curve(self._curve_s)
         for c in self.holed:
             hole = self.filters[c]
             curves[c] = hole.mean + hole.curve(self._row_index, self._curve_s)
-        self._bound(taken)
-        self._be_surprised(known)
+        curves = self._curves
+        if self._limits is not None:
+            np.maximum(curves, self._lowest, out=curves)
+            np.minimum(curves, self._highest, out=curves)
+        if self._row_index % self._bridged == 0:
+            self._be_surprised(known)
         self._until_row -= 1
         self._batch_due = False
         if self._until_row == 0:
             self._until_row = self._learner.every
-            if self._learner.keep(curves[:, 1:].T, channels):
-                if self._learner.batch(channels):
-                    self._map = self._mapped()
-                self._batch_due = True
-                for c in self.holed:
-                    self._give_back(c, self._row_index)
-            self._until_learned -= 1
-            if self._until_learned == 0:
-                self._until_learned = LEARNED_TOGETHER
-                self._learn_for_holes()
-        if self._batch_due and self._limits is not None:
-            # A filter for holes that knows too little yet is not published, nor held against it.
-            levels = [
-                nan if c in self.holed and not self.filters[c].known else channel.level
-                for c, channel in enumerate(channels)
-            ]
-            published = curves.T + levels
-            self._out = self._out + 1 if self._limits.left_by(published, (0.0, *self.horizons_s)).any() else 0
+            self._learn()
 
-    def _bound(self, taken: Sequence[float]) -> None:
+    def _learn(self) -> None:
+        """A row for the learner, and what falls due with it."""
+        channels, curves = self._channels, self._curves
+        if self._limits is not None:
+            self._bound(self._limits)
+        if self._learner.keep(curves[:, 1:].T, channels):
+            if self._learner.batch(channels):
+                self._map = self._mapped()
+            for c in self.holed:
+                self._fill(c, self._row_index)
+            if self._limits is not None:
+                # A filter for holes that knows too little yet is not published, nor held against it.
+                levels = [
+                    nan if c in self.holed and not self.filters[c].known else channel.level
+                    for c, channel in enumerate(channels)
+                ]
+                is_out = self._limits.left_by(curves.T + levels, tuple(self._curve_s.tolist())).any()
+                self._out = self._out + 1 if is_out else 0
+        self._until_learned -= 1
+        if self._until_learned == 0:
+            self._until_learned = TUNING.learned_together
+            self._learn_for_holes()
+
+    def _bound(self, limits: Limits) -> None:
         """Predictions of channels with limits stay within reach of the motion."""
-        if self._limits is None:
-            return
-        means, reaches = [], []
-        for channel, x, largest in zip(self._channels, taken, self._limits.largest, strict=False):
-            means.append(channel.mean)
-            reaches.append(channel.reach(x) if largest < inf else inf)
-        mean, reach = np.array((means, reaches))[:, :, None]
-        curves = self._curves
-        np.maximum(curves, mean - reach, out=curves)
-        np.minimum(curves, mean + reach, out=curves)
+        for c, (channel, x, largest) in enumerate(
+            zip(self._channels, self._curves[:, 0].tolist(), limits.largest, strict=True)
+        ):
+            if largest < inf:
+                reach = channel.reach(x)
+                self._lowest[c], self._highest[c] = channel.mean - reach, channel.mean + reach
 
     def _be_surprised(self, known: Sequence[bool]) -> None:
-        """Hold what was predicted SURPRISED_S ago against what there is now."""
+        """Hold what was predicted some time ago against what there is now."""
         curves, earlier, node = self._curves, self._earlier, self._surprised_node
         if len(earlier) == earlier.maxlen:
             now, stds = curves[:, 0].tolist(), self._switch.std[node].tolist()
-            fade = exp(-self._interval_s / SURPRISED_FOR_S)
             for c, (is_known, x, expected, std) in enumerate(zip(known, now, earlier[0], stds, strict=True)):
-                surprise = fade * self._surprise[c]
+                surprise = self._surprise_fade * self._surprise[c]
                 off = abs(x - expected)
                 if is_known and 0.0 <= surprise * std < off < inf and std > 0.0 and c not in self.holed:
                     surprise = off / std
                 self._surprise[c] = surprise
-                self.surplus[c] = max(0.0, surprise - SURPRISED - 1.0)
+                self.surplus[c] = max(0.0, surprise - TUNING.surprised - 1.0)
         later = curves[:, node + 1].tolist()
         for c, channel in enumerate(self._channels):
             if channel.unsettled > 0 or not channel.ready:
@@ -445,11 +646,14 @@ class DirectPredictor:
     def _miss(self, c: int) -> None:
         """A sample of a channel is missing: where too many are, its filter takes over."""
         row, channel, hole = self._row_index, self._channels[c], self.filters[c]
+        if channel.absent < self._bridged:
+            return
         self._missing[c] = 1.0 + self._missing[c] * self._share_left(row - self._missed_row[c])
         self._missed_row[c] = row
         if c in self.holed or not channel.since:
             return
-        if max(self._missing[c] - self._holes_s[0] / self._interval_s, channel.absent - RUN_S / self._interval_s) < 0.0:
+        is_holed = self._missing[c] * self._interval_s >= self._holes_s[0]
+        if not is_holed and channel.absent * self._interval_s < TUNING.run_s:
             return
         window = self._window
         at = window.end - 1 - self._nodes
@@ -457,9 +661,9 @@ class DirectPredictor:
             self.holed.add(c)
 
     def _share_left(self, rows: int) -> float:
-        return exp(-rows * self._interval_s / HOLES_MEMORY_S)
+        return exp(-rows * self._interval_s / TUNING.holes_memory_s)
 
-    def _take_holed(self, c: int, value: float, late_s: float) -> tuple[float, bool]:
+    def _step_holed(self, c: int, value: float, late_s: float) -> tuple[float, bool]:
         """What goes into the lags of a channel with holes, and whether it was measured."""
         row, channel, hole = self._row_index, self._channels[c], self.filters[c]
         hole.to(row)
@@ -470,21 +674,21 @@ class DirectPredictor:
             if measured := hole.read(at, x - hole.mean):
                 x -= hole.value(at)[0] - hole.value(row)[0]
             elif hole.is_lost(row):
-                self.begun_anew["lost track"] += 1
+                self.begun_anew[Reset.LOST_TRACK] += 1
                 channel.forget()
         if not measured:
             x = hole.mean + hole.value(row)[0]
-        if not channel.bridge(x, measured=measured):
+        if not channel.step_judged(x, measured=measured):
             self.holed.discard(c)
         elif measured:
             missing = self._missing[c] * self._share_left(row - self._missed_row[c])
             if missing * self._interval_s < self._holes_s[1]:
-                self.given_back[c] = row, self.spread(c, self._curve_s)
+                self._left[c] = row, self._spread(c, self._curve_s)
                 self.holed.discard(c)
-                self._give_back(c, row - 1)  # the latest has not been appended
+                self._fill(c, row - 1)  # the latest is not in the window yet
         return x, measured
 
-    def _give_back(self, c: int, row: int) -> None:
+    def _fill(self, c: int, row: int) -> None:
         """The lags of a channel get what its filter has come to know of the holes."""
         window, hole = self._window, self.filters[c]
         count = min(self._channels[c].since - 2, int(self._nodes[-1]) - int(self._nodes[1]))
@@ -498,10 +702,11 @@ class DirectPredictor:
         is taken care of elsewhere."""
         window, n, taps = self._window, self._n, self._learner.shaking_taps
         half = len(taps) // 2
-        ends = window.end - 1 - half - 2 * int(self._learner.every) * np.arange(LEARNED_TOGETHER // 2)
+        ends = window.end - 1 - half - 2 * int(self._learner.every) * np.arange(TUNING.learned_together // 2)
         at = ends[:, None] - self._nodes
-        known = window.known[at, :n]
-        used = np.ones((len(ends), n), dtype=bool) if known.all() else known.mean(axis=1) >= MEASURED  # (R, n)
+        # A node is known by a reading that is nearer than the first knots are.
+        known = window.known[at[:, :, None] - np.arange(self._bridged), :n].any(axis=2)
+        used = np.ones((len(ends), n), dtype=bool) if known.all() else known.mean(axis=1) >= TUNING.measured  # (R, n)
         for c, (channel, hole) in enumerate(zip(self._channels, self.filters, strict=True)):
             if c in self.holed:
                 hole.move_mean(channel.mean)
@@ -530,7 +735,17 @@ class DirectPredictor:
         if levels != self._levels:
             self._levels, self._level = levels, np.array(levels)
         curves = self._curves.T
-        self.curve = curves + self._level
-        self.values = self.curve[1:]
-        if abs(late_s) > 1e-5:
-            self.values += late_s * (self._slopes @ curves)
+        self._curve = curves + self._level
+        self.values = self._curve[1:][self._published]
+        if abs(late_s) > TUNING.late_s:
+            self.values = self.values + late_s * (self._slopes[self._published] @ curves)
+
+
+def _own_interval(stamps_s: Sequence[float]) -> float:
+    """Of readings that come regularly; nan: they do not."""
+    if len(stamps_s) < TUNING.first:
+        return nan
+    stamps = np.array(stamps_s)
+    interval_s = usual_interval(stamps)
+    usual = np.abs(np.diff(stamps) - interval_s) < TUNING.usual * interval_s
+    return interval_s if np.mean(usual) >= TUNING.regular else nan

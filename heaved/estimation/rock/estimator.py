@@ -3,30 +3,38 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from math import isfinite, nan, pi
 from typing import Final, Protocol
 
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
 from heaved.estimation.imu.attitude import angle_rates
 from heaved.estimation.imu.conditioning import Conditioned
-from heaved.estimation.rock import direct as rock_direct
+from heaved.estimation.rock import direct
 from heaved.estimation.rock import maximum_likelihood as rock
-from heaved.estimation.rock.paced import PacedPredictor
-from heaved.predictions import TURN, RockPredictions
+from heaved.estimation.rock.direct import DirectPredictor
 from heaved.samples import RockPrediction, RockScore
 
+Array = NDArray[np.float64]
+
+TURN: Final = 2.0 * pi
 AXES: Final = ("roll", "pitch", "yaw")
+DEVIATIONS: Final = (*(f"{axis}_std_rad" for axis in AXES), *(f"{axis}_interval_rad" for axis in AXES))
 Angles = tuple[float, float, float]
 """Roll, pitch and yaw, or their rates; nan: not known."""
+Predictions = tuple[RockPrediction, ...]
+"""One record per horizon, shortest first."""
 
 
 class Predictor(Protocol):
     """What a method that predicts roll, pitch and yaw can be asked."""
 
-    def step(self, t_s: float, angles_rad: Angles, rates_radps: Angles) -> Sequence[RockPrediction]:
-        """Take one sample and predict from it, one record per horizon, shortest first."""
+    def step(self, t_s: float, angles_rad: Angles, rates_radps: Angles) -> Predictions:
+        """Take one sample and predict from it."""
 
-    def at(self, t_s: float) -> Sequence[RockPrediction]:
+    def at(self, t_s: float) -> Predictions:
         """Predictions as seen from a moment without a sample; nothing is advanced."""
 
     def scores(self) -> tuple[RockScore, ...]:
@@ -43,10 +51,10 @@ class RockEstimator:
     def __init__(self, params: rock.Params) -> None:
         self.horizons_s = tuple(sorted({*params.horizons_s, *rock.STANDARD_HORIZONS_S}))
         self._predictor: Predictor = (
-            LikelihoodRockPredictor(params)
+            rock.MaximumLikelihoodPredictor(params)
             if params.predictor == "ml"
             else DirectRockPredictor(
-                rock_direct.Params(
+                direct.Params(
                     horizons_s=self.horizons_s,
                     memory_s=params.memory_s,
                     **({} if params.max_gap_s is None else {"max_gap_s": params.max_gap_s}),
@@ -57,15 +65,15 @@ class RockEstimator:
         """How well the times of the angles are known: of a sensor that measures more slowly than it is polled."""
         self._roll_rad = self._pitch_rad = nan
 
-    def step(self, conditioned: Conditioned) -> Sequence[RockPrediction]:
-        """Take one sample; predictions for its time, one record per horizon, shortest first.
+    def step(self, readings: Conditioned) -> Predictions:
+        """Take one sample; predictions for its time.
 
         They are made from when its angles were measured: earlier, with a slow sensor. A sample between two readings of
         such a one is not a sample with missing angles, but a moment without a sample.
         """
-        sample, attitude = conditioned.sample, conditioned.attitude
-        self._time_std_s = conditioned.attitude_std_s
-        if attitude is None and conditioned.attitude_is_slow:
+        sample, attitude = readings.sample, readings.attitude
+        self._time_std_s = readings.attitude_std_s
+        if attitude is None and readings.attitude_is_slow:
             return self.at(sample.t_s)
         measured_s = sample.t_s if attitude is None else attitude.t_s
         angles_rad = rock.possible(sample.roll_rad), rock.possible(sample.pitch_rad), sample.yaw_rad
@@ -76,12 +84,10 @@ class RockEstimator:
         predictions = self._predictor.step(measured_s, angles_rad, rates_radps)
         return predictions if measured_s == sample.t_s else self.at(sample.t_s)
 
-    def at(self, t_s: float) -> Sequence[RockPrediction]:
+    def at(self, t_s: float) -> Predictions:
         """Predictions as seen from a moment without a sample; nothing is advanced."""
-        seen = self._predictor.at(t_s)
-        if self._time_std_s > 0.0 and isinstance(seen, RockPredictions):
-            return seen.of_uncertain_time(self._time_std_s)
-        return seen
+        predictions = self._predictor.at(t_s)
+        return of_uncertain_time(predictions, self._time_std_s) if self._time_std_s > 0.0 else predictions
 
     def scores(self) -> tuple[RockScore, ...]:
         """How the predictions have fared, by axis and horizon; empty for a predictor that keeps no account."""
@@ -93,72 +99,69 @@ class RockEstimator:
         return self._predictor.resets
 
 
-class LikelihoodRockPredictor:
-    """The maximum-likelihood method; it makes no use of rates, and keeps no account."""
-
-    def __init__(self, params: rock.Params) -> None:
-        self._predictor = rock.RockPredictor(params)
-        self._t_s = nan
-        self._latest = tuple(RockPrediction(horizon_s=h) for h in self._predictor.horizons_s)
-
-    def step(self, t_s: float, angles_rad: Angles, rates_radps: Angles) -> Sequence[RockPrediction]:
-        """Take one sample, if any of its angles is known."""
-        if not any(map(isfinite, angles_rad)):
-            return self.at(t_s)
-        self._t_s = t_s
-        self._latest = self._predictor.step(t_s, *angles_rad)
-        return self._latest
-
-    def at(self, t_s: float) -> Sequence[RockPrediction]:
-        """On straight lines through neighbouring horizons."""
-        return rock.carried(self._latest, t_s - self._t_s)
-
-    def scores(self) -> tuple[RockScore, ...]:
-        """None."""
-        return ()
-
-    @property
-    def resets(self) -> Counter[tuple[str, str]]:
-        """Of axes that were begun anew."""
-        return Counter({("rock", reason): count for reason, count in self._predictor.begun_anew.items()})
-
-
 class DirectRockPredictor:
     """Direct regression; whether samples carry body rates shows with the first attitude."""
 
-    def __init__(self, params: rock_direct.Params | None = None) -> None:
-        self._params = params if params is not None else rock_direct.Params()
+    def __init__(self, params: direct.Params | None = None) -> None:
+        self._params = params if params is not None else direct.Params()
         self.horizons_s = tuple(sorted(set(self._params.horizons_s)))
-        self._unknown = RockPredictions.unknown(self.horizons_s)
-        self.predictor: PacedPredictor | None = None
+        self._unknown = tuple(RockPrediction(horizon_s=h) for h in self.horizons_s)
+        self.predictor: DirectPredictor | None = None
         """None until there has been an attitude."""
         self._with_rates = False
         self._yaw_reference_rad = nan
         self._yaw_rad = 0.0
-        self._spikes = self._level_steps = 0
-        self._begun_anew: Counter[str] = Counter()
-        self._resets: Counter[tuple[str, str]] = Counter()
+        self._deviations: tuple[Array, Array, list[list[float]]] | None = None
 
-    def step(self, t_s: float, angles_rad: Angles, rates_radps: Angles = (nan, nan, nan)) -> RockPredictions:
-        """Take one sample (nan: not known) and predict from it, one record per horizon, shortest first."""
-        if self.predictor is None:
+    def step(self, t_s: float, angles_rad: Angles, rates_radps: Angles = (nan, nan, nan)) -> Predictions:
+        """Take one sample (nan: not known) and predict from it."""
+        predictor = self.predictor
+        if predictor is None:
             if not any(map(isfinite, angles_rad)):
                 return self._unknown
             self._with_rates = isfinite(sum(rates_radps))
-            self.predictor = PacedPredictor(3, self._params, rates=self._with_rates, limits=rock.LIMITS)
+            predictor = self.predictor = DirectPredictor(3, self._params, rates=self._with_rates, limits=rock.LIMITS)
         roll_rad, pitch_rad, yaw_rad = angles_rad
         values = [roll_rad, pitch_rad, self._unwrapped(yaw_rad)]
-        latest = self.predictor.take(t_s, values, rates_radps if self._with_rates else None)
-        deviations = self.predictor.deviations(t_s)
-        return RockPredictions(self.horizons_s, latest, self._yaw_reference_rad, *deviations, rock.LIMITS)
+        predicted_rad = predictor.step(t_s, values, rates_radps if self._with_rates else None)
+        return self._records(predicted_rad, t_s)
 
-    def at(self, t_s: float) -> RockPredictions:
+    def at(self, t_s: float) -> Predictions:
         """Predictions as seen from a moment without a sample, with the deviations of horizons that much longer."""
+        predictor = self.predictor
+        return self._unknown if predictor is None else self._records(predictor.at(t_s), max(t_s, predictor.t_s))
+
+    def _records(self, predicted_rad: Array, t_s: float) -> Predictions:
+        """Of the angles (H, 3) predicted from ``t_s``, as far as a ship has them."""
         predictor = self.predictor
         if predictor is None:
             return self._unknown
-        deviations = predictor.deviations(max(t_s, predictor.t_s))
-        return RockPredictions(self.horizons_s, predictor.at(t_s), self._yaw_reference_rad, *deviations, rock.LIMITS)
+        std, half_width = predictor.deviations(t_s)
+        known = self._deviations
+        if known is None or std is not known[0] or half_width is not known[1]:  # they change once a second
+            rows = np.concatenate((std, half_width), axis=1).tolist()
+            known = self._deviations = std, half_width, rows
+        angles_rad = predicted_rad.tolist()
+        if not rock.LIMITS.hold(angles_rad, self.horizons_s):
+            angles_rad = rock.LIMITS.kept(predicted_rad, self.horizons_s).tolist()
+        reference_rad = self._yaw_reference_rad
+        return tuple([
+            RockPrediction(
+                horizon_s=h,
+                roll_rad=roll,
+                pitch_rad=pitch,
+                yaw_rad=heading(yaw + reference_rad),
+                roll_std_rad=roll_std,
+                pitch_std_rad=pitch_std,
+                yaw_std_rad=yaw_std,
+                roll_interval_rad=roll_width,
+                pitch_interval_rad=pitch_width,
+                yaw_interval_rad=yaw_width,
+            )
+            for h, (roll, pitch, yaw), (roll_std, pitch_std, yaw_std, roll_width, pitch_width, yaw_width) in zip(
+                self.horizons_s, angles_rad, known[2], strict=True
+            )
+        ])  # fmt: skip
 
     def scores(self) -> tuple[RockScore, ...]:
         """By axis and horizon."""
@@ -175,25 +178,7 @@ class DirectRockPredictor:
     def resets(self) -> Counter[tuple[str, str]]:
         """By (filter, reason): streams begun anew, steps of the level; spikes that were held back."""
         predictor = self.predictor
-        if predictor is None:
-            return self._resets
-        begun_anew = predictor.begun_anew
-        if begun_anew != self._begun_anew:
-            for reason, count in (begun_anew - self._begun_anew).items():
-                self._resets["rock", reason] += count
-            if sum(begun_anew.values()) - begun_anew["lost track"] != (
-                sum(self._begun_anew.values()) - self._begun_anew["lost track"]
-            ):
-                self._spikes = self._level_steps = 0  # which are counted from zero then
-            self._begun_anew = begun_anew
-        for reason, now, before in (
-            ("level step", predictor.level_steps, self._level_steps),
-            ("spike", predictor.spikes, self._spikes),
-        ):
-            if now > before:
-                self._resets["rock", reason] += now - before
-        self._level_steps, self._spikes = predictor.level_steps, predictor.spikes
-        return self._resets
+        return Counter() if predictor is None else Counter({("rock", r.value): n for r, n in predictor.resets.items()})
 
     def _unwrapped(self, yaw_rad: float) -> float:
         """Yaw relative to the first reading, without jumps."""
@@ -203,3 +188,21 @@ class DirectRockPredictor:
             self._yaw_reference_rad = yaw_rad
         self._yaw_rad += (yaw_rad - self._yaw_reference_rad - self._yaw_rad + pi) % TURN - pi
         return self._yaw_rad
+
+
+def heading(yaw_rad: float) -> float:
+    """The same, 0 <= yaw < 2 pi."""
+    return yaw_rad % TURN % TURN  # x % 2 pi may round up to 2 pi
+
+
+def of_uncertain_time(predictions: Predictions, std_s: float) -> Predictions:
+    """The same where it is known so well only of when they are: they are off by as much of their own rates."""
+    angles = np.unwrap([(p.roll_rad, p.pitch_rad, p.yaw_rad) for p in predictions], axis=0)
+    off = std_s * np.abs(np.gradient(angles, [p.horizon_s for p in predictions], axis=0))
+    stds = np.array([(p.roll_std_rad, p.pitch_std_rad, p.yaw_std_rad) for p in predictions])
+    widths = np.array([(p.roll_interval_rad, p.pitch_interval_rad, p.yaw_interval_rad) for p in predictions])
+    rows = np.concatenate((np.hypot(stds, off), np.hypot(widths, 2.0 * off)), axis=1).tolist()
+    return tuple(
+        msgspec.structs.replace(prediction, **dict(zip(DEVIATIONS, row, strict=True)))
+        for prediction, row in zip(predictions, rows, strict=True)
+    )

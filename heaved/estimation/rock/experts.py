@@ -10,34 +10,45 @@ from __future__ import annotations
 from math import isfinite
 from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-MISS_SHARE: Final = 0.05
-QUANTILE_STEP: Final = 0.002
-"""Per scored prediction."""
-QUANTILE_RANGE: Final = (1.0, 5.0)
-GAUSSIAN_QUANTILE: Final = 1.96
-MEMORY_S: Final = 30.0
-PER_HORIZON: Final = 4.0
-"""Memory of the errors: so many horizons more, as errors closer together than a horizon are hardly different ones."""
-REPORT_MEMORY_S: Final = 300.0
-"""Of the error and coverage that are reported."""
-EARLY: Final = 2.0
-"""While young the mean square is that of the last half or so: what the start cost fades as 1/t^2."""
-ENOUGH_S: Final = 1.0
-"""Errors of an expert known for so long before it may be chosen by them."""
-APART_S: Final = 0.2
-"""Errors are different ones when they lie further apart than their horizon and so much."""
-FEW: Final = 2.0
-"""Of N different errors the mean square of those to come is expected to be 1 + FEW / N times theirs, on average;"""
-RARE, RARE_POWER = 12.5, 1.5
-"""and 4 deviations are exceeded once in ten thousand, as they are by Gaussian errors of known size, with a mean square
-1 + (RARE / N)^RARE_POWER times theirs: Student's t with N degrees of freedom, within some percent from N = 5 on."""
-BETTER: Final = 0.97
-"""Mean square below that of the expert in office before it is replaced."""
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """What this file is set to."""
+
+    miss_share: float = 0.05
+    """Of the interval."""
+    quantile_step: float = 0.002
+    """Per scored prediction (Gibbs and Candes 2021: the step size gamma, small for a stream without end)."""
+    quantile_range: tuple[float, float] = (1.0, 5.0)
+    gaussian_quantile: float = 1.96
+    memory_s: float = 30.0
+    per_horizon: float = 4.0
+    """Memory of the errors: so many horizons more, as errors closer together than one are hardly different ones."""
+    report_memory_s: float = 300.0
+    """Of the error and coverage that are reported."""
+    early: float = 2.0
+    """While young the mean square is that of the last half or so: what the start cost fades as 1/t^2."""
+    enough_s: float = 1.0
+    """Errors of an expert known for so long before it may be chosen by them."""
+    apart_s: float = 0.2
+    """Errors are different ones when they lie further apart than their horizon and so much."""
+    few: float = 2.0
+    """Of N different errors the mean square of those to come is expected to be 1 + few / N times theirs, on average;"""
+    rare: float = 12.5
+    rare_power: float = 1.5
+    """and 4 deviations are exceeded once in ten thousand, as they are by Gaussian errors of known size, with a mean
+    square 1 + (rare / N)^rare_power times theirs: Student's t with N degrees of freedom, within some percent from N = 5
+    on."""
+    better: float = 0.97
+    """Mean square below that of the expert in office before it is replaced."""
+
+
+TUNING: Final = Tuning()
 
 
 class Switch:
@@ -48,14 +59,15 @@ class Switch:
         count = len(horizons_s)
         self.experts = experts
         # Last what was published, of which nothing is hastened and which is reported over another time.
-        self._memory_s = np.repeat((MEMORY_S + PER_HORIZON * horizons_s)[:, None, None], experts + 1, axis=1)
-        self._memory_s[:, -1] = REPORT_MEMORY_S
-        self._apart_s = (APART_S + horizons_s)[:, None, None]
-        self._early = np.array([[EARLY]] * experts + [[1.0]])
+        memory_s = TUNING.memory_s + TUNING.per_horizon * horizons_s
+        self._memory_s = np.repeat(memory_s[:, None, None], experts + 1, axis=1)
+        self._memory_s[:, -1] = TUNING.report_memory_s
+        self._apart_s = (TUNING.apart_s + horizons_s)[:, None, None]
+        self._early = np.array([[TUNING.early]] * experts + [[1.0]])
         self._seconds = np.zeros((count, experts + 1, channels))
         self._mean_square = np.zeros((count, experts + 1, channels))
         self._coverage = np.zeros((count, channels))
-        self._quantile = np.full((count, channels), GAUSSIAN_QUANTILE)
+        self._quantile = np.full((count, channels), TUNING.gaussian_quantile)
         self._horizon, self._channel = np.ogrid[:count, :channels]
         self._first = first[:, None]
         self.best: NDArray[np.intp] = np.repeat(self._first, channels, axis=1)
@@ -81,19 +93,19 @@ class Switch:
         self._mean_square += share * (mean - self._mean_square)
 
         scored = count if isinstance(count, float) else count[:, -1]
-        quantile = self._quantile + QUANTILE_STEP * (misses - MISS_SHARE * scored)
-        self._quantile = np.minimum(np.maximum(quantile, QUANTILE_RANGE[0]), QUANTILE_RANGE[1])
+        quantile = self._quantile + TUNING.quantile_step * (misses - TUNING.miss_share * scored)
+        self._quantile = np.minimum(np.maximum(quantile, TUNING.quantile_range[0]), TUNING.quantile_range[1])
         self._coverage += share[:, -1] * (1.0 - misses / np.maximum(scored, 1.0) - self._coverage)
 
     def choose(self, available: NDArray[np.bool_]) -> None:
         """Choose among the ``available`` (E, n) experts."""
         seconds = self._seconds[:, :-1]
-        share = self._apart_s / np.maximum(seconds, ENOUGH_S)
-        expected = (1.0 + FEW * share) * self._mean_square[:, :-1]
-        expected = np.where(available & (seconds >= ENOUGH_S), expected, np.inf)
+        share = self._apart_s / np.maximum(seconds, TUNING.enough_s)
+        expected = (1.0 + TUNING.few * share) * self._mean_square[:, :-1]
+        expected = np.where(available & (seconds >= TUNING.enough_s), expected, np.inf)
         square = expected[self._horizon, self.best, self._channel]
         least = expected.min(axis=1)
-        better = least < BETTER * square
+        better = least < TUNING.better * square
         if better.any():
             self.best = np.where(better, expected.argmin(axis=1), self.best)
             square = np.where(better, least, square)
@@ -101,10 +113,11 @@ class Switch:
         if unknown.any():
             self.best = np.where(unknown, self._first, self.best)
         office = self._horizon, self.best, self._channel
-        square = (1.0 + (RARE * share[office]) ** RARE_POWER) * self._mean_square[office]
+        square = (1.0 + (TUNING.rare * share[office]) ** TUNING.rare_power) * self._mean_square[office]
         square = np.where(unknown, np.nan, square)
         self.std = np.sqrt(np.maximum(square, self.least_square))
-        self.half_width = np.maximum(self._quantile * np.sqrt(square), GAUSSIAN_QUANTILE * np.sqrt(self.least_square))
+        least = TUNING.gaussian_quantile * np.sqrt(self.least_square)
+        self.half_width = np.maximum(self._quantile * np.sqrt(square), least)
 
     def rms_of(self, expert: int) -> Array:
         """Errors of an expert, (H, n); 0 until one is known."""

@@ -8,12 +8,14 @@ derived from p has the denominator (1 - theta q)^(m+1); the k-th derivative, h s
 
 Degree 4 is the five-point filter. Two equivalent forms are offered: ``taps`` (past outputs and inputs, a fixed step)
 and ``gains`` (a state of Taylor coefficients moved by the true time step, hence usable at any rate and with jitter).
+A third, ``finite_taps``, is the same fit with its memory cut off, as plain weights on the last samples.
 """
 
 from __future__ import annotations
 
 from functools import cache
 from math import comb
+from typing import Final
 
 import msgspec
 import numpy as np
@@ -92,6 +94,31 @@ def pascal(degree: int) -> tuple[Array, Array]:
     i, j = np.indices((degree + 1, degree + 1))
     binomial = np.array([[comb(column, row) for column in range(degree + 1)] for row in range(degree + 1)], np.float64)
     return binomial, np.maximum(j - i, 0).astype(np.float64)
+
+
+DEGREE: Final = 3
+"""Of :func:`finite_taps`."""
+MEAN_AGE_S: Final = 0.15
+"""Its fading memory: theta / (1 - theta) steps, i.e. theta = 0.75 at 20 Hz;"""
+SPAN_S: Final = 2.0
+"""and where that is cut off: 0.75^40 = 1e-5."""
+
+
+def finite_taps(interval_s: float, ahead_s: Array) -> Array:
+    """Weights (H, W) on the last W samples, oldest first, of the discounted polynomial fit extrapolated by ``ahead_s``.
+
+    The memory is cut off, and what is left fitted so that it reproduces polynomials of its degree exactly.
+    """
+    count = max(round(SPAN_S / interval_s), 12)
+    age = np.arange(count - 1, -1, -1.0)
+    mean_age = max(MEAN_AGE_S / interval_s, 1.0)
+    theta = mean_age / (1.0 + mean_age)
+    powers = np.arange(DEGREE + 1)
+    root = theta ** (age / 2.0)
+    scale = 4.0 * mean_age
+    fit = np.linalg.pinv(root[:, None] * (-age[:, None] / scale) ** powers) * root
+    result: Array = (np.asarray(ahead_s)[:, None] / interval_s / scale) ** powers @ fit
+    return result
 
 
 def _denominator(degree: int, theta: float) -> Array:

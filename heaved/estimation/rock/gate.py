@@ -1,4 +1,5 @@
-"""What of one channel goes into the direct predictor's lags: spikes, gaps, level steps, stuck readings, manoeuvres.
+"""What of one channel goes into the direct predictor's lags: spikes, gaps, level steps, stuck readings, manoeuvres;
+and what may come out.
 
 The prediction one step ahead is the yardstick. A sample that stands out of it by six of its errors is held back and the
 prediction put in its place. If half a second of samples in a row stands out, it is no spike: a step of the level if all
@@ -8,6 +9,9 @@ the motion itself, which then goes into the lags after all.
 
 from __future__ import annotations
 
+from bisect import insort
+from collections.abc import Sequence
+from functools import cache
 from math import inf, isfinite, nan, sqrt
 from typing import Final
 
@@ -17,29 +21,81 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-MEAN_MEMORY_S: Final = 120.0
-STEP_ERROR_MEMORY_S: Final = 30.0
-GATE: Final = 6.0
-"""One-step errors beyond so many of their RMS are held back."""
-QUANTA: Final = 3.0
-"""Steps of a coarse register that never are."""
-ARMED_S: Final = 60.0
-WIDENED: Final = 2.0
-"""The gate after each half second of motion that it had held back wrongly."""
-JUDGED_S: Final = 0.5
-"""So long a run of held-back samples is no spike."""
-AGREED: Final = 0.3
-"""Deviations that scatter by less than this share of their median are a step."""
-MANOEUVRE: Final = 8.0
-"""Deviations from the slow mean beyond so many standard deviations are no wave motion."""
-FARTHEST: Final = 6.0
-"""No more of them from the mean is the motion going to be,"""
-FARTHER: Final = 3.0
-"""unless so many times as far away as it is now: a regression that sees what it has not learned from, as a list that
-has just come about, may say anything."""
-MANOEUVRE_MEAN_S: Final = 10.0
-MANOEUVRE_LASTS_S: Final = 60.0
-"""After which it is the new sea."""
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """What this file is set to."""
+
+    mean_memory_s: float = 120.0
+    """Of the slow mean (list, trim, heading) and the variance about it."""
+    step_error_memory_s: float = 30.0
+    gate: float = 6.0
+    """One-step errors beyond so many of their RMS are held back."""
+    quanta: float = 3.0
+    """Steps of a coarse register that never are."""
+    first_s: float = 5.0
+    first: int = 20
+    """One-step errors, for so long and so many, by whose median it is first known how large they are: a spike among
+    them does not matter."""
+    deviation: float = 1.4826
+    """Standard deviation over median magnitude, of a Gaussian."""
+    widened: float = 2.0
+    """The gate after each half second of motion that it had held back wrongly."""
+    judged_s: float = 0.5
+    """So long a run of held-back samples is no spike."""
+    agreed: float = 0.3
+    """Deviations that scatter by less than this share of their median are a step."""
+    manoeuvre: float = 8.0
+    """Deviations from the slow mean beyond so many standard deviations are no wave motion."""
+    manoeuvre_mean_s: float = 10.0
+    manoeuvre_lasts_s: float = 60.0
+    """After which it is the new sea."""
+    farthest: float = 6.0
+    """No more standard deviations from the mean is the motion going to be,"""
+    farther: float = 3.0
+    """unless so many times as far away as it is now: a regression that sees what it has not learned from, as a list
+    that has just come about, may say anything."""
+
+
+TUNING: Final = Tuning()
+
+
+class Limits(msgspec.Struct, frozen=True):
+    """What channels that are predicted never do."""
+
+    largest: tuple[float, ...]
+    """Magnitude of each of n channels."""
+    rate: float
+    """Of all of them, per second."""
+
+    def left_by(self, curves: Array, at_s: tuple[float, ...]) -> NDArray[np.bool_]:
+        """Which of the values (..., H, n) at H moments lie beyond the limits, or cannot follow the one before; what is
+        not known does neither."""
+        largest, steps = _largest(self, at_s)
+        beyond: NDArray[np.bool_] = np.abs(curves) > largest
+        beyond[..., 1:, :] |= np.abs(curves[..., 1:, :] - curves[..., :-1, :]) > steps
+        return beyond
+
+    def hold(self, rows: Sequence[Sequence[float]], at_s: tuple[float, ...]) -> bool:
+        """Whether none of the values (H rows of n) is beyond them."""
+        before, before_s, rate = rows[0], at_s[0], self.rate
+        for row, now_s in zip(rows, at_s, strict=True):
+            step = rate * (now_s - before_s)
+            for x, last, largest in zip(row, before, self.largest, strict=True):
+                if x > largest or -x > largest or x - last > step or last - x > step:
+                    return False
+            before, before_s = row, now_s
+        return True
+
+    def kept(self, curves: Array, at_s: tuple[float, ...]) -> Array:
+        """The same values; nan from where on the limits are left."""
+        beyond = self.left_by(curves, at_s)
+        return np.where(np.logical_or.accumulate(beyond, axis=-2), nan, curves) if beyond.any() else curves
+
+
+@cache
+def _largest(limits: Limits, at_s: tuple[float, ...]) -> tuple[Array, Array]:
+    """Values, and changes from one moment to the next."""
+    return np.array(limits.largest), limits.rate * np.diff(at_s)[:, None]
 
 
 class Timing(msgspec.Struct, frozen=True, kw_only=True):
@@ -58,9 +114,12 @@ class Channel:
     def __init__(self, timing: Timing, gap_weights: Array) -> None:
         """``gap_weights`` (steps, H + 1): of a predicted curve, for the value 1, 2, ... samples on."""
         self._timing = timing
-        self._armed = ARMED_S / timing.interval_s
-        self._step_share = 1.0 / (STEP_ERROR_MEMORY_S / timing.interval_s)
-        self._mean_memory = MEAN_MEMORY_S / timing.interval_s
+        self._armed = max(TUNING.first_s / timing.interval_s, TUNING.first)
+        self._step_share = timing.interval_s / TUNING.step_error_memory_s
+        self._mean_memory = TUNING.mean_memory_s / timing.interval_s
+        self._gate_square, self._manoeuvre_square = TUNING.gate**2, TUNING.manoeuvre**2
+        self._first: list[float] = []
+        """Magnitudes of the first one-step errors, in ascending order."""
         self._gap_weights = gap_weights
         self._anchor = np.zeros(gap_weights.shape[1])
         self.level = 0.0
@@ -95,16 +154,16 @@ class Channel:
 
     def reach(self, x: float) -> float:
         """How far from the mean the motion may be soon, from where it is now."""
-        if self._mean_count * self._timing.interval_s < MANOEUVRE_MEAN_S:
+        if self._mean_count * self._timing.interval_s < TUNING.manoeuvre_mean_s:
             return inf
-        return max(FARTHEST * sqrt(self._square), FARTHER * abs(x - self.mean))
+        return max(TUNING.farthest * sqrt(self._square), TUNING.farther * abs(x - self.mean))
 
     @property
     def absent(self) -> int:
         """Samples on end that there were none of."""
         return self._absent
 
-    def carried(self, at_s: Array) -> Array:
+    def last_curve(self, at_s: Array) -> Array:
         """The curve of the last sample that there was, seen from now, at times from now on."""
         steps = self._absent + at_s / self._timing.interval_s - 1.0
         low = np.minimum(steps.astype(np.intp), len(self._gap_weights) - 2)
@@ -117,7 +176,7 @@ class Channel:
         """What stands for the variance of the sensor's noise."""
         return max(self.step_square, self.quantum**2 if self.quantum < inf else 0.0)
 
-    def take(self, value: float, late_s: float, curve: Array, one_step: float, slope: float) -> tuple[float, bool]:
+    def step(self, value: float, late_s: float, curve: Array, one_step: float, slope: float) -> tuple[float, bool]:
         """What goes into the lags, and whether it was measured.
 
         ``late_s``: how long after its grid time the sample was read; ``curve`` (H + 1,): the value before it and what
@@ -130,7 +189,7 @@ class Channel:
             x = value - self.level - slope * late_s
             error, deviation = x - one_step, x - self.mean
             error_square, square = error * error, deviation * deviation
-            if error_square <= GATE**2 * self.step_square and square <= MANOEUVRE**2 * self._square:
+            if error_square <= self._gate_square * self.step_square and square <= self._manoeuvre_square * self._square:
                 self._reading = value
                 self._repeats = 0
                 self.since += 1
@@ -177,8 +236,8 @@ class Channel:
         self.since = 0
         self._steady = False
 
-    def bridge(self, x: float, *, measured: bool) -> bool:
-        """As :meth:`take`, where a filter for holes has judged the sample; False: too much is missing for it.
+    def step_judged(self, x: float, *, measured: bool) -> bool:
+        """As :meth:`step`, where a filter for holes has judged the sample; False: too much is missing for it.
 
         Nothing is scored, nor learned from, before the extrapolation has seen nothing but samples again.
         """
@@ -211,7 +270,7 @@ class Channel:
         off = measured - filled
         off = off[np.isfinite(off)]
         step = float(np.median(off))
-        if float(np.max(np.abs(off - step))) < AGREED * abs(step):
+        if float(np.max(np.abs(off - step))) < TUNING.agreed * abs(step):
             self.level += step
             self.level_steps += 1
             measured = measured - step
@@ -219,7 +278,7 @@ class Channel:
             self._frozen = True  # as good as missing until the reading changes
             return None
         else:
-            self.step_square *= WIDENED**2
+            self.step_square *= TUNING.widened**2
             self.calm = 0
             self.unsettled = self._timing.settling
         self._absent = 0
@@ -243,9 +302,9 @@ class Channel:
         count = self._step_count
         settled = self.since > self._timing.settling  # before, the prediction knows little of the motion
         if settled and count > self._armed:
-            limit = GATE * sqrt(self.step_square)
+            limit = TUNING.gate * sqrt(self.step_square)
             if self.quantum < inf:
-                limit = max(limit, QUANTA * self.quantum)
+                limit = max(limit, TUNING.quanta * self.quantum)
             if abs(error) > limit * (1 + absent) > 0.0:
                 return False
         if self._held:
@@ -253,13 +312,20 @@ class Channel:
             self._held.clear()
         self._absent = 0
         if settled and not absent:
-            self._step_count = count + 1
-            share = max(1.0 / (count // 2 + 1), self._step_share)
-            self.step_square += share * (error * error - self.step_square)
+            self._learn_step(error)
         self._follow(x)
         is_old = self._mean_count >= self._mean_memory and self._step_count * self._step_share > 2.0
         self._steady = settled and is_old and not self._manoeuvre
         return True
+
+    def _learn_step(self, error: float) -> None:
+        """Of the first errors the median counts, of all later ones, which have passed the gate, the square."""
+        self._step_count += 1
+        if self._step_count > self._armed:
+            self.step_square += self._step_share * (error * error - self.step_square)
+        else:
+            insort(self._first, abs(error))
+            self.step_square = (TUNING.deviation * self._first[len(self._first) // 2]) ** 2
 
     def _follow(self, x: float) -> None:
         """Slow mean and variance; a manoeuvre is motion far outside of them."""
@@ -267,15 +333,15 @@ class Channel:
         deviation = x - self.mean
         square = deviation * deviation
         count = self._mean_count
-        if count > 0.5 * memory and square > MANOEUVRE**2 * self._square > 0.0:
+        if count > 0.5 * memory and square > self._manoeuvre_square * self._square > 0.0:
             interval_s = self._timing.interval_s
             self._manoeuvre += 1
-            if self._manoeuvre < MANOEUVRE_LASTS_S / interval_s:
+            if self._manoeuvre < TUNING.manoeuvre_lasts_s / interval_s:
                 self.calm = 0
-                self.mean += deviation * interval_s / MANOEUVRE_MEAN_S
+                self.mean += deviation * interval_s / TUNING.manoeuvre_mean_s
                 return
             self._manoeuvre = 0
-            count = MANOEUVRE_MEAN_S / interval_s
+            count = TUNING.manoeuvre_mean_s / interval_s
         elif self._manoeuvre:
             self._manoeuvre -= 1
         self._mean_count = count = min(count + 1.0, memory)

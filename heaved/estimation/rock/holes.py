@@ -16,50 +16,61 @@ from __future__ import annotations
 from math import exp, inf, nan
 from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 
 Array = NDArray[np.float64]
 
-NODE_S: Final = 0.2
-"""Distance of nodes: a third of the shortest motion that is told from noise."""
 ORDER: Final = 50
+"""Of the autoregression: 10 s."""
 SMOOTHED: Final = 5
 """Older nodes beside those: what is learned in holes is learned from nodes that so many later ones have shown, too. Of
 the newest an estimate that goes by the model says little but the model."""
 NODES: Final = ORDER + 1 + SMOOTHED
 NEWEST, OLDEST = slice(0, ORDER + 1), slice(SMOOTHED, NODES)
 """The nodes that are predicted from, and those that the model is learned from."""
-MEMORY_S: Final = 300.0
-RIDGE: Final = 0.1
-"""Over the noise variance, as in :mod:`heaved.estimation.rock.learner`."""
-ROUNDING: Final = 1e-9
-"""Least ridge, over the mean diagonal."""
-PRIOR_ROWS: Final = 25.0
-"""Weight of what is assumed before anything is known: 5 s of motion anywhere between..."""
-PRIOR_HZ: Final = (0.03, 0.35)
-LEARNED_ROWS: Final = 100
-"""Nodes seen (20 s) before anything is published."""
-SOLVED_ROWS: Final = 40
-"""Nodes from one solution to the next while there are holes."""
-NOISE_MEMORY: Final = 100.0
-"""Readings by which the variance of their noise is followed."""
-DOUBT_MEMORY: Final = 20.0
-"""Readings by which it is judged whether innovations are as large as they should be."""
-NOISE_RANGE: Final = 4.0
-"""Most of it, over what would make all innovations from node to node: of those, an estimate that knows what came later
-leaves a part only."""
-DOUBLED: Final = 2.0
-"""What one that is held back does to that: either it is wrong, or what was expected of it."""
-GATE: Final = 6.0
-"""Deviations of an innovation beyond which a reading is held back."""
-REFUSED: Final = 5
-"""Readings held back in a row, over at least..."""
-REFUSED_S: Final = 0.5
-"""...by which the filter has lost the motion: what it is fed is not what it follows."""
-POSITION_NOISE: Final = 1e-2
-"""Least noise of a reading over the innovation from node to node: what cubic interpolation between nodes leaves."""
+
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """What this file is set to."""
+
+    node_s: float = 0.2
+    """Distance of nodes: a third of the shortest motion that is told from noise."""
+    memory_s: float = 300.0
+    """Of the model."""
+    ridge: float = 0.1
+    """Over the noise variance, as in :mod:`heaved.estimation.rock.learner`."""
+    least_ridge: float = 1e-9
+    """Over the mean diagonal: what rounding leaves."""
+    prior_rows: float = 25.0
+    """Weight of what is assumed before anything is known: 5 s of motion anywhere between..."""
+    prior_hz: tuple[float, float] = (0.03, 0.35)
+    learned_rows: int = 100
+    """Nodes seen (20 s) before anything is published."""
+    solved_rows: int = 40
+    """Nodes from one solution to the next while there are holes."""
+    noise_memory: float = 100.0
+    """Readings by which the variance of their noise is followed."""
+    doubt_memory: float = 20.0
+    """Readings by which it is judged whether innovations are as large as they should be."""
+    noise_range: float = 4.0
+    """Most of it, over what would make all innovations from node to node: of those, an estimate that knows what came
+    later leaves a part only."""
+    doubled: float = 2.0
+    """What one that is held back does to that: either it is wrong, or what was expected of it."""
+    gate: float = 6.0
+    """Deviations of an innovation beyond which a reading is held back."""
+    refused: int = 5
+    """Readings held back in a row, over at least..."""
+    refused_s: float = 0.5
+    """...by which the filter has lost the motion: what it is fed is not what it follows."""
+    position_noise: float = 1e-2
+    """Least noise of a reading over the innovation from node to node: what cubic interpolation between nodes leaves."""
+
+
+TUNING: Final = Tuning()
 POINTS: Final = np.arange(4)
 
 
@@ -79,7 +90,7 @@ class Autoregression:
 
     def __init__(self, spacing_s: float, reach_s: float) -> None:
         """``spacing_s``: of the nodes; ``reach_s``: how far ahead is predicted, at most."""
-        self._keep = exp(-spacing_s / MEMORY_S)
+        self._keep = exp(-spacing_s / TUNING.memory_s)
         self._ahead = int(reach_s / spacing_s) + 3
         self._moments = np.zeros((NODES, NODES))
         self._count = 0.0
@@ -104,11 +115,11 @@ class Autoregression:
 
     def assume(self, square: float) -> None:
         """Before anything is known: any wave motion, of that mean square."""
-        f = np.linspace(*PRIOR_HZ, 80)
-        lags = NODE_S * np.arange(NODES)
+        f = np.linspace(*TUNING.prior_hz, 80)
+        lags = TUNING.node_s * np.arange(NODES)
         shape = np.cos(2.0 * np.pi * np.multiply.outer(lags, f)).mean(axis=1)
-        self._moments = PRIOR_ROWS * square * toeplitz(shape)
-        self._count = PRIOR_ROWS
+        self._moments = TUNING.prior_rows * square * toeplitz(shape)
+        self._count = TUNING.prior_rows
 
     @property
     def covariance(self) -> Array:
@@ -127,13 +138,14 @@ class Autoregression:
         if not count:
             return False
         gram, aim = moments[1:, 1:].copy(), moments[1:, 0]
-        gram[np.diag_indices(ORDER)] += count * RIDGE * noise_square + ROUNDING * np.trace(gram) / ORDER + 1e-300
+        ridge = count * TUNING.ridge * noise_square + TUNING.least_ridge * float(np.trace(gram)) / ORDER
+        gram[np.diag_indices(ORDER)] += ridge + 1e-300
         try:
             found = np.linalg.solve(gram, aim)
         except np.linalg.LinAlgError:
             return False
         square = float(moments[0, 0] - 2.0 * found @ aim + found @ moments[1:, 1:] @ found) / count
-        self.square = max(square, ROUNDING * float(moments[0, 0]) / count, 1e-24)
+        self.square = max(square, TUNING.least_ridge * float(moments[0, 0]) / count, 1e-24)
         self.step[:ORDER] = found
         self._look_ahead()
         return True
@@ -180,7 +192,7 @@ class HoleFilter:
     @property
     def known(self) -> bool:
         """Whether what it says may be published."""
-        return self.model.rows >= LEARNED_ROWS
+        return self.model.rows >= TUNING.learned_rows
 
     def begin(self, row: int, nodes: Array, measured: NDArray[np.bool_], mean: float, noise_square: float) -> bool:
         """Start from the values (56,) of the row and those ``every`` rows apart before it, where they were measured.
@@ -190,7 +202,7 @@ class HoleFilter:
         model = self.model
         self.mean = mean
         y = nodes - mean
-        if model.rows < (LEARNED_ROWS if self._assumed else PRIOR_ROWS):
+        if model.rows < (TUNING.learned_rows if self._assumed else TUNING.prior_rows):
             self._assumed = True
             spread = float(np.mean(y[measured] ** 2)) if measured.any() else 0.0
             model.assume(max(spread, noise_square, 1e-12))
@@ -213,7 +225,7 @@ class HoleFilter:
         self._node = row
         self._doubt = 1.0
         self._refused = 0
-        self._until_solved = SOLVED_ROWS
+        self._until_solved = TUNING.solved_rows
         return True
 
     @property
@@ -223,7 +235,7 @@ class HoleFilter:
         return model.square / (1.0 + float(model.step @ model.step))
 
     def _bound_noise(self, most: float) -> None:
-        self.noise_square = max(min(self.noise_square, most), POSITION_NOISE * self.model.square)
+        self.noise_square = max(min(self.noise_square, most), TUNING.position_noise * self.model.square)
 
     def move_mean(self, mean: float) -> None:
         """Count from another slow mean."""
@@ -240,8 +252,8 @@ class HoleFilter:
         model.learn(np.multiply.outer(x, x) + P, 1)
         self._until_solved -= 1
         if self._until_solved <= 0:
-            self._until_solved = SOLVED_ROWS
-            if model.solve(self._ridge_square) and model.rows < LEARNED_ROWS:
+            self._until_solved = TUNING.solved_rows
+            if model.solve(self._ridge_square) and model.rows < TUNING.learned_rows:
                 self._bound_noise(self._largest_noise)
         ahead = P[:, NEWEST] @ model.step
         newest = float(model.step @ ahead[NEWEST]) + model.square
@@ -271,18 +283,18 @@ class HoleFilter:
         known = float(w @ K[:4])
         e = value - float(w @ self._x[:4])
         S = known + self.noise_square
-        is_armed = self.model.rows >= LEARNED_ROWS
-        if not S > 0.0 or (is_armed and e * e > GATE**2 * S * max(self._doubt, 1.0)):
+        is_armed = self.model.rows >= TUNING.learned_rows
+        if not S > 0.0 or (is_armed and e * e > TUNING.gate**2 * S * max(self._doubt, 1.0)):
             if not self._refused:
                 self._refused_row = row
             self._refused += 1
-            self._doubt = max(self._doubt, 1.0) * DOUBLED
+            self._doubt = max(self._doubt, 1.0) * TUNING.doubled
             return False
         self._refused = 0
-        self._doubt += (e * e / S - self._doubt) / DOUBT_MEMORY
+        self._doubt += (e * e / S - self._doubt) / TUNING.doubt_memory
         if is_armed:
-            self.noise_square += (e * e - S) / NOISE_MEMORY
-            self._bound_noise(NOISE_RANGE * self._largest_noise)
+            self.noise_square += (e * e - S) / TUNING.noise_memory
+            self._bound_noise(TUNING.noise_range * self._largest_noise)
         K /= S
         self._x += e * K
         self._P -= S * np.multiply.outer(K, K)
@@ -290,7 +302,7 @@ class HoleFilter:
 
     def is_lost(self, row: float) -> bool:
         """Whether readings have been held back for too long."""
-        return self._refused >= REFUSED and (row - self._refused_row) * self._interval_s >= REFUSED_S
+        return self._refused >= TUNING.refused and (row - self._refused_row) * self._interval_s >= TUNING.refused_s
 
     def _places(self, row: float, ahead_s: Array) -> Array:
         """Of times so long after a row, among the nodes that the model looks ahead to."""
@@ -316,7 +328,8 @@ class HoleFilter:
         grown = np.interp(place, np.arange(len(model.grown)), model.grown)
         unknown = np.maximum(((B @ self._P[NEWEST, NEWEST]) * B).sum(axis=1), 0.0)
         found = unknown + model.square * grown + self.noise_square
-        sets = max(0.5 * min(model.rows, MEMORY_S / NODE_S), LEARNED_ROWS)  # neighbours are half the same
+        rows = min(model.rows, TUNING.memory_s / TUNING.node_s)
+        sets = max(0.5 * rows, TUNING.learned_rows)  # neighbours are half the same
         variance: Array = max(self._doubt, 1.0) * (sets + ORDER) / (sets - ORDER) * found
         return variance
 

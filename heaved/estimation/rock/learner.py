@@ -13,59 +13,82 @@ from collections.abc import Sequence
 from math import isfinite
 from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dposv
 
 from heaved.estimation.rock.experts import Switch
-from heaved.estimation.rock.features import Regressors
+from heaved.estimation.rock.features import Around, Indices, Regressors, SampleWindow, around, samples_per_step
 from heaved.estimation.rock.gate import Channel
-from heaved.estimation.rock.lags import Indices, SampleWindow, between, shaking_taps
-from heaved.estimation.rock.normal_equations import NormalEquations, moments_of
 
 Array = NDArray[np.float64]
 
-EXPERT_SPANS_S: Final = (2.0, 10.0, 40.0)
-"""Lags of the regressions, s."""
-EXPERT_MEMORY: Final = (0.4, 0.7, 1.0)
-"""Their memory over that of the configuration."""
 FADING, HOLD, MEAN = 3, 4, 5
 """The experts that are not regressions."""
 RATELESS: Final = 6
 """From here on, where rates are given: the regressions again, on the same equations but without them. What shakes a
 gyroscope, or is wrong with it, shall not make predictions worse than they would be without one."""
-FILTER_LIKE: Final = 1
-"""The one that sees as much of the past as the filter for holes."""
 SHOWN, HALF_WIDTH = -2, -1
 """After what the experts made of a row: what was published, and the half-width of its interval."""
-EXTRAPOLATED_S: Final = 0.5
-"""Up to this horizon the residual to the fading-memory extrapolation is fitted."""
-RIDGE: Final = 0.1
-"""Ridge over the noise variance, for which the square of the one-step error stands."""
-FIRST_BATCH_S, BATCH_S = 0.5, 4.0
-"""Equations are summed and solved so often: at first, and in the end."""
-GROWTH: Final = 50
-"""Batches' worth of rows after which a batch is made of twice as many."""
-ROW_S: Final = 0.2
-"""Errors and equations closer together than this are hardly different ones."""
-SOLVED_PER_BATCH: Final = 3
-"""Sets of equations (three spans of lags, short and long horizons) solved in a batch, in turn: each every 8 s in the
-end, a fortieth of the memory."""
-SHAKING_S: Final = 30.0
-"""Memory of what shakes a channel: that of errors."""
-ON_TIME: Final = 0.02
-"""Deviation from a whole sample that makes no difference."""
+ALL: Final = slice(None)
 UNUSABLE: Final = -1
 """Age of a row that is neither scored nor learned from."""
 
 
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """What this file is set to."""
+
+    expert_spans_s: tuple[float, ...] = (2.0, 10.0, 40.0)
+    """Lags of the regressions."""
+    expert_memory: tuple[float, ...] = (0.4, 0.7, 1.0)
+    """Their memory over that of the configuration."""
+    extrapolated_s: float = 0.5
+    """Up to this horizon the residual to the fading-memory extrapolation is fitted."""
+    ridge: float = 0.1
+    """Ridge over the noise variance of a feature: that of a sample, for which the square of the one-step error stands,
+    over the samples in a mean."""
+    rate_ridge: float = 0.3
+    """The same of rates, over that of the others: scaled as they are, they have so much less noise."""
+    least_ridge: float = 1e-12
+    """Over the mean diagonal: what double precision leaves of a motion without noise."""
+    overdetermined: float = 1.5
+    """Equations per unknown before they are solved."""
+    aimed_s: float = 0.05
+    """What is learned is the motion, not the noise of single readings: the cubic through so much on either side of a
+    moment (at 100 Hz a fifth of the variance of the noise)."""
+    aimed_known: float = 0.3
+    """Share of those samples that were measured, at least: the odd missing one is filled well."""
+    first_batch_s: float = 0.5
+    batch_s: float = 4.0
+    """Equations are summed and solved so often: at first, and in the end."""
+    growth: int = 50
+    """Batches' worth of rows after which a batch is made of twice as many."""
+    row_s: float = 0.2
+    """Errors and equations closer together than this are hardly different ones."""
+    solved_per_batch: int = 3
+    """Sets of equations (three spans of lags, short and long horizons) solved in a batch, in turn: each every 8 s in
+    the end, a fortieth of the memory."""
+    shaking_s: float = 30.0
+    """Memory of what shakes a channel: that of errors."""
+    smoothed_s: float = 0.6
+    smoothed_degree: int = 4
+    """Of the fit that tells the motion from what shakes it, on either side; odd powers make no difference."""
+    on_time: float = 0.02
+    """Deviation from a whole sample that makes no difference."""
+
+
+TUNING: Final = Tuning()
+
+
 def first_choice(horizons_s: Array) -> Indices:
     """(H,) experts before any error is known."""
-    return np.where(horizons_s <= EXTRAPOLATED_S, FADING, HOLD).astype(np.intp)
+    return np.where(horizons_s <= TUNING.extrapolated_s, FADING, HOLD).astype(np.intp)
 
 
 def expert_count(*, rates: bool) -> int:
     """How many there are."""
-    return RATELESS + len(EXPERT_SPANS_S) if rates else RATELESS
+    return RATELESS + len(TUNING.expert_spans_s) if rates else RATELESS
 
 
 class Learner:
@@ -85,38 +108,43 @@ class Learner:
     ) -> None:
         """``memory_s``: of the regression with the longest lags; ``choice_s``: from one choice to the next."""
         self._window, self._regressors, self._switch = window, regressors, switch
-        self.every = every = max(1, round(ROW_S / interval_s))
+        self.every = every = max(1, round(TUNING.row_s / interval_s))
         """Samples from one row to the next."""
         spacing_s = self._spacing_s = every * interval_s
-        self._most_rows = max(1, round(BATCH_S / spacing_s))
-        self._spans = np.array([round(s / interval_s) for s in EXPERT_SPANS_S])
+        self._most_rows = max(1, round(TUNING.batch_s / spacing_s))
+        self._spans = np.array([round(s / interval_s) for s in TUNING.expert_spans_s])
         self._longest = int(self._spans[-1])
         self._rateless = switch.experts > RATELESS
         plain = np.zeros(RATELESS - FADING, dtype=np.intp)
         again = self._spans if self._rateless else self._spans[:0]
         self._floor = np.concatenate([self._spans, plain, again])[:, None]
         features = len(regressors.features)
-        fronts = features - (len(knots) - 2)
+        fronts = regressors.fronts
         lags = [int(np.searchsorted(knots, span + 0.5)) - 2 for span in self._spans]
+        self._ridge = np.full(features, TUNING.ridge / samples_per_step(interval_s))
+        self._ridge[regressors.rate_features] *= TUNING.rate_ridge
         self._sizes = [fronts + max(lag, 1) for lag in lags[:-1]] + [features]
 
-        # Where the measured value of each horizon lies, in samples and in rows.
-        self._target = between(horizons_s / interval_s)
-        self._whole = bool(np.all(self._target.weights == (0.0, 1.0, 0.0, 0.0)))
-        self._delay = np.ceil((self._target.first + 3) / every).astype(np.intp)
+        # Where the reading of each horizon lies, and the motion there, in samples and in rows.
+        self._reading = around(horizons_s / interval_s, 1)
+        self._whole = bool(np.all(self._reading.weights == (0.0, 1.0, 0.0, 0.0)))
+        self._motion = around(horizons_s / interval_s, round(TUNING.aimed_s / interval_s))
+        self._delay = np.ceil(np.maximum(self._reading.last, self._motion.last) / every).astype(np.intp)
         self._h = np.arange(len(horizons_s))
         self.shaking_taps = shaking_taps(interval_s)
+        self._shaking_share = float(self.shaking_taps @ self.shaking_taps) or 1.0
+        """Of white noise, that they show."""
         half = len(self.shaking_taps) // 2
         self._shaking_places = np.arange(-half, half + 1)
-        self._soon = int(np.count_nonzero(horizons_s < (1.0 - ON_TIME) * interval_s))
+        self._soon = int(np.count_nonzero(horizons_s < (1.0 - TUNING.on_time) * interval_s))
 
         # Horizons that share a set of equations: those whose targets are known early, and the others.
-        early = int(np.count_nonzero(horizons_s <= EXTRAPOLATED_S))
+        early = int(np.count_nonzero(horizons_s <= TUNING.extrapolated_s))
         self._groups = [g for g in (slice(0, early), slice(early, len(horizons_s))) if g.stop > g.start]
         n, count = switch.best.shape[1], len(horizons_s)
         self.shaking_square, self._shaking_rows = np.zeros(n), np.zeros(n)
         """Mean square of what shakes each channel, over so many rows."""
-        memory = [memory_s * share / spacing_s for share in EXPERT_MEMORY]
+        memory = [memory_s * share / spacing_s for share in TUNING.expert_memory]
         self._equations = [
             [NormalEquations(n, g.stop - g.start, p, m) for p, m in zip(self._sizes, memory, strict=True)]
             for g in self._groups
@@ -127,15 +155,15 @@ class Learner:
         self._build_rings(n, count)
         self._unlearned = 0
         """Rows scored since equations were summed."""
-        self._schedule(max(1, round(FIRST_BATCH_S / spacing_s)))
+        self._schedule(max(1, round(TUNING.first_batch_s / spacing_s)))
         self._until_batch = self._rows
         self.weights = self._weights()
         """(n, H, width): what is published of a channel's vector."""
 
     def _build_experts(self, early: int) -> None:
-        """Every one is linear: coefficients on the features, added to the extrapolation or to the latest block."""
+        """Every one is linear: coefficients on the features, added to the extrapolation or to the newest mean."""
         regressors, (count, n), features = self._regressors, self._switch.best.shape, len(self._regressors.features)
-        self._parts = np.concatenate([regressors.features, regressors.taps[:count], regressors.block[None]])
+        self._parts = np.concatenate([regressors.features, regressors.taps[:count], regressors.newest[None]])
         self._row_map = self._parts.T.copy()
         self._p = features
         experts = self._switch.experts
@@ -155,7 +183,6 @@ class Learner:
         capacity = 3 * self._kept
         self._seen = np.zeros((capacity, n, len(self._parts)))
         self._made = np.full((capacity, count, self._switch.experts + 2, n), np.nan)
-        self._aims = np.full((capacity, count, n), np.nan)
         self._age = np.full((capacity, n), UNUSABLE, dtype=np.intp)
         self._row_end = self._kept  # as if there had been rows that predicted nothing
         self._rows_seen = 0
@@ -167,7 +194,7 @@ class Learner:
         ago = np.arange(self._rows - 1, -1, -1)
         self._ends = -self.every * ago
         self._scored = -1 - ago[:, None] - self._delay
-        self._aimed = -1 - self.every * (ago[:, None] + self._delay) + self._target.first
+        self._due = -1 - self.every * (ago[:, None] + self._delay)
 
     # -- rows ------------------------------------------------------------------------------------------------------
 
@@ -175,7 +202,7 @@ class Learner:
         """A row as of the latest sample: what was published (H, n). True: a batch is due."""
         if self._row_end == len(self._age):
             start = self._row_end - self._kept
-            for ring in (self._seen, self._made, self._aims, self._age):
+            for ring in (self._seen, self._made, self._age):
                 ring[: self._kept] = ring[start:]
             self._row_end = self._kept
         row = self._row_end
@@ -227,8 +254,8 @@ class Learner:
         off = self.shaking_taps @ window.x[about[:, None] + self._shaking_places, :n]
         known = window.known[about, :n]
         count = known.sum(axis=0)
-        square = np.where(known, off * off, 0.0).sum(axis=0) / np.maximum(count, 1)
-        self._shaking_rows = np.minimum(self._shaking_rows + count, SHAKING_S / self._spacing_s)
+        square = np.where(known, off * off, 0.0).sum(axis=0) / np.maximum(count, 1) / self._shaking_share
+        self._shaking_rows = np.minimum(self._shaking_rows + count, TUNING.shaking_s / self._spacing_s)
         share = np.minimum(count, self._shaking_rows) / np.maximum(self._shaking_rows, 1.0)
         self.shaking_square += share * (square - self.shaking_square)
         least = self._switch.least_square
@@ -246,40 +273,48 @@ class Learner:
         self._made[rows, :, HALF_WIDTH] = self._switch.half_width
 
     def _score(self) -> None:
+        """What came true, against readings."""
         rows, h = self._row_end + self._scored, self._h
-        window, weights, n = self._window, self._target.weights, self._age.shape[1]
-        first = window.end + self._aimed
-        if self._whole:
-            measured: Array = window.x[first + 1, :n]
-            known = window.known[first + 1, :n]
-        else:
-            support = first[:, :, None] + np.arange(4)
-            measured = (weights[:, None, :] @ window.x[support, :n])[:, :, 0]
-            known = (window.known[support, :n] | (weights == 0.0)[:, :, None]).all(axis=2)
+        measured, known = self._were(self._reading, self._due)
         if not known.all():
-            measured[~known] = np.nan
-        self._aims[rows, h] = measured
+            measured[~known.all(axis=2)] = np.nan
         made, age = self._made[rows, h], self._age[rows]
         error = measured[:, :, None] - made[:, :, :HALF_WIDTH]
         if age.min() < self._longest:
             error[:, :, :-1][age[:, :, None] < self._floor] = np.nan
         self._switch.score(self._spacing_s, error, made[:, :, HALF_WIDTH])
 
+    def _were(self, target: Around, due: Indices, horizons: slice = ALL) -> tuple[Array, NDArray[np.bool_]]:
+        """What came to be at these horizons after samples ``due`` (R, 1 or H) from the end, (R, H, n), and which of the
+        samples (R, H, W, n) it is made of were measured, or make no difference."""
+        window, n = self._window, self._age.shape[1]
+        first, weights = window.end + due + target.first[horizons], target.weights[horizons]
+        if target is self._reading and self._whole:
+            return window.x[first + 1, :n], window.known[first + 1, :n][:, :, None]
+        support = first[:, :, None] + np.arange(weights.shape[1])
+        value: Array = (weights[:, None, :] @ window.x[support, :n])[:, :, 0]
+        return value, window.known[support, :n] | (weights == 0.0)[:, :, None]
+
     def _learn(self, channels: Sequence[Channel]) -> None:
         for equations, group in zip(self._equations, self._groups, strict=True):
             self._sum(equations, group)
         self._unlearned = 0
-        for _ in range(SOLVED_PER_BATCH):
+        for _ in range(TUNING.solved_per_batch):
             self._solve(*divmod(self._turn, len(self._sizes)), channels)
             self._turn = (self._turn + 1) % (len(self._groups) * len(self._sizes))
-        if self._batch_rows < self._most_rows and self._rows_seen >= GROWTH * self._batch_rows:
+        if self._batch_rows < self._most_rows and self._rows_seen >= TUNING.growth * self._batch_rows:
             self._schedule(min(2 * self._batch_rows, self._most_rows))
 
     def _sum(self, equations: Sequence[NormalEquations], group: slice) -> None:
-        end = self._row_end - int(self._delay[group.stop - 1])
+        delay = int(self._delay[group.stop - 1])
+        end = self._row_end - delay
         rows = slice(end - self._unlearned, end)
+        due = -1 - self.every * (delay + np.arange(self._unlearned - 1, -1, -1))[:, None]
+        moved, known = self._were(self._motion, due, group)
+        if not known.all():
+            moved[known.mean(axis=2) < TUNING.aimed_known] = np.nan
         seen = self._seen[rows].transpose(1, 0, 2)
-        wanted = self._aims[rows, group].transpose(2, 0, 1) - seen[:, :, self._base[group, 0]]
+        wanted = moved.transpose(2, 0, 1) - seen[:, :, self._base[group, 0]]
         augmented = np.concatenate([wanted, seen[:, :, : self._p]], axis=2)
         targets, age = group.stop - group.start, self._age[rows]
         youngest = age.min()
@@ -298,12 +333,12 @@ class Learner:
         whole = np.arange(self._sizes[expert])
         kept = np.delete(whole, self._regressors.rate_features)
         for c, channel in enumerate(channels):
-            ridge = RIDGE * channel.noise_square
-            self._take(c, group, expert, whole, equations.solve(c, ridge))
+            ridge = channel.noise_square * self._ridge
+            self._set(c, group, expert, whole, equations.solve(c, ridge))
             if self._rateless:
-                self._take(c, group, RATELESS + expert, kept, equations.solve(c, ridge, kept))
+                self._set(c, group, RATELESS + expert, kept, equations.solve(c, ridge, kept))
 
-    def _take(self, c: int, group: slice, expert: int, features: Indices, found: Array | None) -> None:
+    def _set(self, c: int, group: slice, expert: int, features: Indices, found: Array | None) -> None:
         """Coefficients of an expert on these features, as far as there are any."""
         if found is not None:
             of_all = self._coefficients[c, group, expert, : self._p]
@@ -315,3 +350,69 @@ class Learner:
         chosen = self._coefficients[np.arange(best.shape[1]), self._h[:, None], best]  # (H, n, parts)
         weights: Array = (chosen @ self._parts).transpose(1, 0, 2)
         return weights
+
+
+def shaking_taps(interval_s: float) -> Array:
+    """Weights (2 L + 1,) on the samples about one of them: what of it is no wave motion, but vibration and noise.
+
+    What is left by a polynomial fitted with weights that fall to zero: 1e-6 of a motion of 5 s period, 3 % of one of
+    1 s, half at 0.5 s, and all that is faster than 2.5 Hz.
+    """
+    half = round(TUNING.smoothed_s / interval_s)
+    place = np.arange(-half, half + 1) / (half + 1)
+    powers = place[:, None] ** np.arange(0, TUNING.smoothed_degree + 1, 2)
+    root = np.cos(0.5 * np.pi * place)
+    smooth = (np.linalg.pinv(root[:, None] * powers) * root)[0]
+    return np.asarray((place == 0.0) - smooth, dtype=np.float64)
+
+
+def moments_of(rows: Array, used: NDArray[np.bool_]) -> Array:
+    """Sums of products (n, w, w) over those of R equations (n, R, w) that are ``used`` (R, n); others may hold nan."""
+    if not used.all():
+        rows = np.where(used.T[:, :, None], rows, 0.0)
+    moments: Array = rows.transpose(0, 2, 1) @ rows
+    return moments
+
+
+class NormalEquations:
+    """Exponentially weighted normal equations: every horizon of an expert from one matrix.
+
+    Moments of [targets | features] per channel, (n, H + p, H + p): the Gram matrix and the right sides in one."""
+
+    def __init__(self, channels: int, targets: int, features: int, memory: float) -> None:
+        """``memory``: of how many equations the weight falls to 1/e."""
+        self._targets, self._features = targets, features
+        self._memory = memory
+        self._moments = np.zeros((channels, targets + features, targets + features))
+        self._count = np.zeros(channels)
+
+    def add(self, moments: Array, count: Array) -> None:
+        """Moments of :func:`moments_of`, or their leading part, and of how many equations, (n,).
+
+        Nothing is forgotten where nothing is learned.
+        """
+        keep = np.exp(-count / self._memory)
+        self._moments *= keep[:, None, None]
+        self._moments += moments
+        self._count *= keep
+        self._count += count
+
+    def solve(self, channel: int, ridge: Array, features: Indices | None = None) -> Array | None:
+        """Coefficients (H, p) with ``ridge`` (p,) per equation added to the diagonal, on these ``features`` alone or on
+        all; None: not enough, or not definite."""
+        count = float(self._count[channel])
+        if features is None:
+            features = np.arange(self._features)
+        if count < TUNING.overdetermined * len(features):
+            return None
+        h = self._targets
+        moments = self._moments[channel]
+        there = h + features
+        gram = moments[np.ix_(there, there)]
+        diagonal = gram.ravel()[:: len(features) + 1]
+        diagonal += count * ridge[features] + TUNING.least_ridge * float(diagonal.sum()) / len(features) + 1e-300
+        _, solution, failed = dposv(gram, moments[there, :h], lower=1)
+        if failed:
+            return None
+        coefficients: Array = solution.T
+        return coefficients

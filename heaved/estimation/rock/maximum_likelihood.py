@@ -24,8 +24,9 @@ with the least realised error is published.
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Sequence
 from math import exp, inf, nan, pi
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 import msgspec
 import numpy as np
@@ -33,10 +34,8 @@ from numpy.typing import NDArray
 
 from heaved.estimation.common.bounds import ANGLE_RAD, ANGLE_RATE_RADPS
 from heaved.estimation.rock.fading import gain_table, gains, pascal
-from heaved.estimation.rock.record import History, RealisedErrors
-from heaved.estimation.rock.regression import regression
-from heaved.predictions import Limits
-from heaved.samples import RockPrediction
+from heaved.estimation.rock.gate import Limits
+from heaved.samples import RockPrediction, RockScore
 
 Array = NDArray[np.float64]
 
@@ -45,24 +44,42 @@ STEP_S = 0.05
 STANDARD_HORIZONS_S = (0.05, 0.10, 0.15)
 """Always predicted (Wei et al. 2019, algorithm 1)."""
 DEFAULT_HORIZONS_S = (*STANDARD_HORIZONS_S, 0.5, 1.0, 2.0, 5.0)
-START_SPAN_S = 40 * STEP_S
-"""The end-point fit takes 41 points."""
-GAP_S = 0.25
-"""Longer gaps start an axis anew, unless configured otherwise."""
-MEAN_SETTLES_S = 10.0
-"""About one period: the mean over T of a motion of deviation s wanders by s min(1, 10 s / T)."""
-HOLES_MEMORY_S = 2.0
-HOLES_S = (0.2, 0.1)
-"""Seconds without the usual readings within that memory from which on an axis is left out, and up to which it stays so:
-its errors are others than those that its standard deviation comes from."""
-USUAL = 1.5
-"""Usual intervals between readings that are no hole."""
-SETTLED_S = 5.0
-"""After a gap: until the regression sees nothing but what has come since. Before, deviations are..."""
-WIDENED = 2.0
-"""...so many times as large."""
-OUT_S = 3.0
-"""An axis predicted beyond the bounds for so long, longer than a spike is seen, starts anew."""
+
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """What this file is set to."""
+
+    start_span_s: float = 40 * STEP_S
+    """The end-point fit takes 41 points (Wei et al. 2019)."""
+    gap_s: float = 0.25
+    """Longer gaps start an axis anew, unless configured otherwise."""
+    mean_settles_s: float = 10.0
+    """About one period: the mean over T of a motion of deviation s wanders by s min(1, 10 s / T)."""
+    holes_memory_s: float = 2.0
+    holes_s: tuple[float, float] = (0.2, 0.1)
+    """Seconds without the usual readings within that memory from which on an axis is left out, and up to which it stays
+    so: its errors are others than those that its standard deviation comes from."""
+    usual: float = 1.5
+    """Usual intervals between readings that are no hole."""
+    settled_s: float = 5.0
+    """After a gap: until the regression sees nothing but what has come since. Before, deviations are..."""
+    widened: float = 2.0
+    """...so many times as large."""
+    out_s: float = 3.0
+    """An axis predicted beyond the bounds for so long, longer than a spike is seen, starts anew."""
+    still_rad: float = 1e-9
+    """Motion below this is arithmetic noise."""
+    collinear: float = 1e-9
+    """Least determinant of the regression, relative to that of uncorrelated regressors."""
+    early: float = 2.0
+    """While young the mean square error is that of the last half or so: what the start cost fades as 1/t^2."""
+    enough_s: float = 5.0
+    """Errors known for so long before their RMS is given out."""
+    choice_s: float = 0.4
+    """Errors known for so long, and renewed so often, to choose by them."""
+
+
+TUNING: Final = Tuning()
 LIMITS = Limits((ANGLE_RAD, ANGLE_RAD, inf), ANGLE_RATE_RADPS)
 YAW = 2
 AXES = 3
@@ -102,7 +119,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return points * STEP_S
 
 
-def carried(predictions: tuple[RockPrediction, ...], by_s: float) -> tuple[RockPrediction, ...]:
+def seen_later(predictions: tuple[RockPrediction, ...], by_s: float) -> tuple[RockPrediction, ...]:
     """The same predictions as seen from a moment ``by_s`` later, on straight lines through neighbouring horizons.
 
     For the moment between two samples, or of one that is late. Beyond one step of 50 ms nothing is claimed (nan).
@@ -128,7 +145,7 @@ def carried(predictions: tuple[RockPrediction, ...], by_s: float) -> tuple[RockP
     return tuple(seen)
 
 
-class RockPredictor:
+class MaximumLikelihoodPredictor:
     """Predicts the three axes at once; arrays are (B, 3, ...): B memories by roll, pitch, yaw.
 
     What is published is what is known: an axis is nan until 2 s of it have been seen (``endpoint``) or the window is
@@ -184,18 +201,24 @@ class RockPredictor:
         self._yaw_rad = 0.0
         self._fitted_s = self._scored_s = -inf
         self._advance = np.full((len(self._grid), *rows, width, width), nan)
-        keep_s = max(self._params.window_s, START_SPAN_S, self.horizons_s[-1]) + 1.0
+        keep_s = max(self._params.window_s, TUNING.start_span_s, self.horizons_s[-1]) + 1.0
         self._history = History(rows, (len(self._grid), *rows, width), keep_s)
         self._errors = RealisedErrors((len(self._grid), *rows), self._params.error_memory_s)
         self._latest = tuple(RockPrediction(horizon_s=h) for h in self.horizons_s)
 
-    def step(self, t_s: float, roll_rad: float, pitch_rad: float, yaw_rad: float) -> tuple[RockPrediction, ...]:
-        """Take one sample (nan: not known) and predict from it, one record per horizon, shortest first.
+    def step(
+        self,
+        t_s: float,
+        angles_rad: tuple[float, float, float],
+        rates_radps: tuple[float, float, float] = (nan, nan, nan),  # the method makes no use of them
+    ) -> tuple[RockPrediction, ...]:
+        """Take roll, pitch and yaw (nan: not known) and predict from them, one record per horizon, shortest first.
 
         A sample that is not later than the last one is ignored.
         """
         if not t_s > self._t_s:
             return self._latest
+        roll_rad, pitch_rad, yaw_rad = angles_rad
         elapsed_s = t_s - self._t_s if self._t_s > -inf else STEP_S
         if self._t_s > -inf:
             typical_s = self._interval_s if self._interval_s > 0.0 else elapsed_s
@@ -205,7 +228,7 @@ class RockPredictor:
         measured = np.array([possible(roll_rad), possible(pitch_rad), self._unwrapped(yaw_rad)])
         used = self._follow_axes(elapsed_s, measured)
         self._filter(elapsed_s, measured, used)
-        row = self._history.append(t_s, measured)
+        row = self._history.push(t_s, measured)
         self._regressors(row, elapsed_s, measured, used)
         self._start_axes(row)
         self._states.append((t_s, self._z))
@@ -227,6 +250,19 @@ class RockPredictor:
         self._latest = self._publish(curve)
         return self._latest
 
+    def at(self, t_s: float) -> tuple[RockPrediction, ...]:
+        """Predictions as seen from a moment without a sample, on straight lines through neighbouring horizons."""
+        return seen_later(self._latest, t_s - self._t_s)
+
+    def scores(self) -> tuple[RockScore, ...]:
+        """No account is kept of how predictions have fared."""
+        return ()
+
+    @property
+    def resets(self) -> Counter[tuple[str, str]]:
+        """By (filter, reason): how often an axis was begun anew for what it predicted."""
+        return Counter({("rock", reason): count for reason, count in self.begun_anew.items()})
+
     # -- one sample -----------------------------------------------------------------------------------------------
 
     def _unwrapped(self, yaw_rad: float) -> float:
@@ -240,7 +276,8 @@ class RockPredictor:
 
     def _follow_axes(self, elapsed_s: float, measured: Array) -> list[bool]:
         """Begin, restart and centre each axis; which of the values go into the filter."""
-        limit_s = max(self._params.max_gap_s or GAP_S, 3.5 * (self._interval_s if self._interval_s > 0.0 else STEP_S))
+        usual_s = self._interval_s if self._interval_s > 0.0 else STEP_S
+        limit_s = max(self._params.max_gap_s or TUNING.gap_s, 3.5 * usual_s)
         used = []
         for index, (axis, value) in enumerate(zip(self._axes, measured.tolist(), strict=True)):
             if self._t_s - axis.seen_s > limit_s:
@@ -312,7 +349,7 @@ class RockPredictor:
             waited_s = self._t_s - axis.begun_s + 0.5 * self._interval_s
             if self._params.mode == "zero":
                 axis.ready = waited_s >= self._params.window_s - STEP_S
-            elif waited_s >= START_SPAN_S:
+            elif waited_s >= TUNING.start_span_s:
                 axis.ready = axis.running = self._fit_start(row, index)
 
     def _fit_start(self, row: int, axis: int) -> bool:
@@ -328,7 +365,7 @@ class RockPredictor:
             return False
         steps = (history.t_s[rows] - self._t_s) / STEP_S
         measured = history.measured[rows, axis]
-        span = START_SPAN_S / STEP_S
+        span = TUNING.start_span_s / STEP_S
         fit = np.linalg.lstsq((steps / span)[:, None] ** powers, measured, rcond=None)[0] / span**powers
         self._z = self._z.copy()
         self._z[:, axis, : self._order] = fit[: self._order]
@@ -363,8 +400,8 @@ class RockPredictor:
         moments = pairs @ pairs.swapaxes(-1, -2)
         about = []
         for axis in self._axes:
-            age_s = min(self._t_s - axis.begun_s, self._params.mean_memory_s) if axis.ready else MEAN_SETTLES_S
-            about.append((axis.mean, MEAN_SETTLES_S / max(age_s, MEAN_SETTLES_S)))
+            age_s = min(self._t_s - axis.begun_s, self._params.mean_memory_s) if axis.ready else TUNING.mean_settles_s
+            about.append((axis.mean, TUNING.mean_settles_s / max(age_s, TUNING.mean_settles_s)))
         found = np.array(
             [
                 [regression(sums, mean, doubt) for sums, (mean, doubt) in zip(axes, about, strict=True)]
@@ -402,7 +439,7 @@ class RockPredictor:
             value[np.logical_or.accumulate(beyond, axis=0)] = nan
         for index, axis in enumerate(self._axes):
             if beyond[:, index].any():
-                if self._t_s - max(axis.within_s, axis.begun_s) > OUT_S:
+                if self._t_s - max(axis.within_s, axis.begun_s) > TUNING.out_s:
                     axis.forget()
                     self._forget(index)
                     self.begun_anew["out of bounds"] += 1
@@ -413,7 +450,7 @@ class RockPredictor:
             elif self._t_s > axis.seen_s:  # deviations are those of horizons longer by the age of the reading
                 std[:, index] = np.interp(self._horizons + self._t_s - axis.seen_s, self._horizons, std[:, index])
             if axis.is_young(self._t_s):
-                std[:, index] *= WIDENED
+                std[:, index] *= TUNING.widened
         turned = value[:, YAW] + self._yaw_reference_rad
         value[:, YAW] = turned % (2 * pi)
         return tuple(
@@ -460,14 +497,14 @@ class _Axis:
             return
         if self.usual_s != self.usual_s:
             self.usual_s = waited_s
-        self._missing_s *= exp(-waited_s / HOLES_MEMORY_S)
-        if waited_s > USUAL * self.usual_s:
+        self._missing_s *= exp(-waited_s / TUNING.holes_memory_s)
+        if waited_s > TUNING.usual * self.usual_s:
             self._missing_s += waited_s - self.usual_s
-        was_left_out, self._left_out = self._left_out, self._missing_s > HOLES_S[1 if self._left_out else 0]
+        was_left_out, self._left_out = self._left_out, self._missing_s > TUNING.holes_s[1 if self._left_out else 0]
         if self._left_out and not was_left_out:
             self._left_usual_s = self.usual_s
-        self.is_slower = was_left_out and not self._left_out and self.usual_s > USUAL * self._left_usual_s
-        self.usual_s += min(waited_s / MEAN_SETTLES_S, 1.0) * (waited_s - self.usual_s)
+        self.is_slower = was_left_out and not self._left_out and self.usual_s > TUNING.usual * self._left_usual_s
+        self.usual_s += min(waited_s / TUNING.mean_settles_s, 1.0) * (waited_s - self.usual_s)
 
     @property
     def is_holed(self) -> bool:
@@ -476,7 +513,7 @@ class _Axis:
 
     def is_young(self, t_s: float) -> bool:
         """Whether it has begun anew, and its errors are larger than those that its standard deviation comes from."""
-        return self._begun_again and t_s - self.begun_s < SETTLED_S
+        return self._begun_again and t_s - self.begun_s < TUNING.settled_s
 
     def forget(self) -> None:
         self._begun_again = self._begun_again or self.begun_s == self.begun_s
@@ -488,3 +525,132 @@ class _Axis:
         """Its samples go into the filter."""
         self.ready = False
         """It is predicted."""
+
+
+class History:
+    """The last ``keep_s`` of samples and predictions: contiguous rows ``first..end``, moved to the front when full."""
+
+    def __init__(self, rows: tuple[int, int], curve: tuple[int, ...], keep_s: float) -> None:
+        capacity = 256
+        self.keep_s = keep_s
+        self.first = self.end = self._window = 0
+        self.t_s = np.zeros(capacity)
+        self.measured = np.full((capacity, rows[1]), nan)
+        self.pairs = np.zeros((*rows, 4, capacity))
+        """(B, 3, 4, row): position and velocity one step before, 1, measured angle; zero where there is none."""
+        self.curves = np.full((capacity, *curve), nan)
+        """(row, H, B, 3, m+3): the states predicted at that row."""
+
+    def push(self, t_s: float, measured: Array) -> int:
+        """A row for the sample at t_s; no regressors yet."""
+        while self.t_s[self.first] < t_s - self.keep_s and self.first < self.end:
+            self.first += 1
+        if self.end == len(self.t_s):
+            self._move_to_front()
+        row = self.end
+        self.t_s[row] = t_s
+        self.measured[row] = measured
+        self.pairs[..., row] = 0.0
+        self.end += 1
+        return row
+
+    def window(self, since_s: float) -> Array:
+        self._window = max(self._window, self.first)
+        while self.t_s[self._window] < since_s:
+            self._window += 1
+        return self.pairs[..., self._window : self.end]
+
+    def _move_to_front(self) -> None:
+        live = slice(self.first, self.end)
+        count = self.end - self.first
+        capacity = len(self.t_s) * (2 if 2 * count > len(self.t_s) else 1)
+        for name, axis in (("t_s", 0), ("measured", 0), ("pairs", 3), ("curves", 0)):
+            old: Array = getattr(self, name)
+            shape = list(old.shape)
+            shape[axis] = capacity
+            new = np.empty(shape)
+            np.moveaxis(new, axis, 0)[:count] = np.moveaxis(old, axis, 0)[live]
+            setattr(self, name, new)
+        self._window = max(self._window - self.first, 0)
+        self.first, self.end = 0, count
+
+
+class RealisedErrors:
+    """Exponentially weighted mean square of realised errors, shape (H, B, 3), and the memory that has the least."""
+
+    def __init__(self, shape: tuple[int, int, int], memory_s: float) -> None:
+        self._memory_s = memory_s
+        self._seconds = np.zeros(shape)
+        self._mean_square = np.zeros(shape)
+        self._chosen_s = -inf
+        horizon, axis = np.ogrid[: shape[0], : shape[2]]
+        self._best: tuple[NDArray[np.intp], ...] = (horizon, np.full((shape[0], shape[2]), shape[1] // 2), axis)
+        self._floor = np.full((shape[0], shape[2]), nan)
+
+    def forget(self, axis: int) -> None:
+        """Nothing is known of the errors of an axis."""
+        self._seconds[:, :, axis] = 0.0
+        self._floor[:, axis] = nan
+
+    def update(self, t_s: float, elapsed_s: float, error: Array) -> None:
+        """Errors that are not known are nan."""
+        known = np.isfinite(error)
+        self._seconds += elapsed_s * known
+        memory_s = np.minimum(np.maximum(self._seconds, elapsed_s) / TUNING.early, self._memory_s)
+        square = np.where(known, error * error, self._mean_square)
+        self._mean_square += np.minimum(elapsed_s / memory_s, 1.0) * (square - self._mean_square)
+        if t_s - self._chosen_s >= TUNING.choice_s:
+            self._chosen_s = t_s
+            seconds, middle = self._seconds[:, 0], self._seconds.shape[1] // 2
+            best = np.where(seconds >= TUNING.choice_s, np.argmin(self._mean_square, axis=1), middle)
+            self._best = (self._best[0], best, self._best[2])
+            self._floor = np.where(seconds >= TUNING.enough_s, 0.0, nan)
+
+    def of_best(self, values: Array) -> tuple[Array, Array]:
+        """From ``values`` (H, B, 3, ...) the chosen memory's (H, 3, ...), and the RMS of its errors (H, 3).
+
+        Until enough is known the memory is the middle one and the RMS nan.
+        """
+        return values[self._best], np.sqrt(self._mean_square[self._best]) + self._floor
+
+
+def regression(moments: Sequence[Sequence[float]], mean: float, mean_doubt: float) -> tuple[float, float, float]:
+    """Wei et al. 2019, eq. (6): least squares x' = phi_x x + phi_v v + c, as (phi_x, phi_v, c).
+
+    Plain floats: a dozen 2 x 2 systems are no array.
+
+    ``moments`` 4 x 4: sums of products of (x, v, 1, x'), x' the measured angle one step after x and v, in rad; v in
+    rad per step. ``mean``: of the angle. ``mean_doubt``: its standard deviation over that of the motion.
+
+    For an oscillator c = (1 - phi_x) mean. That is exact when the mean is known and costs nothing; a free c would
+    waste information, a wrong mean would bend phi. So c is free within what the doubt allows: 1 - phi_x is near
+    w^2/2 (w^2 = vv/xx, per step), so c has the prior deviation doubt * sqrt(xx/n) * w^2/2, against the residuals.
+    Where the motion cannot tell (a still ship), x' = x.
+    """
+    (sum_xx, sum_xv, x, sum_xy), (_, vv, v, sum_vy), (_, _, count, y), (_, _, _, sum_yy) = moments
+    n = max(count, 1.0)
+    # About the mean.
+    xx = sum_xx - mean * (2.0 * x - n * mean)
+    xv = sum_xv - mean * v
+    xy = sum_xy - mean * (x + y - n * mean)
+    vy = sum_vy - mean * v
+    yy = sum_yy - mean * (2.0 * y - n * mean)
+    x, y = x - n * mean, y - n * mean
+
+    def slopes(share: float) -> tuple[float, float]:
+        """Slopes when that share of each product of sums is explained by the constant (0: none, 1/n: it is free)."""
+        a, b, c = xx - share * x * x, xv - share * x * v, vv - share * v * v
+        p, q = xy - share * x * y, vy - share * v * y
+        determinant = a * c - b * b
+        if min(a, c) <= n * TUNING.still_rad**2 or determinant <= TUNING.collinear * a * c:
+            return 1.0, 0.0
+        return (p * c - q * b) / determinant, (q * a - p * b) / determinant
+
+    phi_x, phi_v = slopes(1.0 / n)
+    explained = phi_x * (xy - x * y / n) + phi_v * (vy - v * y / n)
+    residual = max(yy - y * y / n - explained, 0.0) / n
+    prior = (mean_doubt * vv / 2.0) ** 2 / (xx * n) if xx > 0.0 else 0.0
+    share = prior / (residual + n * prior) if prior > 0.0 else 0.0
+
+    phi_x, phi_v = slopes(share)
+    return phi_x, phi_v, mean * (1.0 - phi_x) + share * (y - phi_x * x - phi_v * v)

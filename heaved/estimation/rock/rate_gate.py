@@ -13,25 +13,35 @@ from collections.abc import Sequence
 from math import exp, inf, isfinite, nan
 from typing import Final
 
-GATE: Final = 12.0
-"""Medians of how far off readings usually are: eight standard deviations of normal ones."""
-QUANTA: Final = 3.0
-"""Steps of a coarse register that are never refused."""
-FIRST: Final = 20
-"""Readings by whose median it is first known how far off they are; none is refused before."""
-HIGHER, LOWER = 1.01, 0.99
-"""By so much of itself that goes up with a reading that is further off and down with one that is not: it is the median
-of a hundred or so, and a quarter of wrong readings moves it little."""
-SLOPE_S: Final = 0.1
-"""Time constant of the slope of the line."""
-LINE_S: Final = 0.12
-"""The line serves for so long after the last reading: the slope of a roll of 3 s period has changed by a fourth."""
-LASTING: Final = 4
-"""So many readings refused in a row, over at least..."""
-LASTING_S: Final = 0.3
-"""...are no spikes: it is known anew how far off readings are."""
-STALE_S: Final = 1.0
-"""After a gap this long nothing is known of the line."""
+import msgspec
+
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """What this file is set to."""
+
+    gate: float = 12.0
+    """Medians of how far off readings usually are: eight standard deviations of normal ones."""
+    quanta: float = 3.0
+    """Steps of a coarse register that are never refused."""
+    first: int = 20
+    """Readings by whose median it is first known how far off they are; none is refused before."""
+    higher: float = 1.01
+    lower: float = 0.99
+    """By so much of itself that goes up with a reading that is further off and down with one that is not: it is the
+    median of a hundred or so, and a quarter of wrong readings moves it little."""
+    slope_s: float = 0.1
+    """Time constant of the slope of the line."""
+    line_s: float = 0.12
+    """The line serves for so long after the last reading: the slope of a roll of 3 s period has changed by a fourth."""
+    lasting: int = 4
+    """So many readings refused in a row, over at least..."""
+    lasting_s: float = 0.3
+    """...are no spikes: it is known anew how far off readings are."""
+    stale_s: float = 1.0
+    """After a gap this long nothing is known of the line."""
+
+
+TUNING: Final = Tuning()
 
 
 class _Axis:
@@ -70,7 +80,7 @@ class RateGate:
         self._axes = [_Axis() for _ in range(channels)]
         self._elapsed_s = self._share = nan
 
-    def take(self, t_s: float, rates: Sequence[float]) -> list[float]:
+    def step(self, t_s: float, rates: Sequence[float]) -> list[float]:
         """The rates as they may be used; nan: neither a reading nor the line serves."""
         taken = []
         for axis, rate in zip(self._axes, rates, strict=True):
@@ -88,18 +98,18 @@ class RateGate:
         if 0.0 < change < axis.quantum:
             axis.quantum = change
         if axis.limit >= 0.0:
-            axis.usual = usual = axis.usual * (HIGHER if size > axis.usual else LOWER)
-            axis.limit = GATE * usual
-            if axis.limit < QUANTA * axis.quantum:
-                axis.limit = QUANTA * axis.quantum
+            axis.usual = usual = axis.usual * (TUNING.higher if size > axis.usual else TUNING.lower)
+            axis.limit = TUNING.gate * usual
+            if axis.limit < TUNING.quanta * axis.quantum:
+                axis.limit = TUNING.quanta * axis.quantum
         else:
             insort(axis.first, size)
             axis.interval_s = min(axis.interval_s or elapsed_s, elapsed_s)
-            if len(axis.first) == FIRST:
-                axis.usual = axis.first[FIRST // 2]
-                axis.limit = max(GATE * axis.usual, QUANTA * axis.quantum)
+            if len(axis.first) == TUNING.first:
+                axis.usual = axis.first[TUNING.first // 2]
+                axis.limit = max(TUNING.gate * axis.usual, TUNING.quanta * axis.quantum)
         if elapsed_s != self._elapsed_s:
-            self._elapsed_s, self._share = elapsed_s, (1.0 - exp(-elapsed_s / SLOPE_S)) / elapsed_s
+            self._elapsed_s, self._share = elapsed_s, (1.0 - exp(-elapsed_s / TUNING.slope_s)) / elapsed_s
         axis.slope += off * self._share
         axis.t_s, axis.rate = t_s, rate
         axis.refused = 0
@@ -107,7 +117,7 @@ class RateGate:
     def _judged(self, axis: _Axis, t_s: float, elapsed_s: float, rate: float, off: float) -> float:
         """What serves for a reading that does not simply pass."""
         if isfinite(rate):
-            if elapsed_s > STALE_S:
+            if elapsed_s > TUNING.stale_s:
                 axis.begin(t_s, rate)
                 return rate
             # The motion is not straight: over several intervals the line leads astray by as many times more.
@@ -118,7 +128,7 @@ class RateGate:
                 axis.refused_s = t_s
             axis.refused += 1
             self.refused += 1
-            if axis.refused >= LASTING and t_s - axis.refused_s >= LASTING_S:
+            if axis.refused >= TUNING.lasting and t_s - axis.refused_s >= TUNING.lasting_s:
                 axis.begin(t_s, rate)
                 return rate
-        return axis.rate + elapsed_s * axis.slope if elapsed_s <= max(LINE_S, 1.5 * axis.interval_s) else nan
+        return axis.rate + elapsed_s * axis.slope if elapsed_s <= max(TUNING.line_s, 1.5 * axis.interval_s) else nan

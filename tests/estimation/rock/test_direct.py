@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from heaved.estimation.rock.direct import DirectPredictor, Params
 from heaved.estimation.rock.estimator import DirectRockPredictor
 from heaved.estimation.rock.experts import Switch
+from heaved.estimation.rock.fading import finite_taps
+from heaved.estimation.rock.features import SampleWindow, around, lag_knots
 from heaved.estimation.rock.gate import Channel, Timing
-from heaved.estimation.rock.lags import SampleWindow, between, fading_taps, lag_knots
-from heaved.estimation.rock.normal_equations import NormalEquations, moments_of
-from heaved.estimation.rock.paced import PacedPredictor
+from heaved.estimation.rock.learner import NormalEquations, moments_of
 from heaved.estimation.rock.sample_clock import SampleClock
 
 Array = NDArray[np.float64]
@@ -63,7 +63,7 @@ def test_lag_means_are_the_weighted_means_they_are_said_to_be(interval_s: float)
     window = SampleWindow(knots, 2, count + 3)
     x = np.random.default_rng(1).standard_normal((4 * count + 2000, 2)) + 5.0
     for row in x.tolist():
-        window.append(row, [True, True])
+        window.push(row, [True, True])
     lag = np.arange(count)
     weights = np.array([np.interp(lag, knots, np.eye(len(knots))[j]) for j in range(len(knots) - 1)])
     expected = (weights / weights.sum(axis=1, keepdims=True)) @ x[::-1][:count]
@@ -75,8 +75,8 @@ def test_replacing_samples_leaves_what_had_been_given_so_at_once() -> None:
     x = np.random.default_rng(2).standard_normal((500, 1))
     right, wrong = (SampleWindow(knots, 1, 120) for _ in range(2))
     for i, row in enumerate(x.tolist()):
-        right.append(row, [True])
-        wrong.append([9.0] if i >= 495 else row, [i < 495])
+        right.push(row, [True])
+        wrong.push([9.0] if i >= 495 else row, [i < 495])
     wrong.replace(0, x[495:, 0])
     np.testing.assert_allclose(wrong.means(), right.means(), atol=1e-12)
     assert wrong.known[wrong.end - 5 : wrong.end].all()
@@ -85,7 +85,7 @@ def test_replacing_samples_leaves_what_had_been_given_so_at_once() -> None:
 @pytest.mark.parametrize("interval_s", [0.01, 0.05, 0.2])
 def test_the_extrapolation_is_exact_for_cubics(interval_s: float) -> None:
     ahead = np.array([0.05, 0.5])
-    taps = fading_taps(interval_s, ahead)
+    taps = finite_taps(interval_s, ahead)
     t = np.arange(-taps.shape[1] + 1, 1) * interval_s
     cubic = np.polynomial.Polynomial([0.3, -0.2, 0.5, 0.1])
     assert taps @ cubic(t) == pytest.approx(cubic(ahead), abs=1e-8)
@@ -93,7 +93,7 @@ def test_the_extrapolation_is_exact_for_cubics(interval_s: float) -> None:
 
 def test_interpolation_between_samples_is_exact_for_cubics() -> None:
     ahead = np.array([1.0, 2.5, 3.3])
-    found = between(ahead)
+    found = around(ahead, 1)
     cubic = np.polynomial.Polynomial([0.3, -0.2, 0.05, 0.01])
     values = np.sum(found.weights * cubic(found.first[:, None] + np.arange(4.0)), axis=1)
     assert values == pytest.approx(cubic(ahead), abs=1e-12)
@@ -114,7 +114,7 @@ def test_the_equations_are_weighted_ridge_least_squares() -> None:
     expected = np.linalg.solve(
         (x * weight[:, None]).T @ x + count * ridge * np.eye(features), (x * weight[:, None]).T @ y
     )
-    found = equations.solve(0, ridge)
+    found = equations.solve(0, np.full(features, ridge))
     assert found is not None
     np.testing.assert_allclose(found.T, expected, rtol=1e-6)
 
@@ -130,10 +130,10 @@ def test_equations_that_are_not_used_change_nothing() -> None:
         np.testing.assert_allclose(moments_of(masked, used)[channel], kept.T @ kept, atol=1e-12)
     equations = NormalEquations(2, 1, 3, 100.0)
     equations.add(moments_of(rows, np.ones((40, 2), bool)), np.array([40, 40]))
-    before = equations.solve(1, 0.1)
+    before = equations.solve(1, np.full(3, 0.1))
     equations.add(np.zeros((2, 4, 4)), np.array([0, 0]))
-    np.testing.assert_array_equal(equations.solve(1, 0.1), before)
-    assert NormalEquations(1, 1, 3, 100.0).solve(0, 0.1) is None
+    np.testing.assert_array_equal(equations.solve(1, np.full(3, 0.1)), before)
+    assert NormalEquations(1, 1, 3, 100.0).solve(0, np.full(3, 0.1)) is None
 
 
 def test_the_switch_finds_the_better_expert_and_a_calibrated_interval() -> None:
@@ -193,12 +193,12 @@ def test_a_list_that_comes_about_opens_the_deviations() -> None:
     x = waves(t) + 3e-4 * rng.standard_normal(len(t))
     u = np.clip((t - 150.0) / 5.0, 0.0, 1.0)
     listed = np.radians(3.0) * u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
-    paced = PacedPredictor(1)
-    horizon = paced.horizons_s.index(1.0)
+    predictor = DirectPredictor(1)
+    horizon = predictor.horizons_s.index(1.0)
     off = []
     for moment, value in zip(t.tolist(), (x + listed).tolist(), strict=True):
-        predicted = paced.step(moment, [value])[horizon, 0]
-        off.append((predicted, paced.deviations(moment)[0][horizon, 0]))
+        predicted = predictor.step(moment, [value])[horizon, 0]
+        off.append((predicted, predictor.deviations(moment)[0][horizon, 0]))
     predicted, std = np.array(off).T
     error = predicted[:-20] - (waves(t) + listed)[20:]
     shows = (t[:-20] > 151.0) & (t[:-20] < 170.0)
@@ -227,7 +227,7 @@ def test_a_steady_channel_takes_what_any_channel_takes() -> None:
         channels[1]._steady = False
         steady += channels[0]._steady
         expected = x[max(k - 1, 0)] - channels[0].level if np.isfinite(x[max(k - 1, 0)]) else 0.0
-        taken = [channel.take(x[k], late[k], np.zeros(1), expected, 0.01) for channel in channels]
+        taken = [channel.step(x[k], late[k], np.zeros(1), expected, 0.01) for channel in channels]
         assert taken[0] == taken[1], k
         judged = [channel.judge() for channel in channels]
         assert (judged[0] is None) == (judged[1] is None)
@@ -247,21 +247,19 @@ def test_the_clock_finds_interval_and_phase(jitter: float) -> None:
     interval, n = 0.0503, 3000
     index = np.arange(n)[rng.random(n) > 0.1]
     t = 100.0 + interval * index + jitter * interval * rng.uniform(-1, 1, len(index))
-    clock = SampleClock()
-    assert clock.start(t[:11].tolist())
+    clock = SampleClock(t[:11].tolist())
     steps = [clock.step(moment) for moment in t[11:].tolist()]
     assert clock.interval_s == pytest.approx(interval, rel=2e-4 + 2e-2 * jitter)
     assert sum(steps) == index[-1] - index[10]
     assert abs(clock.late_s) <= (1e-6 + 1.6 * jitter) * interval
-    assert not clock.changed()
+    assert not clock.is_other
 
 
 def test_the_clock_notices_another_rate() -> None:
-    clock = SampleClock()
-    clock.start((np.arange(11) / 20).tolist())
+    clock = SampleClock((np.arange(11) / 20).tolist())
     for moment in (0.5 + np.arange(1, 60) / 25).tolist():
         clock.step(moment)
-    assert clock.changed()
+    assert clock.is_other
 
 
 # -- against the optimal linear predictor ------------------------------------------------------------------------

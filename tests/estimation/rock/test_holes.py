@@ -17,8 +17,8 @@ from scipy.linalg import solve_discrete_lyapunov
 from heaved.estimation.common.bounds import ANGLE_RAD
 from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.estimation.rock.estimator import DirectRockPredictor, RockEstimator
+from heaved.estimation.rock.gate import Limits
 from heaved.estimation.rock.holes import NODES, ORDER, Autoregression, HoleFilter
-from heaved.predictions import Limits
 from heaved.samples import ImuSample
 from heaved.simulate.seaway import seaway
 
@@ -240,8 +240,8 @@ def test_memory_is_bounded_whatever_the_stamps(name: str) -> None:
     assert isinstance(chain._predictor, DirectRockPredictor)
     predictor = chain._predictor.predictor
     assert predictor is not None
-    assert predictor._taking is None or predictor._interval_s >= 1e-3
-    assert predictor.fed is None or predictor.fed._window.x.size < 2e6
+    assert predictor._clock is None or predictor._interval_s >= 1e-3
+    assert predictor._clock is None or predictor._window.x.size < 2e6
     error = errors(t, predicted, 3)
     known = np.isfinite(error) & np.isfinite(std)
     assert not known.any() or np.mean((np.abs(error) > 4.0 * std)[known]) < 0.02

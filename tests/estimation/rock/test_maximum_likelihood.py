@@ -12,8 +12,13 @@ import numpy.typing as npt
 import pytest
 from numpy.typing import NDArray
 
-from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S, Params, RockPredictor, carried
-from heaved.estimation.rock.regression import regression
+from heaved.estimation.rock.maximum_likelihood import (
+    STANDARD_HORIZONS_S,
+    MaximumLikelihoodPredictor,
+    Params,
+    regression,
+    seen_later,
+)
 from heaved.samples import RockPrediction
 
 Mode = Literal["endpoint", "zero"]
@@ -25,10 +30,10 @@ TURN = 2 * pi
 
 def run(t: npt.ArrayLike, angles: npt.ArrayLike, params: Params | None = None) -> tuple[Array, Array]:
     """Feed (n, 3) angles; values and deviations, each (n, horizons, 3)."""
-    predictor = RockPredictor(params if params is not None else Params(horizons_s=STANDARD_HORIZONS_S))
+    predictor = MaximumLikelihoodPredictor(params if params is not None else Params(horizons_s=STANDARD_HORIZONS_S))
     value, std = [], []
     for moment, sample in zip(np.asarray(t).tolist(), np.asarray(angles).tolist(), strict=True):
-        found = predictor.step(moment, *sample)
+        found = predictor.step(moment, tuple(sample))
         value.append([(p.roll_rad, p.pitch_rad, p.yaw_rad) for p in found])
         std.append([(p.roll_std_rad, p.pitch_std_rad, p.yaw_std_rad) for p in found])
     return np.array(value), np.array(std)
@@ -111,9 +116,11 @@ def test_horizons_are_exact_at_any_rate(rate_hz: float, jitter_s: float) -> None
 def test_other_horizons_too() -> None:
     t = np.arange(1500) / 50
     params = Params(horizons_s=(0.12, 0.5, 0.034))
-    assert RockPredictor(params).horizons_s == (0.034, 0.05, 0.10, 0.12, 0.15, 0.5)
+    assert MaximumLikelihoodPredictor(params).horizons_s == (0.034, 0.05, 0.10, 0.12, 0.15, 0.5)
     value, _ = run(t, ship(t), params)
-    error = np.sqrt(np.mean(wrapped(value - ahead(t, RockPredictor(params).horizons_s))[t > 10] ** 2, axis=(0, 2)))
+    error = np.sqrt(
+        np.mean(wrapped(value - ahead(t, MaximumLikelihoodPredictor(params).horizons_s))[t > 10] ** 2, axis=(0, 2))
+    )
     assert np.all(error < [1e-6, 2e-6, 5e-6, 1e-5, 2e-5, 5e-4])
 
 
@@ -272,12 +279,12 @@ def test_published_deviation_is_the_error_that_follows() -> None:
 
 def test_late_samples_are_ignored_and_reset_forgets() -> None:
     t = np.arange(200) / 20
-    predictor = RockPredictor(Params(horizons_s=()))
-    first = [predictor.step(m, *s) for m, s in zip(t.tolist(), ship(t).tolist(), strict=True)]
-    assert predictor.step(t[-1], 9.0, 9.0, 9.0) == first[-1]
-    assert predictor.step(nan, 9.0, 9.0, 9.0) == first[-1]
+    predictor = MaximumLikelihoodPredictor(Params(horizons_s=()))
+    first = [predictor.step(m, tuple(s)) for m, s in zip(t.tolist(), ship(t).tolist(), strict=True)]
+    assert predictor.step(t[-1], (9.0, 9.0, 9.0)) == first[-1]
+    assert predictor.step(nan, (9.0, 9.0, 9.0)) == first[-1]
     predictor.reset()
-    again = [predictor.step(m, *s) for m, s in zip(t.tolist(), ship(t).tolist(), strict=True)]
+    again = [predictor.step(m, tuple(s)) for m, s in zip(t.tolist(), ship(t).tolist(), strict=True)]
     np.testing.assert_equal(
         [msgspec.structs.astuple(p[0]) for p in again], [msgspec.structs.astuple(p[0]) for p in first]
     )
@@ -313,10 +320,10 @@ def test_carried_predictions_are_those_of_a_straight_motion_and_end_after_a_step
 
     given = tuple(at(0.0, h) for h in (0.05, 0.1, 0.15))
     for by_s in (0.0, 0.013, 0.05):
-        for seen, expected in zip(carried(given, by_s), (at(by_s, h) for h in (0.05, 0.1, 0.15)), strict=True):
+        for seen, expected in zip(seen_later(given, by_s), (at(by_s, h) for h in (0.05, 0.1, 0.15)), strict=True):
             assert seen.horizon_s == expected.horizon_s
             assert seen.roll_rad == pytest.approx(expected.roll_rad, abs=1e-12)
             assert seen.pitch_rad == pytest.approx(expected.pitch_rad, abs=1e-12)
             assert seen.yaw_rad == pytest.approx(expected.yaw_rad, abs=1e-12)
             assert seen.roll_std_rad >= expected.roll_std_rad
-    assert all(isnan(seen.roll_rad) for seen in carried(given, 0.0501))
+    assert all(isnan(seen.roll_rad) for seen in seen_later(given, 0.0501))

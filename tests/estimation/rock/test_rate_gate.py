@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from heaved.estimation.rock.rate_gate import LASTING_S, RateGate
+from heaved.estimation.rock.rate_gate import TUNING, RateGate
 
 Array = NDArray[np.float64]
 
@@ -20,7 +20,7 @@ def roll_rate(t: Array) -> Array:
 
 def taken(t: Array, rates: Array) -> tuple[Array, RateGate]:
     gate = RateGate(1)
-    found = [gate.take(moment, [rate])[0] for moment, rate in zip(t.tolist(), rates.tolist(), strict=True)]
+    found = [gate.step(moment, [rate])[0] for moment, rate in zip(t.tolist(), rates.tolist(), strict=True)]
     return np.array(found), gate
 
 
@@ -74,7 +74,7 @@ def test_a_new_offset_is_believed_after_a_moment() -> None:
     t = np.arange(400) / 20.0
     rates = roll_rate(t) + np.where(t >= 10.0, 0.1, 0.0)
     found, _ = taken(t, rates)
-    late = t >= 10.0 + LASTING_S + 0.05
+    late = t >= 10.0 + TUNING.lasting_s + 0.05
     np.testing.assert_array_equal(found[late], rates[late])
 
 

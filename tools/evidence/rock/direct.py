@@ -21,7 +21,7 @@ from evidence.limits import prediction_limit
 from evidence.rock.seas import F_HZ, RATE_HZ, SHIPS, Sea, Ship, gaussian, known_spectrum, motion, palmer, spectrum
 from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.estimation.rock.direct import DirectPredictor, Params
-from heaved.estimation.rock.lags import fading_taps
+from heaved.estimation.rock.fading import finite_taps
 
 Array = NDArray[np.float64]
 Found = TypeVar("Found")
@@ -67,11 +67,11 @@ def direct(t_s: Array, x: Array, params: Params | None = None, rates: Array | No
 
 def paper(t_s: Array, x: Array, params: rock.Params) -> Array:
     """Predictions (n, H) of one column x (n,)."""
-    predictor = rock.RockPredictor(params)
+    predictor = rock.MaximumLikelihoodPredictor(params)
     keep = [predictor.horizons_s.index(h) for h in HORIZONS_S]
     found = []
     for t, value in zip(t_s.tolist(), x.tolist(), strict=True):
-        records = predictor.step(t, value, nan, nan)
+        records = predictor.step(t, (value, nan, nan))
         found.append([records[k].roll_rad for k in keep])
     return np.array(found)
 
@@ -82,7 +82,7 @@ def simple(x: Array, method: str) -> Array:
     if method == "hold":
         return np.repeat(x[:, None], len(horizons), axis=1)
     if method == "rate":
-        taps = fading_taps(1 / RATE_HZ, np.array([0.0, 1e-3]))
+        taps = finite_taps(1 / RATE_HZ, np.array([0.0, 1e-3]))
         slope = np.convolve(x, (taps[1] - taps[0])[::-1] / 1e-3)[: len(x)]
         return np.asarray(x[:, None] + horizons * slope[:, None])
     powers = np.arange(4)

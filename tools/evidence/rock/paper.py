@@ -19,7 +19,7 @@ from scipy.signal import lfilter
 
 from evidence.commands import in_order
 from evidence.limits import prediction_limit
-from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S, STEP_S, Params, RockPredictor
+from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S, STEP_S, MaximumLikelihoodPredictor, Params
 
 Array = NDArray[np.float64]
 ARCSEC = pi / 180 / 3600
@@ -140,11 +140,11 @@ def predictions(t_s: Array, measured: Array, method: str, params: Params | None)
     """(n, 3 horizons, 3 axes) predicted angles, unwrapped; nan before the first."""
     if params is None:
         return _baseline(measured, method)
-    predictor = RockPredictor(params)
+    predictor = MaximumLikelihoodPredictor(params)
     where = [predictor.horizons_s.index(h) for h in STANDARD_HORIZONS_S]
     result = np.empty((len(t_s), len(where), 3))
     for i, (t, sample) in enumerate(zip(t_s.tolist(), measured.tolist(), strict=True)):
-        found = predictor.step(t, *sample)
+        found = predictor.step(t, (sample[0], sample[1], sample[2]))
         result[i] = [(found[k].roll_rad, found[k].pitch_rad, found[k].yaw_rad) for k in where]
     result[..., 2] = (result[..., 2] + pi) % (2 * pi) - pi
     return result
@@ -270,8 +270,11 @@ def figure(path: Path, seed: int = 1, duration_s: float = 60.0) -> None:
     truth = motion(scene, rate_hz, duration_s, rng)
     measured = truth + scene.noise_arcsec * ARCSEC * rng.standard_normal(truth.shape)
     t_s = np.arange(len(truth)) / rate_hz
-    predictor = RockPredictor()
-    found = [predictor.step(t, *sample)[-1] for t, sample in zip(t_s.tolist(), measured.tolist(), strict=True)]
+    predictor = MaximumLikelihoodPredictor()
+    found = [
+        predictor.step(t, (sample[0], sample[1], sample[2]))[-1]
+        for t, sample in zip(t_s.tolist(), measured.tolist(), strict=True)
+    ]
     due_s = t_s + found[0].horizon_s
     predicted = np.degrees([p.roll_rad for p in found])
     std = np.array([p.roll_std_rad for p in found]) / ARCSEC

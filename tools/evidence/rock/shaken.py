@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from functools import partial
 from itertools import product
 from math import nan
+from operator import attrgetter
 from typing import Final, NamedTuple
 
 import msgspec
@@ -25,7 +26,6 @@ from heaved.estimation.imu.attitude import Attitude
 from heaved.estimation.imu.conditioning import NOTHING, Conditioned
 from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.estimation.rock.estimator import RockEstimator
-from heaved.predictions import RockPredictions
 from heaved.samples import Fault, ImuSample
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import Recording, record
@@ -41,6 +41,7 @@ WANDERS_S: Final = 20.0
 """Time constant of an engine's speed."""
 BAND_HZ: Final = (1.0, 10.0)
 ANGLES, GYROS = ("roll_rad", "pitch_rad", "yaw_rad"), ("gx_radps", "gy_radps", "gz_radps")
+_OF_PREDICTION: Final = attrgetter("roll_rad", "pitch_rad", "roll_std_rad", "pitch_std_rad")
 SIGNS: Final = (1.0, -1.0, -1.0)
 """Of the rates of the angles, as the gyroscopes read them on a level ship."""
 
@@ -156,18 +157,17 @@ class Predicted(NamedTuple):
 
 def predicted(recording: Recording, *, gyros: bool) -> Predicted:
     """What the daemon's predictor makes of a record, with its body rates or as if there were none."""
-    chain = RockEstimator(rock.Params())
-    kept = [chain.horizons_s.index(h) for h in HORIZONS_S]
-    found, stds = [], []
+    estimator = RockEstimator(rock.Params())
+    kept = [estimator.horizons_s.index(h) for h in HORIZONS_S]
+    found = []
     for sample in recording.samples():
         if not isinstance(sample, ImuSample):
             continue
         given = sample if gyros else msgspec.structs.replace(sample, gx_radps=nan, gy_radps=nan, gz_radps=nan)
-        latest = chain.step(unjudged(given))
-        assert isinstance(latest, RockPredictions)
-        found.append(latest)
-        stds.append(latest.stds_rad[kept, :2])
-    return Predicted(RockPredictions.angles_of(found)[:, kept, :2], np.array(stds))
+        latest = estimator.step(unjudged(given))
+        found.append([_OF_PREDICTION(latest[k]) for k in kept])
+    numbers = np.array(found)
+    return Predicted(numbers[..., :2], numbers[..., 2:])
 
 
 def scored(predictions: Predicted, recording: Recording, rate_hz: float) -> tuple[Array, Array, int]:
