@@ -70,7 +70,7 @@ RECORDED: tuple[tuple[str, str], ...] = (
     ("latency.py --duration 30", "1 min, in real time: on a quiet machine"),
     ("latency.py --duration 30 --compare-training", "4 min, in real time: on a quiet machine"),
 )
-"""What RESULTS.md holds, and how long each takes with one process."""
+"""What RESULTS.md holds, and about how long each takes with one process: a guess until its section says it."""
 
 
 def run_results(options: Options, output: Output) -> Report:
