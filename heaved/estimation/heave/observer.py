@@ -7,11 +7,9 @@ sample. What is fitted to the past is fitted beside the event loop: :meth:`Heave
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
 from enum import StrEnum
 from math import nan
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 import msgspec
 import numpy as np
@@ -19,8 +17,13 @@ from numpy.typing import NDArray
 
 from heaved.estimation.common.bounds import HEAVE_M
 from heaved.estimation.heave.sea.model import SeaModel
-from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
 from heaved.samples import DelayedHeave, HeaveForecast, SeaState
+
+if TYPE_CHECKING:
+    from collections import Counter
+    from collections.abc import Sequence
+
+    from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
 
 Array = NDArray[np.float64]
 
@@ -95,7 +98,8 @@ class HeaveObserver(Protocol):
 
     def disturb(self, f_hz: Array, psd: Array) -> None:
         """What comes, and what came, has noise that it does not show, of one-sided density ``psd`` (n,), (m/s2)2/Hz, at
-        ``f_hz`` (n,), evenly spaced."""
+        ``f_hz`` (n,), evenly spaced.
+        """
 
     @property
     def laser_aided(self) -> LaserAided | None:
@@ -124,11 +128,13 @@ class HeaveObserver(Protocol):
         self, shift_s: float, learned_lead_s: float = 0.0, scale: float = 1.0, gain: float = 1.0
     ) -> tuple[HeaveForecast, ...]:
         """Heave and :meth:`error_std_m` for each of the configured horizons after a moment ``shift_s`` after the last
-        sample, both times ``gain``: what the laser has shown of the sensor's scale."""
+        sample, both times ``gain``: what the laser has shown of the sensor's scale.
+        """
 
     def error_std_m(self, shift_s: float, scale: float = 1.0) -> float:
         """Standard deviation of the error of :meth:`at`, its modelled part times ``scale``: what the laser has shown;
-        nan while nothing is known."""
+        nan while nothing is known.
+        """
 
     @property
     def t_s(self) -> float:
@@ -208,7 +214,7 @@ class HeaveObserver(Protocol):
     def saved(self) -> SavedObserver:
         """What a restart shall remember."""
 
-    def restore(self, saved: SavedObserver, age_s: float = nan) -> None:
+    def restore(self, saved: SavedObserver, age_s: float = nan, /) -> None:
         """Start with what an earlier run has found ``age_s`` ago (nan: not known), if there is anything for this kind
         of observer; call before the first sample.
 

@@ -28,6 +28,7 @@ class InertialDisplacement:
 
     @property
     def displacement_m(self) -> float:
+        """After the last step."""
         return self._z
 
     def step(self, dt_s: float, a_mps2: float) -> float:

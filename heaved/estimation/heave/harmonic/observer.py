@@ -16,7 +16,7 @@ from __future__ import annotations
 from cmath import phase
 from collections import Counter
 from math import cos, exp, hypot, isfinite, nan, pi, sin, sqrt
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
@@ -27,9 +27,11 @@ from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.common.spectrum import dominant_frequencies, heave_spectrum
 from heaved.estimation.heave.harmonic.inertial_displacement import InertialDisplacement
 from heaved.estimation.heave.observer import LaserAided, Motion, SavedObserver, Verdict, foretold
-from heaved.estimation.heave.params import Params
-from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
-from heaved.samples import DelayedHeave, HeaveForecast, SeaState
+
+if TYPE_CHECKING:
+    from heaved.estimation.heave.params import Params
+    from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
+    from heaved.samples import DelayedHeave, HeaveForecast, SeaState
 
 Array = NDArray[np.float64]
 
@@ -61,7 +63,8 @@ TUNING: Final = Tuning()
 
 class HarmonicObserver:
     """A :class:`heaved.estimation.heave.observer.HeaveObserver` of few lines and little else: it knows no sea state, no
-    delayed heave and no bias, doubts nothing and rejects nothing."""
+    delayed heave and no bias, doubts nothing and rejects nothing.
+    """
 
     sea: SeaState | None = None
     delayed: DelayedHeave | None = None
@@ -161,7 +164,7 @@ class HarmonicObserver:
 
     def accept(self, fit: SeaFit) -> Verdict:
         """It has asked for none."""
-        return Verdict.REJECTED
+        return Verdict.FAILED if fit.message else Verdict.REJECTED
 
     def _bridge(self, until_s: float) -> None:
         """Go through a gap on the model's own acceleration: the samples that are missing, not a flat line."""
@@ -173,7 +176,7 @@ class HarmonicObserver:
             self._inertial.step(TUNING.fill_step_s, a)
             self.t_s += TUNING.fill_step_s
             self._ring.push((self.t_s, a))
-            F, Q = self._transition(TUNING.fill_step_s), self._Q(TUNING.fill_step_s)
+            F, Q = self._transition(TUNING.fill_step_s), self._process_noise(TUNING.fill_step_s)
             predicted = sigma.predict(self._points, self._x, self._P, F, Q)
             if predicted is None:
                 return
@@ -183,11 +186,11 @@ class HarmonicObserver:
         """One UKF step, eq. (4)-(10); False when the covariance is no longer one."""
         x, P = self._x, self._P
         if dt_s > 0.0:
-            predicted = sigma.predict(self._points, x, P, self._transition(dt_s), self._Q(dt_s))
+            predicted = sigma.predict(self._points, x, P, self._transition(dt_s), self._process_noise(dt_s))
             if predicted is None:
                 return False
             x, P = predicted.x, predicted.P
-        updated = sigma.update(self._points, x, P, np.array([z]), self._H, np.array([[self._R(dt_s)]]))
+        updated = sigma.update(self._points, x, P, np.array([z]), self._H, np.array([[self._measurement_noise(dt_s)]]))
         if updated is None:
             return False
         self._x, self._P = updated.x, updated.P
@@ -206,10 +209,10 @@ class HarmonicObserver:
             F[k + 1, k] = -w * s
         return F
 
-    def _Q(self, dt_s: float) -> Array:
+    def _process_noise(self, dt_s: float) -> Array:
         return np.diag(self._noise * dt_s)
 
-    def _R(self, dt_s: float) -> float:
+    def _measurement_noise(self, dt_s: float) -> float:
         return self._params.measurement_variance_m2 * TUNING.reference_step_s / max(dt_s, 1e-3)
 
     def _follow_bias(self, dt_s: float, a: float) -> None:
@@ -263,12 +266,13 @@ class HarmonicObserver:
 
     @property
     def frequencies_hz(self) -> tuple[float, ...]:
+        """Of the lines, as they were last found."""
         return tuple(float(w) / (2.0 * pi) for w in self._omega)
 
     def _state_response(self, omega: Array) -> Array:
         """State over true heave, complex (k, 2n+1), at angular frequencies (k,), with the gain as it has converged."""
         dt = self._dt_s
-        K = self._P @ self._H[0] / self._R(dt)
+        K = self._P @ self._H[0] / self._measurement_noise(dt)
         F = self._transition(dt)
         loop = (np.eye(len(K)) - np.outer(K, self._H[0])) @ F
         z = np.exp(1j * omega * dt)
@@ -343,7 +347,8 @@ class HarmonicObserver:
         self, shift_s: float, learned_lead_s: float = 0.0, scale: float = 1.0, gain: float = 1.0
     ) -> tuple[HeaveForecast, ...]:
         """Heave and :meth:`error_std_m` for each horizon after a moment ``shift_s`` after the last sample, both times
-        ``gain``: what the laser has shown of the sensor's scale."""
+        ``gain``: what the laser has shown of the sensor's scale.
+        """
         found = []
         for h in self._params.forecast_horizons_s:
             heave_m, std_m = self.at(shift_s + h, learned_lead_s).heave_m, self.error_std_m(shift_s + h, scale)
@@ -388,7 +393,7 @@ class HarmonicObserver:
         """The frequencies that were last found."""
         return SavedObserver(frequencies_hz=self.frequencies_hz)
 
-    def restore(self, saved: SavedObserver, age_s: float = nan) -> None:
+    def restore(self, saved: SavedObserver, _age_s: float = nan, /) -> None:
         """Start with the frequencies that an earlier run has found, whatever their age: they soon are those of now.
 
         Raises:

@@ -9,15 +9,17 @@ end: what the steady gain, which runs in blocks, makes of that minute is correct
 from __future__ import annotations
 
 from math import isnan, sqrt
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.heave.sea.filter import SeaFilter
-from heaved.estimation.heave.sea.model import SeaSystem, Steady
 from heaved.estimation.heave.sea.record import EvenRecord, stretches_of
+
+if TYPE_CHECKING:
+    from heaved.estimation.heave.sea.filter import SeaFilter
+    from heaved.estimation.heave.sea.model import SeaSystem, Steady
 
 Array = NDArray[np.float64]
 
@@ -82,7 +84,8 @@ def run(
     if not full_start:
         x[-1] = float(np.mean(record.a_mps2))
     blocks = _Blocks(system, steady)
-    for first, end, is_known in stretches_of(record, record.blows):
+    for begin, end, is_known in stretches_of(record, record.blows):
+        first = begin
         if full_holes and (first in record.cuts or first in record.blows):
             if P is None:
                 P = steady.P - np.outer(steady.K, steady.K) * steady.S
@@ -248,7 +251,8 @@ class _Blocks:
 
     def ahead(self, L: Array, count: int) -> tuple[Array, Array, Array]:
         """Where errors ``L`` (n, r) of the state before a sample lead to: in the innovation and the heave before it and
-        the samples after it, (count, r) each, and in the state after the last of them, (n, r)."""
+        the samples after it, (count, r) each, and in the state after the last of them, (n, r).
+        """
         each = [L]
         for _ in range((count - 1) // BLOCK):
             each.append(self._powers[-1] @ each[-1])

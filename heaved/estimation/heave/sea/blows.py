@@ -48,7 +48,8 @@ class BlowDetector:
 
     def step(self, t_s: float, a_mps2: float) -> float:
         """Size (m/s2) of the blow that has struck just before this sample, or while it was measured; 0: there was
-        none."""
+        none.
+        """
         last, before = self._last, self._before
         self._last, self._before = (t_s, a_mps2), last
         if last is None or before is None:

@@ -10,13 +10,15 @@ own the model is trusted less than one that was fitted.
 from __future__ import annotations
 
 from math import inf, isfinite, nan, sqrt
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
 from heaved.estimation.common.ring import History
-from heaved.estimation.heave.sea.model import SeaSystem
 from heaved.samples import DelayedHeave, SeaState, vibration_in_words
+
+if TYPE_CHECKING:
+    from heaved.estimation.heave.sea.model import SeaSystem
 
 
 class Tuning(msgspec.Struct, frozen=True, kw_only=True):
@@ -136,7 +138,8 @@ class Consistency:
 
     def fitted(self, whiteness: float, waves: float, error_m: float, sea_std_m: float, waves_seen: float) -> None:
         """A fit: whiteness of its innovations, how much likelier it is than noise, error of its heave, that itself, and
-        how many of the longest waves it was fitted to."""
+        how many of the longest waves it was fitted to.
+        """
         self.youth = max((TUNING.enough_waves / max(waves_seen, 1.0)) ** 2, 1.0)
         self._is_stubborn = min(whiteness, self._whiteness) > TUNING.stubborn
         self._whiteness, self._waves = whiteness, waves

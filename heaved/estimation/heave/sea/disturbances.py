@@ -19,14 +19,15 @@ from __future__ import annotations
 from collections import deque
 from enum import Enum, auto
 from math import inf, sqrt
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.heave.sea.filter import SeaFilter, State
-from heaved.estimation.heave.sea.model import Steady
+if TYPE_CHECKING:
+    from heaved.estimation.heave.sea.filter import SeaFilter, State
+    from heaved.estimation.heave.sea.model import Steady
 
 Array = NDArray[np.float64]
 
@@ -161,7 +162,8 @@ class DisturbanceDetector:
 
     def strike(self, f: SeaFilter, t_s: float, a_mps2: float, variance: float) -> None:
         """Something has struck the hull since the last reading, and this one is in part of before; ``variance``
-        (m/s2)2: what may ring at first."""
+        (m/s2)2: what may ring at first.
+        """
         self._forget_events()
         if f is self._of:
             self.restart()
@@ -257,7 +259,8 @@ class DisturbanceDetector:
     def _explanation(self, f: SeaFilter, count: int, after: After) -> Explanation | None:
         """What the filter makes of the last ``count`` readings from where it was before, if it explains them without
         more noise than its own; it is left as it was. After a step nothing is known of the bias, after a blow nothing
-        of what rings, and the readings about it are left out: the mean of some before and some after it is neither."""
+        of what rings, and the readings about it are left out: the mean of some before and some after it is neither.
+        """
         count += after is After.STEP
         if count > len(self._past):
             return None
@@ -344,7 +347,8 @@ class DisturbanceDetector:
 
 def _patterns(f: SeaFilter) -> Array:
     """(SOON + LATE, LATE[-1]) what a step of the level leaves in the last innovations of the steady filter, by how many
-    readings ago it was; of unit length each."""
+    readings ago it was; of unit length each.
+    """
     steady, H = f.steady, f.system.H
     closed = steady.F - np.outer(steady.F @ steady.K, H)
     error, seen = np.zeros(len(H)), np.empty(TUNING.late[-1])

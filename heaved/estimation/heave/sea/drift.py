@@ -8,14 +8,15 @@ than its heave could, and what the model expects of that sum is known.
 from __future__ import annotations
 
 from math import inf, pi, sqrt
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.heave.sea.model import SeaModel
-from heaved.estimation.heave.sea.record import SeaRecord
+if TYPE_CHECKING:
+    from heaved.estimation.heave.sea.model import SeaModel
+    from heaved.estimation.heave.sea.record import SeaRecord
 
 Array = NDArray[np.float64]
 
@@ -43,7 +44,8 @@ TUNING: Final = Tuning()
 
 def drift_weights(count: int) -> Array:
     """(n,) weights that leave of a record how far its level goes from its first half to its second, and hardly any
-    waves."""
+    waves.
+    """
     x = (np.arange(count) + 0.5) / count
     weights = -(np.sin(pi * x) ** 4) * np.cos(pi * x)
     return np.asarray(2.0 * weights / np.sum(np.abs(weights)))
@@ -51,7 +53,8 @@ def drift_weights(count: int) -> Array:
 
 def drift_variances(weights: Array, dt_s: float, model: SeaModel) -> tuple[float, float]:
     """Variance (m/s2)2 of a sum of samples every ``dt_s``, so weighed, by ``model`` but for the walk of its bias, and
-    what a walk of 1 (m/s2)2/s adds."""
+    what a walk of 1 (m/s2)2/s adds.
+    """
     n = 4 * len(weights)
     f: Array = np.fft.rfftfreq(n, dt_s)[1:].astype(np.float64)
     passed = np.abs(np.fft.rfft(weights, n)[1:]) ** 2 * f[0]

@@ -109,8 +109,7 @@ class GaugeError:
     def left_open(self, system: SeaSystem) -> Array:
         """(n, n) covariance that the state has beside its own where scale and time are the accelerometer's error."""
         shown = np.maximum(np.square(self.value) - np.diag(self.V), 0.0)
-        turned = system.A.dot(system.stationary).dot(system.A.T)
-        return np.asarray(shown[1] * system.stationary + shown[2] * turned)
+        return np.asarray(shown[1] * system.stationary + shown[2] * system.stationary_rates)
 
 
 class SeaFilter:
@@ -192,6 +191,7 @@ class SeaFilter:
 
     @property
     def is_steady(self) -> bool:
+        """Whether the covariance is that of the steady filter."""
         return self.P is None
 
     def step(self, t_s: float, a_mps2: float) -> tuple[float, float]:

@@ -14,7 +14,7 @@ record of the autoregression itself, less what bridging makes of it. Then the wh
 from __future__ import annotations
 
 from math import sqrt
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz, solveh_banded
 from scipy.linalg.lapack import dtbtrs
 
-from heaved.estimation.heave.sea.model import SeaModel
+if TYPE_CHECKING:
+    from heaved.estimation.heave.sea.model import SeaModel
 
 Array = NDArray[np.float64]
 

@@ -36,16 +36,18 @@ heave.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cached_property
 from math import ceil, log2, pi, sqrt
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.linalg.lapack import dgesv
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 Array = NDArray[np.float64]
 
@@ -126,7 +128,8 @@ class SeaModel(msgspec.Struct, frozen=True, kw_only=True):
 
     def acceleration_spectrum(self, f_hz: Array, dt_s: float) -> Array:
         """One-sided spectrum of the vertical acceleration as it is measured every ``dt_s``, (m/s2)2/Hz: with what
-        shakes the sensor, its noise and its bias."""
+        shakes the sensor, its noise and its bias.
+        """
         w2 = (2.0 * np.pi * f_hz) ** 2
         waves = w2**2 * self.wave_spectrum(f_hz) + shaking_spectrum(self.resonances, f_hz, dt_s)
         return waves + self.noise_psd + 2.0 * self.bias_walk_psd / w2
@@ -263,6 +266,11 @@ class SeaSystem:
             P[block, block] = _stationary(self.A[block, block], np.diag(self.diffusion[block]))
         P[-1, -1] = TUNING.bias_spread_mps2**2
         return P
+
+    @cached_property
+    def stationary_rates(self) -> Array:
+        """Covariance (n, n) of A x, likewise."""
+        return np.asarray(self.A @ self.stationary @ self.A.T)
 
     def steady(self, dt_s: float) -> Steady | None:
         """The filter that the Kalman filter becomes when samples arrive every ``dt_s``; None: it does not converge.

@@ -102,7 +102,8 @@ def resonances(above: Above, waves: SeaModel | None, noise_psd: float) -> tuple[
 
 def _pooled(above: Above) -> tuple[Array, Array, Array, Array]:
     """Means of neighbouring ordinates: frequency, power, share of white noise, and how many independent ones there are
-    in each."""
+    in each.
+    """
     f = above.f_hz
     if len(f) < 2:
         return f, above.power, above.white, np.full(len(f), above.averages)
@@ -113,7 +114,8 @@ def _pooled(above: Above) -> tuple[Array, Array, Array, Array]:
 
 def groups(f_hz: Array, share: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Evenly spaced frequencies (n,), n >= 2, in groups that are no wider than ``share`` of their frequency: the first
-    of each, and how many there are in it."""
+    of each, and how many there are in it.
+    """
     width = np.maximum(np.floor(share * f_hz / (f_hz[1] - f_hz[0])), 1.0)
     # Of a group of m, each takes up 1 / m.
     first = np.flatnonzero(np.diff(np.floor(np.cumsum(1.0 / width) - 1.0 / width + 1e-9), prepend=-1.0))
@@ -136,7 +138,8 @@ def _told_apart(found: tuple[Resonance, ...], dt_s: float) -> tuple[Resonance, .
 
 class _Whittle:
     """The likelihood of the pooled periodogram; ``theta`` (3J + 1,): logarithms of the noise, then of frequency,
-    damping and level of each resonance, the last over that of its shape at its frequency."""
+    damping and level of each resonance, the last over that of its shape at its frequency.
+    """
 
     def __init__(
         self, f: Array, power: Array, weight: Array, tail: Array, white: Array, dt_s: float, noise_psd: float
@@ -174,7 +177,8 @@ class _Whittle:
     def resonances(self, theta: Array, width_hz: Array) -> list[Resonance]:
         """Of ``theta``, each with the power that the periodogram shows where it is what stands out; ``width_hz`` (n,)
         of the pooled ordinates. The likelihood asks for the same relative fit everywhere: a line that is narrower than
-        a resonance may be would be left with too little."""
+        a resonance may be would be left with too little.
+        """
         S, slopes = self.spectrum(theta)
         found = []
         for j, (f0, zeta, level) in enumerate(np.exp(theta[1:].reshape(-1, 3)).tolist()):

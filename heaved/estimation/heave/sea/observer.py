@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from math import hypot, isfinite, nan, pi, sqrt
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
@@ -34,7 +34,6 @@ from heaved.estimation.heave.observer import (
     foretold,
     nothing_foretold,
 )
-from heaved.estimation.heave.params import SeaParams
 from heaved.estimation.heave.sea.blows import BlowDetector
 from heaved.estimation.heave.sea.consistency import TUNING as TRUST
 from heaved.estimation.heave.sea.consistency import Consistency, Trial
@@ -47,6 +46,9 @@ from heaved.estimation.heave.sea.record import SeaRecord
 from heaved.estimation.heave.sea.refit import Candidate, SeaFit, SeaWindow
 from heaved.estimation.heave.sea.smoother import FixedLagSmoother
 from heaved.samples import DelayedHeave, HeaveForecast, SeaState
+
+if TYPE_CHECKING:
+    from heaved.estimation.heave.params import SeaParams
 
 Array = NDArray[np.float64]
 
@@ -175,7 +177,8 @@ class SeaObserver:
 
     def _filter(self, f: SeaFilter, t_s: float, a_mps2: float) -> tuple[float, float]:
         """Step the filter, and the one without the laser, and keep what is of the sea for the fits; heave before and
-        innovation, without the laser."""
+        innovation, without the laser.
+        """
         rejected = f.rejected
         said = self._guarded_step(self._disturbances, f, t_s, a_mps2)
         self._keep_what_is_of_the_sea(t_s, a_mps2, is_rejected=f.rejected != rejected)
@@ -375,7 +378,7 @@ class SeaObserver:
             return Verdict.REJECTED
         system = SeaSystem(fit.model)
         n = len(system.H)
-        steady = system.steady_of(fit.dt_s, np.frombuffer(fit.steady_P).reshape(n, n))
+        steady = system.steady_of(fit.dt_s, np.frombuffer(fit.steady_covariance).reshape(n, n))
         old, before = self._heave, self.at(0.0)
         self._trial = None
         aided = None if old is None else old.filter.gauge
@@ -463,7 +466,8 @@ class SeaObserver:
         self, shift_s: float, learned_lead_s: float = 0.0, scale: float = 1.0, gain: float = 1.0
     ) -> tuple[HeaveForecast, ...]:
         """Heave and :meth:`error_std_m` for each horizon of the constructor after a moment ``shift_s`` after the last
-        sample, both times ``gain``: what the laser has shown of the sensor's scale."""
+        sample, both times ``gain``: what the laser has shown of the sensor's scale.
+        """
         horizons_s = self._horizons_s
         if self._heave is None or not self._is_told:
             return nothing_foretold(horizons_s)
@@ -550,7 +554,7 @@ class SeaObserver:
         """The model in use, for a restart to begin with."""
         return SavedObserver(sea=self.model)
 
-    def restore(self, saved: SavedObserver, age_s: float = nan) -> None:
+    def restore(self, saved: SavedObserver, age_s: float = nan, /) -> None:
         """Begin with the model of an earlier run, ``age_s`` old; call before the first sample.
 
         Raises:

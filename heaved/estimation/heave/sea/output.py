@@ -9,9 +9,8 @@ step. A sample then costs the series at its own age. For any other moment all of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import exp, hypot, inf, isfinite, log, nan, sqrt
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
@@ -19,9 +18,13 @@ from numpy.typing import NDArray
 
 from heaved.estimation.heave.observer import UNKNOWN, Motion, foretold, nothing_foretold
 from heaved.estimation.heave.sea import batch_filter
-from heaved.estimation.heave.sea.filter import SeaFilter
 from heaved.estimation.heave.sea.propagate import ORDER, Propagation, along
-from heaved.samples import HeaveForecast
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from heaved.estimation.heave.sea.filter import SeaFilter
+    from heaved.samples import HeaveForecast
 
 Array = NDArray[np.float64]
 
@@ -146,7 +149,8 @@ class SeaHeave:
 
     def disturb(self, f_hz: Array, psd: Array) -> None:
         """The acceleration has noise that the model knows nothing of, of one-sided density ``psd`` (n,), (m/s2)2/Hz, at
-        ``f_hz`` (n,), evenly spaced: what the steady filter makes of it is in every standard deviation from now on."""
+        ``f_hz`` (n,), evenly spaced: what the steady filter makes of it is in every standard deviation from now on.
+        """
         if not np.array_equal(f_hz, self._response[0]):
             self._response = f_hz, _power_response(self.filter, f_hz)
         self._disturbed_m2 = float((f_hz[1] - f_hz[0]) * psd @ self._response[1])
@@ -187,15 +191,13 @@ class SeaHeave:
         transfer = self.transfer if t_s < self.transfer.until_s else None
         modelled, whole = self.scale, gain * scale
         found = []
-        for h, (c0, c1, c2, c3, c4, c5), std_m in zip(
+        for h, (c0, c1, c2, c3, c4, c5), modelled_m in zip(
             self._horizons_s, self._ahead, self._stds(d).ahead_m, strict=True
         ):
             heave_m = ((((c5 * d + c4) * d + c3) * d + c2) * d + c1) * d + c0
-            std_m *= modelled
-            if transfer is not None:
-                left_m = transfer.at(t_s + h)[0]
-                heave_m, std_m = heave_m + left_m, hypot(std_m, left_m)
-            found.append(foretold(h, gain * heave_m, whole * std_m))
+            left_m = 0.0 if transfer is None else transfer.at(t_s + h)[0]
+            std_m = whole * hypot(modelled * modelled_m, left_m)
+            found.append(foretold(h, gain * (heave_m + left_m), std_m))
         return tuple(found)
 
     def _made_ready(self) -> list[list[float]]:
@@ -271,7 +273,8 @@ class SeaHeave:
 
 def _power_response(f: SeaFilter, f_hz: Array) -> Array:
     """(n,) |heave|^2 that the steady filter makes of an acceleration of 1 m/s2 at each frequency: the transform of its
-    answer to an impulse, heave L^k K with L = (I - K H) F, taken in two stages, within blocks and of them."""
+    answer to an impulse, heave L^k K with L = (I - K H) F, taken in two stages, within blocks and of them.
+    """
     steady, system = f.steady, f.system
     loop = steady.F - np.outer(steady.K, system.H @ steady.F)
     within, starts = [steady.K], [system.heave]

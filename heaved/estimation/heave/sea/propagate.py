@@ -7,15 +7,19 @@ tau), are kept on a grid of tau, with the derivatives that reach from there to a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Final
+from math import factorial
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.heave.observer import Motion
-from heaved.estimation.heave.sea.model import SeaSystem
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from heaved.estimation.heave.sea.model import SeaSystem
 
 Array = NDArray[np.float64]
 
@@ -30,6 +34,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
 
 
 TUNING: Final = Tuning()
+TAYLOR_TERMS: Final = 6
+"""From the grid to a moment of its own, half a step away at most."""
 ORDER: Final = 6
 """Derivatives used: at 0.1 s and 0.6 Hz the next one is 1e-7."""
 
@@ -58,22 +64,18 @@ class Propagation:
 
     def derivatives(self, taus_s: Sequence[float]) -> Array:
         """(len(taus), ORDER, n): heave at each tau and its derivatives over factorials, as rows on the state."""
-        out = np.empty((len(taus_s), ORDER, self._rows.shape[1]))
-        for i, tau in enumerate(taus_s):
-            row, rest = self._nearest(tau)
-            chain = [row]
-            for _ in range(ORDER + 5):
-                chain.append(chain[-1] @ self._A)
-            # Taylor from the grid to tau, for each derivative.
-            factorial = 1.0
-            for order in range(ORDER):
-                factorial *= max(order, 1)
-                total, scale = np.zeros_like(chain[0]), 1.0
-                for k in range(6):
-                    total = total + scale * chain[order + k]
-                    scale *= rest / (k + 1)
-                out[i, order] = total / factorial
-        return out
+        nearest = [self._nearest(tau) for tau in taus_s]
+        chain, rest_s = [np.array([row for row, _ in nearest])], np.array([[rest] for _, rest in nearest])
+        for _ in range(ORDER + TAYLOR_TERMS - 1):
+            chain.append(chain[-1] @ self._A)
+        # Taylor from the grid to tau, for each derivative.
+        scales = [rest_s**k / factorial(k) for k in range(TAYLOR_TERMS)]
+        found = [
+            sum([scale * chain[order + k] for k, scale in enumerate(scales)], np.zeros_like(chain[0]))
+            / factorial(order)
+            for order in range(ORDER)
+        ]
+        return np.stack(found, axis=1)
 
     def row(self, tau_s: float) -> Array:
         """(n,) heave at ``tau_s``, as a row on the state."""

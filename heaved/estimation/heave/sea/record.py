@@ -6,9 +6,8 @@ The samples here are those of the filter, means of some of the sensor's.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
 from math import nan
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
@@ -17,7 +16,11 @@ from scipy.interpolate import CubicSpline
 
 from heaved.estimation.common import down_sampler
 from heaved.estimation.common.ring import RingBuffer
-from heaved.estimation.heave.sea.model import SeaSystem
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from heaved.estimation.heave.sea.model import SeaSystem
 
 Array = NDArray[np.float64]
 
@@ -199,7 +202,8 @@ class EvenRecord(msgspec.Struct, frozen=True, eq=False):
         blows_s: Sequence[float] = (),
     ) -> EvenRecord:
         """With a cut at the end of each of the spans ``cuts_s`` (s), nothing known within them and ``spoilt_s``, and a
-        blow before each of ``blows_s``."""
+        blow before each of ``blows_s``.
+        """
         first_s = self.end_s - self.dt_s * (len(self.a_mps2) - 1)
         is_known, places = self.is_known.copy(), set()
         for i, span in enumerate((*cuts_s, *spoilt_s)):
@@ -260,7 +264,8 @@ def _filled(times: Array, line: Array, known: NDArray[np.bool_], t_s: Array, a_m
 
 def stretches_of(record: EvenRecord, places: Sequence[int] = ()) -> Iterator[tuple[int, int, bool]]:
     """(first, end, is_known) of each stretch that is all known or all unknown, without a cut, or one of ``places``, in
-    it."""
+    it.
+    """
     is_known = record.is_known
     changes = 1 + np.flatnonzero(np.diff(is_known.astype(np.int8)))
     edges = {*changes.tolist(), *record.cuts, *places, 0, len(is_known)}

@@ -9,10 +9,9 @@ model is used.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 from functools import partial
 from math import isfinite, nan, sqrt
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
@@ -26,6 +25,9 @@ from heaved.estimation.heave.sea.record import EvenRecord, even, stretches_of
 from heaved.estimation.heave.sea.sea_state import longest_period_s, sea_state
 from heaved.estimation.heave.sea.smoother import smoothed
 from heaved.samples import SeaState
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 Array = NDArray[np.float64]
 
@@ -111,7 +113,7 @@ class Candidate(msgspec.Struct, frozen=True, kw_only=True):
     """Log-likelihood of what came after its predecessors, less that of the best length; forgotten slowly."""
     steady_dt_s: float = 0.0
     """Interval of the samples that its steady filter is for; 0: that was not solved for, the model was not used."""
-    steady_P: bytes = b""
+    steady_covariance: bytes = b""
     """(n, n) covariance of that filter before a sample is taken in."""
 
 
@@ -166,7 +168,7 @@ class SeaFit(msgspec.Struct, frozen=True, kw_only=True):
     """(n,) filtered state."""
     P: bytes = b""
     """(n, n) its covariance; empty: the steady one."""
-    steady_P: bytes = b""
+    steady_covariance: bytes = b""
     """(n, n) of the steady filter, before a sample is taken in."""
     predicted_m: bytes = b""
     """(k,) heave before each of the last samples, for the smoother; one every ``dt_s`` up to ``t_s``."""
@@ -232,7 +234,7 @@ def _look(window: SeaWindow, record: EvenRecord) -> SeaFit:
     if isinstance(ran, str):
         return SeaFit(number=window.number, message=ran)
     best, system, steady, done = ran
-    used = msgspec.structs.replace(best, steady_dt_s=record.dt_s, steady_P=steady.P.tobytes())
+    used = msgspec.structs.replace(best, steady_dt_s=record.dt_s, steady_covariance=steady.P.tobytes())
     return SeaFit(
         number=window.number,
         candidates=(*fitted[:chosen], used, *fitted[chosen + 1 :]),
@@ -244,7 +246,7 @@ def _look(window: SeaWindow, record: EvenRecord) -> SeaFit:
         dt_s=record.dt_s,
         x=done.x.tobytes(),
         P=b"" if done.P is None else done.P.tobytes(),
-        steady_P=steady.P.tobytes(),
+        steady_covariance=steady.P.tobytes(),
         predicted_m=done.predicted_m[-kept:].tobytes(),
         innovation=done.innovation[-kept:].tobytes(),
         delayed=_delayed(window, system, steady, recent, settle).tobytes(),
@@ -299,7 +301,8 @@ def _settled(
     candidate: Candidate, recent: EvenRecord, settle: int, judged: int
 ) -> tuple[Candidate, SeaSystem, Steady, batch_filter.Run] | str:
     """The candidate, with the noise that its innovations show, and what its filter makes of the recent past; or why
-    there is no such filter."""
+    there is no such filter.
+    """
     found: tuple[Candidate, SeaSystem, Steady, batch_filter.Run] | None = None
     excess = 1.0
     while found is None or not TUNING.noise_is_known[0] <= excess <= TUNING.noise_is_known[1]:
@@ -321,7 +324,8 @@ def _run(
     system: SeaSystem, steady: Steady, recent: EvenRecord, settle: int, judged: int
 ) -> tuple[batch_filter.Run, float]:
     """The filter over the recent past; and variance of the innovations over the model's, where noise is known by that
-    alone, else 1."""
+    alone, else 1.
+    """
     if not _has_many_holes(recent):
         return batch_filter.run(system, steady, recent, full_start=len(recent.a_mps2) < settle, kept=judged), 1.0
     # It begins with all that is not known of the state: nothing has to settle.
@@ -392,13 +396,14 @@ def _steady(system: SeaSystem, candidate: Candidate, dt_s: float) -> Steady | No
     if not abs(dt_s - candidate.steady_dt_s) <= TUNING.same_dt * dt_s:
         return system.steady(dt_s)
     n = len(system.H)
-    return system.steady_of(dt_s, np.frombuffer(candidate.steady_P).reshape(n, n))
+    return system.steady_of(dt_s, np.frombuffer(candidate.steady_covariance).reshape(n, n))
 
 
 def _likelihood(model: SeaModel, steady: Steady, innovation: Array) -> float:
     """Log-likelihood (Whittle's) of a stretch of acceleration within the wave band, from the innovations (n,) that a
     model's filter left of it, nan in a hole: they are the samples whitened, so that nothing leaks in so short a
-    stretch, and their periodogram is that of the acceleration over the model's spectrum."""
+    stretch, and their periodogram is that of the acceleration over the model's spectrum.
+    """
     known = np.isfinite(innovation)
     count = max(1, int(np.count_nonzero(known)))
     white = np.abs(np.fft.rfft(np.where(known, innovation, 0.0))) ** 2 / (steady.S * count)
@@ -412,7 +417,8 @@ def _fit_all(
 ) -> tuple[tuple[Candidate, ...], list[float], list[float], float]:
     """A model for each length that the record reaches, the longest that it does not reach gets all there is; the share
     of each model's variance that was measured; seconds that each was fitted to; how much likelier than noise the waves
-    are. ``is_measured`` (n,): what of the record is not bridged."""
+    are. ``is_measured`` (n,): what of the record is not bridged.
+    """
     rate, seconds = 1.0 / record.dt_s, len(record.a_mps2) * record.dt_s
     earlier = {candidate.window_s: candidate.model for candidate in window.candidates}
     known = list(scores)
@@ -510,7 +516,8 @@ def _newest_above(
 
 def _shaken_alike_s(record: EvenRecord, is_measured: NDArray[np.bool_]) -> float:
     """How long (s) it has been shaken as it is now: the longest of some lengths in which the second differences, that
-    see no waves, are on the whole as large as in the last seconds."""
+    see no waves, are on the whole as large as in the last seconds.
+    """
     squares = np.diff(record.a_mps2, n=2) ** 2
     known = is_measured[2:] & is_measured[1:-1] & is_measured[:-2]
 

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import itertools
 from math import pi, sqrt
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.heave.sea.model import SeaModel
 from heaved.estimation.heave.sea.noise import HALF_POWER
 from heaved.samples import GRAVITY_MPS2, SeaState, Vibration, WaveSystem
+
+if TYPE_CHECKING:
+    from heaved.estimation.heave.sea.model import SeaModel
 
 Array = NDArray[np.float64]
 

@@ -19,16 +19,18 @@ of each sample, and F from there to the next one,
 from __future__ import annotations
 
 from collections import deque
-from math import isfinite, sqrt
-from typing import Final
+from math import isfinite, isnan, sqrt
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.heave.sea.filter import SeaFilter
 from heaved.estimation.heave.sea.model import SeaSystem, Steady, measurement_variance
-from heaved.estimation.heave.sea.record import EvenRecord
 from heaved.samples import DelayedHeave
+
+if TYPE_CHECKING:
+    from heaved.estimation.heave.sea.filter import SeaFilter
+    from heaved.estimation.heave.sea.record import EvenRecord
 
 Array = NDArray[np.float64]
 
@@ -71,7 +73,7 @@ class FixedLagSmoother:
         self._innovations[at] = self._innovations[at + size] = innovation
         self._next = at + 1 if at + 1 < size else 0
         self._predicted.append((t_s, predicted_m))
-        self._whole = self._whole + 1 if predicted_m == predicted_m else 0
+        self._whole = self._whole + 1 if not isnan(predicted_m) else 0
 
     def value(self) -> DelayedHeave | None:
         """The newest delayed heave; None while the past is too short, or a sample in it is missing."""

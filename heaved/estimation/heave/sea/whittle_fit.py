@@ -3,9 +3,9 @@
     minimise  sum_f  (log S(f) + P(f) / S(f)) (f_1 / f)^0.7,      S = w^4 sum_k S_k + V + N + 2 B / w^2,
 
 over log f0, log zeta and log L of each component and log N, P being the periodogram and V what shakes the sensor
-(:mod:`sea_resonances`). The ordinates of a periodogram are nearly independent exponential variables, so Fisher scoring
-applies: each step is the weighted least-squares fit of P / S - 1 by the slopes of log S, and a handful of steps do what
-a general minimiser needs hundreds of evaluations for.
+(:mod:`heaved.estimation.heave.sea.noise`). The ordinates of a periodogram are nearly independent exponential variables,
+so Fisher scoring applies: each step is the weighted least-squares fit of P / S - 1 by the slopes of log S, and a
+handful of steps do what a general minimiser needs hundreds of evaluations for.
 All starts, of all spectra that are to be fitted, run side by side, all of them to the end (one that is behind three
 others after eight steps may be better than they by far); the best of each spectrum is taken.
 
@@ -21,9 +21,8 @@ in a record that is bridged, N soaks up what the components cannot follow, and t
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
 from math import inf, log, pi
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
@@ -33,6 +32,9 @@ from heaved.estimation.heave.sea.drift import TUNING as DRIFT
 from heaved.estimation.heave.sea.drift import drift_variances, drift_weights
 from heaved.estimation.heave.sea.model import Resonance, SeaModel, shaking_spectrum
 from heaved.estimation.heave.sea.noise import Above, groups
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
 
 Array = NDArray[np.float64]
 
@@ -181,7 +183,8 @@ def spectrum(
 
 def _floor(f: Array, power: Array, averages: float) -> float:
     """What white noise is hardly above: the least mean of the periodogram over a band within the waves', so far up that
-    chance would not have put it below."""
+    chance would not have put it below.
+    """
     ends = np.maximum(np.searchsorted(f, f * TUNING.floor_width), np.arange(len(f)) + TUNING.floor_ordinates)
     starts = np.flatnonzero(ends < len(f))
     if not len(starts):
@@ -247,7 +250,8 @@ def fit(
     warm: Sequence[SeaModel | None] | None = None,
 ) -> list[Fitted]:
     """The most likely model of ``components`` chains of ``stages`` for each spectrum; ``warm``: an earlier one of each,
-    used when it is of the same size."""
+    used when it is of the same size.
+    """
     earlier = warm if warm is not None else [None] * len(spectra)
     starts = [_starts(sp, components, model) for sp, model in zip(spectra, earlier, strict=True)]
     rows = np.repeat(np.arange(len(spectra)), [len(part) for part in starts])
@@ -282,7 +286,8 @@ def _fitted(sp: Spectrum, theta: Array, cost: float, stages: int, bias_walk_psd:
 def bias_walk(stretch: Array, rate_hz: float, model: SeaModel, expected_psd: float) -> float:
     """The walk of the bias, (m/s2)2/s, that ``stretch`` (n,) shows below the waves of ``model``: the likeliest one,
     where ``expected_psd`` is what its data sheet says. A straight drift is not in the periodogram, and may have begun a
-    moment ago: it is looked for by itself."""
+    moment ago: it is looked for by itself.
+    """
     levels = expected_psd * np.exp(WALKS)
     quiet = msgspec.structs.replace(model, bias_walk_psd=0.0)
     cost = -WALK_PRIOR

@@ -108,11 +108,11 @@ def test_a_filter_that_was_kept_scores_as_one_that_is_solved_for_again(
     """The model in use brings its filter's covariance along: for the same interval it is taken, else solved again."""
     t, _, a = s6
     before = look(window(t[:8000], a[:8000]))
-    assert [len(c.steady_P) > 0 for c in before.candidates] == [
+    assert [len(c.steady_covariance) > 0 for c in before.candidates] == [
         c.window_s == before.window_s for c in before.candidates
     ]
     asked = window(ratio * t[:8600], a[:8600], before, looked_s=ratio * before.t_s)
-    bare = tuple(msgspec.structs.replace(c, steady_P=b"", steady_dt_s=0.0) for c in before.candidates)
+    bare = tuple(msgspec.structs.replace(c, steady_covariance=b"", steady_dt_s=0.0) for c in before.candidates)
     kept, solved = look(asked), look(msgspec.structs.replace(asked, candidates=bare))
     for ours, theirs in zip(kept.candidates, solved.candidates, strict=True):
         assert ours.model == theirs.model
@@ -205,7 +205,7 @@ def test_a_record_with_holes_has_the_sea_of_the_whole_one(
     ratio = np.log(holed.model.heave_spectrum(f) / whole.model.heave_spectrum(f))
     assert np.sqrt(np.mean(ratio**2)) < (1.4 if name == "three quarters of them" else 0.5)
     system = SeaSystem(holed.model)
-    P = np.frombuffer(holed.P or holed.steady_P).reshape(len(system.H), -1)
+    P = np.frombuffer(holed.P or holed.steady_covariance).reshape(len(system.H), -1)
     error_m = float(system.heave @ np.frombuffer(holed.x)) - heave[-1]
     assert abs(error_m) < 4.0 * TUNING.overconfidence * np.sqrt(system.heave @ P @ system.heave)
     assert abs(error_m) < 0.1 * np.std(heave)
