@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections import Counter
 from copy import copy
-from math import inf, isfinite, isnan, nan, pi, radians, sqrt
+from math import floor, inf, isfinite, isnan, nan, pi, radians, sqrt
 from typing import Final
 
 import msgspec
@@ -83,7 +83,7 @@ class HullDeformation:
         self._consistency = Consistency(p)
         self.resets: Counter[ResetReason] = Counter()
         self.latest: HullEstimate | None = None
-        self._t_s = -inf
+        self._t_s = self._published_s = -inf
         self._generation = 0
         self._take_rate(p.rate_hz)
 
@@ -158,7 +158,13 @@ class HullDeformation:
         for pair in self._streams.due():
             if self._rate_hz != self._streams.rate_hz:
                 self._take_rate(self._streams.rate_hz)
-            estimate = self._step(pair)
+            self._take(pair)
+            # The grid may be faster than what is asked for.
+            known_s, rate_hz = self._known_s(), self._params.rate_hz
+            due_s = floor((known_s if isfinite(known_s) else pair.t_s) * rate_hz + 1e-6) / rate_hz
+            if due_s != self._published_s:
+                self._published_s = due_s
+                estimate = self.latest = self._publish(min(due_s, known_s))
         return estimate
 
     def step(self, t_s: float, midships_radps: Array, local_radps: Array) -> HullEstimate:
@@ -166,13 +172,16 @@ class HullDeformation:
 
         Never raises on data: what cannot be used is named in the estimate, a filter that breaks down starts over.
         """
-        return self._step(RatePair(t_s, midships_radps, local_radps))
+        if self._take(RatePair(t_s, midships_radps, local_radps)) or self.latest is None:
+            self.latest = self._publish(self._known_s())
+        return self.latest
 
-    def _step(self, pair: RatePair) -> HullEstimate:
+    def _take(self, pair: RatePair) -> bool:
+        """False: it is not later than the last one."""
         t_s = pair.t_s
         if not isfinite(t_s) or t_s <= self._t_s:
             if not isfinite(t_s) or self._t_s - t_s < TUNING.longest_gap_s:
-                return self._publish() if self.latest is None else self.latest
+                return False
             self._reset(ResetReason.TIME)
         elif len(self._ring) and t_s - self._t_s > TUNING.longest_gap_s:
             self._break_record()
@@ -187,8 +196,12 @@ class HullDeformation:
         )
         if due:
             self._step_slow(rows)
-        self.latest = self._publish(float(rows[-1 - ahead, 0]) if len(rows) > ahead else -inf)
-        return self.latest
+        return True
+
+    def _known_s(self) -> float:
+        """Up to here both rates are known from both sides; -inf: nowhere yet."""
+        rows = self._ring.last(self._pair.ahead + 1)
+        return float(rows[0, 0]) if len(rows) > self._pair.ahead else -inf
 
     def _break_record(self) -> None:
         """Go on behind a gap: the filter stays, the record begins anew."""
@@ -357,7 +370,7 @@ class HullDeformation:
             return HullState.CONVERGED
         return HullState.WEAK if weak else HullState.CONVERGING
 
-    def _publish(self, t_s: float = -inf) -> HullEstimate:
+    def _publish(self, t_s: float) -> HullEstimate:
         """The estimate as the filter stands, or as it will stand at ``t_s``, between two slow readings."""
         t = self._filtered_s if isfinite(self._filtered_s) else self._t_s
         f = self._filter
