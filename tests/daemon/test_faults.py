@@ -449,7 +449,7 @@ async def test_a_bad_file_at_reload_changes_nothing(tmp_path: Path) -> None:
 PROGRAM = """
 import sys, time
 from pathlib import Path
-from heaved import daemon, state
+from heaved.daemon import daemon, state
 from heaved.config.read import load
 def hang(*arguments, **options):
     time.sleep(3600)
