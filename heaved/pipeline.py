@@ -27,11 +27,10 @@ from heaved.estimation.heave import saved_state
 from heaved.estimation.heave.estimator import HeaveEstimator
 from heaved.estimation.heave.forecast_check import ForecastCheck
 from heaved.estimation.heave.laser.correction import Params as CorrectionParams
-from heaved.estimation.heave.laser.correction import Saved
 from heaved.estimation.heave.laser.reference import Params as LaserParams
 from heaved.estimation.heave.observer import SavedObserver, Verdict
 from heaved.estimation.heave.params import Params as HeaveParams
-from heaved.estimation.heave.sea.model import SeaModel
+from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
 from heaved.estimation.imu.conditioning import Conditioner
 from heaved.estimation.imu.vertical import Vertical
@@ -162,10 +161,10 @@ class Pipeline:
 
     # --- memory ------------------------------------------------------------------------------------------------------
 
-    def state(self) -> PipelineState:
+    def state(self) -> SavedState:
         """What a restart shall remember."""
         observer, lead = self.heave.observer.saved(), self.laser.lead
-        return PipelineState(
+        return SavedState(
             frequencies_hz=observer.frequencies_hz,
             sea=observer.sea,
             lead_learned_s=lead.learned_s if lead.updates else None,
@@ -173,13 +172,13 @@ class Pipeline:
             correction=self.heave.correction.saved(),
         )
 
-    def restore(self, state: PipelineState, age_s: float = nan) -> None:
+    def restore(self, state: SavedState, age_s: float = nan) -> None:
         """Start from what an earlier run has learned ``age_s`` ago (nan: not known); call before the first sample.
 
         Raises:
             ValueError: the state does not fit the configuration; says what does not, and nothing was taken over.
         """
-        check_state(state)
+        saved_state.check(state)
         self.heave.restore(SavedObserver(frequencies_hz=state.frequencies_hz, sea=state.sea), state.correction, age_s)
         if state.lead_learned_s is not None:
             self.laser.lead.restore(state.lead_learned_s, state.gain_learned)
@@ -241,32 +240,6 @@ def assemble(
         frames=MotionFrames(vertical, heaving, stages, point=point, rock_horizons_s=rocking.horizons_s),
         check=ForecastCheck.of(heave.forecast_horizons_s, lead_s),
         quiet=PointQuiescence.of(quiet, point),
-    )
-
-
-class PipelineState(msgspec.Struct, frozen=True, kw_only=True):
-    """What a restart remembers."""
-
-    frequencies_hz: tuple[float, ...] = ()
-    """Of the harmonic observer."""
-    sea: SeaModel | None = None
-    lead_learned_s: float | None = None
-    gain_learned: float = 1.0
-    correction: Saved | None = None
-
-
-def check_state(state: PipelineState) -> None:
-    """Whether a saved state holds numbers such as a pipeline has learned; that they fit one is seen when it takes them.
-
-    Raises:
-        ValueError: they are not; says which.
-    """
-    saved_state.check(
-        frequencies_hz=state.frequencies_hz,
-        sea=state.sea,
-        lead_s=state.lead_learned_s,
-        gain=state.gain_learned,
-        correction=state.correction,
     )
 
 

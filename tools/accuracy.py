@@ -46,7 +46,8 @@ from evidence.rock import commands as rock
 
 RECORDED: tuple[tuple[str, str], ...] = (
     ("accuracy.py gates", "1 min"),
-    ("accuracy.py headline --estimators sea harmonic --seeds 4", "40 min"),
+    ("accuracy.py headline --estimators sea --seeds 4", "35 min"),
+    ("accuracy.py headline --estimators harmonic --seeds 4", "15 min"),
     ("accuracy.py heave T1 T2 T3 --laser 50% --from 200", "10 min"),
     ("accuracy.py shake --rates 20 --seeds 2", "25 min"),
     ("accuracy.py shake --rates 100", "60 min"),
@@ -133,11 +134,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(words)
     started = time.monotonic()
     try:
-        report = COMMANDS[options.command].run(options, Output(options.out, not options.no_figures))
+        output = Output(options.out, not options.no_figures)
+        report = COMMANDS[options.command].run(options, output)
         print(report.text)
         took_s = time.monotonic() - started
         if options.record:
-            results.record(__file__, words, report, took_s)
+            results.record(__file__, words, report, output.made_with, took_s)
     except (ValueError, OSError, RuntimeError) as error:
         print(f"accuracy: {error}", file=sys.stderr)
         return 1

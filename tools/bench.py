@@ -483,11 +483,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     options = _parser().parse_args(words)
-    started = time.monotonic()
+    made_with, started = results.provenance(), time.monotonic()
     report = BENCHES[options.bench].run(options)
     print(report.text)
     if options.record:
-        results.record(__file__, words, report, time.monotonic() - started)
+        results.record(__file__, words, report, made_with, time.monotonic() - started)
     return 0
 
 

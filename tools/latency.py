@@ -252,7 +252,7 @@ def main() -> None:
     parser.add_argument("--compare-training", action="store_true")
     parser.add_argument("--record", action="store_true", help="put the table into tools/RESULTS.md")
     arguments = parser.parse_args()
-    begun_s = time.monotonic()
+    made_with, begun_s = results.provenance(), time.monotonic()
     named = {f"{arguments.clients} clients": (True, False)}
     if arguments.compare_training:
         named = {"no training": (False, False), "training": (True, True)}
@@ -264,7 +264,7 @@ def main() -> None:
     report = Report(f"{what}\n\n{table(rows)}", (1,))
     print(report.text)
     if arguments.record:
-        results.record(__file__, sys.argv[1:], report, time.monotonic() - begun_s)
+        results.record(__file__, sys.argv[1:], report, made_with, time.monotonic() - begun_s)
 
 
 if __name__ == "__main__":

@@ -138,13 +138,13 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--record", action="store_true", help="put the table into tools/RESULTS.md")
     options = parser.parse_args()
-    started = time.monotonic()
+    made_with, started = results.provenance(), time.monotonic()
     with tempfile.TemporaryDirectory(prefix="heaved-live-") as folder:
         lines, zero_s, recording = asyncio.run(run(options, Path(folder)))
         found = Report(f"```\n{report(lines, zero_s, recording)}\n```", (options.seed,))
         print(found.text)
         if options.record:
-            results.record(__file__, sys.argv[1:], found, time.monotonic() - started)
+            results.record(__file__, sys.argv[1:], found, made_with, time.monotonic() - started)
         print((Path(folder) / "log").read_text(), file=sys.stderr)
     return 0
 

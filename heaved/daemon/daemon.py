@@ -38,11 +38,13 @@ from heaved.daemon.utc_clock import UtcClock
 from heaved.devices.bus import Bus
 from heaved.devices.link import buses
 from heaved.devices.timer import Heartbeat
+from heaved.estimation.heave import saved_state
+from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.stages import Stages
 from heaved.outputs.http import HttpServer, liveness, readiness
 from heaved.outputs.listen import ListenError
 from heaved.outputs.stream import Publisher
-from heaved.pipeline import Pipeline, PipelineState, assemble, check_state
+from heaved.pipeline import Pipeline, assemble
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -109,7 +111,7 @@ class Daemon:
         )
         self._heartbeat = Heartbeat(self._beat)
         self.memory = Memory(
-            StateFile(state_directory(config.state.directory), PipelineState, check_state),
+            StateFile(state_directory(config.state.directory), SavedState, saved_state.check),
             self._learned,
             count_save=lambda result: self.metrics.state_saves.labels(result).inc(),
             count_load=lambda result: self.metrics.state_loads.labels(result).inc(),
@@ -233,7 +235,7 @@ class Daemon:
             self._heartbeat.start(self.acquisition.period_s)
         _log.info("configuration read again", devices=",".join(device.name for device in new.device) or "none")
 
-    def _take_up(self, state: PipelineState, age_s: float) -> None:
+    def _take_up(self, state: SavedState, age_s: float) -> None:
         """Start from a saved state.
 
         Raises:
@@ -245,7 +247,7 @@ class Daemon:
             self.acquisition.pipeline = make_pipeline(self.config, self.acquisition.pipeline.stages)
             raise error if isinstance(error, ValueError) else ValueError(repr(error)) from error
 
-    def _learned(self) -> PipelineState:
+    def _learned(self) -> SavedState:
         """What a restart shall remember."""
         return self.acquisition.pipeline.state()
 

@@ -54,7 +54,6 @@ class Reader(Protocol):
 
     async def read(self, device_id: int, block: Block, count: int, timeout_s: float) -> Answer:
         """Read ``count`` registers of a block."""
-        ...
 
 
 class Variant(msgspec.Struct, frozen=True, kw_only=True):

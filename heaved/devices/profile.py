@@ -358,16 +358,3 @@ def _field_faults(field: Field) -> list[str]:
     elif field.min is not None and field.max is not None and field.min > field.max:
         faults.append(f"min {field.min:g} is above max {field.max:g}")
     return faults
-
-
-def device_faults(device: DeviceSpec) -> list[str]:
-    """Faults of a device's profile, and a profile that carries nothing of what the device's role needs."""
-    faults = [f"device {device.name}: {message}" for message in profile_faults(device.profile)]
-    carried = {field.quantity for block in device.profile.blocks for field in block.fields}
-    needed = role_quantities(device.role)
-    if carried.isdisjoint(needed):
-        faults.append(
-            f"device {device.name}: role {device.role} needs {' or '.join(needed)}, "
-            f"but profile {device.profile.name} carries only {', '.join(sorted(carried))}"
-        )
-    return faults

@@ -74,7 +74,6 @@ _LONGEST_HEADER: Final = 4096
 """Characters. A first line beyond this is no header of ours, whatever it is."""
 _ALSO_CALLED: Final = {"t": "t_s", "time": "t_s", "timestamp": "t_s", "heading": "yaw_deg", "laser": "laser_m"}
 
-Row = tuple[ImuSample | None, LaserSample | None]
 Instant = tuple[ImuSample | None, LaserSample | None, RatesSample | None, CraftSample | None]
 
 
@@ -88,11 +87,11 @@ class RecordingError(Exception):
 
 
 class Recording:
-    """An open recording. Iterate once over its rows; memory does not grow with its length.
+    """An open recording. Go once over its :meth:`instants`; memory does not grow with its length.
 
     A row gives an ImuSample when ``az_mps2`` is there (without it the row's other motion values are of no use and are
-    left out) and a LaserSample when ``laser_m`` is there; a row may give both or neither. :meth:`instants` gives what
-    there is for the stages as well.
+    left out) and a LaserSample when ``laser_m`` is there; a row may give both or neither. What there
+    is for the stages comes beside them.
 
     Attributes:
         columns: names in the header, in the file's order.
@@ -137,15 +136,6 @@ class Recording:
     def read_bytes(self) -> int:
         """How much of the file has been read: for progress, in steps of the read buffer; 0 of what is no file."""
         return self._raw.tell() if self._raw.seekable() else 0
-
-    def __iter__(self) -> Iterator[Row]:
-        """The rows, in order, as far as they concern the heave.
-
-        Raises:
-            RecordingError: as :meth:`instants`.
-        """
-        for imu, laser, _, _ in self.instants():
-            yield imu, laser
 
     def instants(self) -> Iterator[Instant]:
         """The rows, in order: each a sample of the IMU, the laser, the second IMU and the craft, as far as it has them.
@@ -276,16 +266,6 @@ class Recording:
 
     def _error(self, reason: str, *, line: int = 0, column: str = "") -> RecordingError:
         return RecordingError(self._file, reason, line=line, column=column)
-
-
-def read_recording(path: Path) -> Iterator[Row]:
-    """The rows of the recording at ``path``; see :class:`Recording`.
-
-    Raises:
-        RecordingError: while iterating, at what is wrong.
-    """
-    with Recording(path) as recording:
-        yield from recording
 
 
 def _numbers(cells: tuple[str, ...]) -> list[float] | None:

@@ -35,19 +35,15 @@ class StreamMetrics(Protocol):
 
     def set_clients(self, clients: int) -> None:
         """Connections served now."""
-        ...
 
     def count_sent(self, frames: int) -> None:
         """So many frames were handed to a client's connection."""
-        ...
 
     def count_dropped(self, reason: str) -> None:
         """A line was dropped."""
-        ...
 
     def count_client_error(self, reason: str) -> None:
         """A client was turned away or misunderstood."""
-        ...
 
 
 class Publisher:

@@ -54,35 +54,27 @@ class Server(Protocol):
 
     def admit(self, client: Subscriber) -> ErrorRecord | None:
         """Serve ``client``, or say why not."""
-        ...
 
     def linger(self, client: Subscriber) -> bool:
         """Stop serving ``client`` but keep the connection for a moment; False when too many linger already."""
-        ...
 
     def forget(self, client: Subscriber) -> None:
         """``client`` is served no more."""
-        ...
 
     def refusal(self, reason: str, address: str, message: str) -> ErrorRecord:
         """Count and log what a client did wrong; what it is told."""
-        ...
 
     def count_drop(self) -> None:
         """A line was dropped for a slow client."""
-        ...
 
     def count_sent(self, frames: int) -> None:
         """So many frames were handed to a client's connection."""
-        ...
 
     def greeting(self) -> bytes:
         """The VERSION line."""
-        ...
 
     def status_line(self) -> bytes:
         """The STATUS line of now."""
-        ...
 
 
 class Subscriber(asyncio.Protocol):

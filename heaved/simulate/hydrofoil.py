@@ -42,7 +42,6 @@ class Accelerations(Protocol):
         self, state: Array, speed_mps: float, flaps_rad: Array, water_mps: Array, elevation_m: Array, /
     ) -> Array:
         """See the class."""
-        ...
 
 
 class Hull(msgspec.Struct, frozen=True, kw_only=True):

@@ -111,7 +111,6 @@ class MotionSource(Protocol):
 
     def at(self, t_s: float) -> Motion[float]:
         """The motion at ``t_s``."""
-        ...
 
 
 class Triad(msgspec.Struct, Generic[Real], frozen=True):

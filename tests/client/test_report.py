@@ -126,7 +126,9 @@ def test_table_shows_what_there_is() -> None:
         lead_s=0.0123,
         dropped=44,
         observer=ObserverStatus(name="sea", frequencies_hz=(0.121, 0.2104), fit_age_s=12.0, resets=3),
-        correction=CorrectionStatus(state=CorrectionState.ACTIVE, runs=12, last_result="accepted", age_s=35.0),
+        correction=CorrectionStatus(
+            state=CorrectionState.ACTIVE, runs=12, last_result="accepted", age_s=35.0, nothing_to_learn=3
+        ),
         clock=ClockStatus(utc_offset_s=1.7e9, steps=2),
         config_file="/etc/heaved/heaved.toml",
         state_file="/var/lib/heaved/state.json",
@@ -143,7 +145,7 @@ def test_table_shows_what_there_is() -> None:
         "roll +5.73°   pitch -2.86°   yaw -",
         "sea at 0.121, 0.210 Hz, fitted 12.0 s ago, started afresh 3 times",
         "+12.3 ms",
-        "active, 12 trainings, the last accepted, network in use since 35.0 s",
+        "active, 12 trainings, the last accepted, 3 times nothing to learn, network in use since 35.0 s",
         "rtu:///dev/ttyUSB0: no answer: check the cable",
         "1 connected, 44 lines dropped",
         "stepped 2 times",

@@ -17,7 +17,7 @@ from running import PATIENCE_S, SWELL, demo_config, metric, plant_of, running, s
 
 from heaved.daemon.state import StateFile
 from heaved.estimation.heave import params as heave
-from heaved.pipeline import PipelineState
+from heaved.estimation.heave.saved_state import SavedState
 from heaved.simulate.vessel import Motion
 
 PERIOD_S = 3.0
@@ -66,18 +66,18 @@ QUICK = heave.Params(
 
 @pytest.mark.parametrize(
     ("params", "learned", "wait_s"),
-    [(QUICK, PipelineState(), 1.0), (heave.Params(), PipelineState(sea=SHORT), 3.0 * PERIOD_S)],
+    [(QUICK, SavedState(), 1.0), (heave.Params(), SavedState(sea=SHORT), 3.0 * PERIOD_S)],
     ids=["harmonic", "sea, of which an earlier run knew the period"],
 )
 async def test_the_clients_see_the_motion_of_the_ship(
-    tmp_path: Path, params: heave.Params, learned: PipelineState, wait_s: float
+    tmp_path: Path, params: heave.Params, learned: SavedState, wait_s: float
 ) -> None:
     """``wait_s``: from the first heave (harmonic: 15 s after the first sample; sea: at once, so three periods more)
     until it is looked at.
     """
     sea = Swell()
     config = demo_config(tmp_path, heave=params)
-    StateFile(tmp_path / "state", PipelineState).write(StateFile.encode(learned))
+    StateFile(tmp_path / "state", SavedState).write(StateFile.encode(learned))
     frames = []
     async with (
         plant_of(config, sea=sea) as (plant, config),

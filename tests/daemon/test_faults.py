@@ -43,8 +43,9 @@ from heaved.daemon.daemon import Daemon, run
 from heaved.daemon.realtime import set_real_time
 from heaved.daemon.state import StateFile
 from heaved.estimation.heave import params as heave
+from heaved.estimation.heave.saved_state import SavedState
 from heaved.outputs.listen import ListenError
-from heaved.pipeline import Pipeline, PipelineState
+from heaved.pipeline import Pipeline
 from heaved.samples import CorrectionState, HeaveState, LaserState, MotionFrame, Quality
 from heaved.simulate.faults import FaultKind, PlannedFault
 from heaved.simulate.plant import SimulatedPlant
@@ -316,8 +317,8 @@ NOWHERE = msgspec.structs.replace(SWELL, frequency_hz=(1e300,))
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        (StateFile.encode(PipelineState(sea=NOWHERE)), "holds nonsense: frequency of the sea 1e+300 Hz"),
-        (StateFile.encode(PipelineState(), 4e9), "ahead of this machine's clock"),
+        (StateFile.encode(SavedState(sea=NOWHERE)), "holds nonsense: frequency of the sea 1e+300 Hz"),
+        (StateFile.encode(SavedState(), 4e9), "ahead of this machine's clock"),
         (b'{"version":4}', "is of version 4, this release reads 2 and 3"),
         (b"[" * 100_000, "is damaged"),
     ],
@@ -339,13 +340,13 @@ async def test_a_state_of_nonsense(tmp_path: Path, content: bytes, reason: str) 
 async def test_a_state_that_an_estimator_stumbles_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever it raises, the daemon starts, and with new estimators."""
 
-    def stumble(self: Any, state: PipelineState, age_s: float) -> None:
+    def stumble(self: Any, state: SavedState, age_s: float) -> None:
         self.stumbled = True
         raise ZeroDivisionError("float division by zero")
 
     monkeypatch.setattr(Pipeline, "restore", stumble)
     config = demo_config(tmp_path, device=())
-    StateFile(tmp_path / "state", PipelineState).write(StateFile.encode(SEA[1]))
+    StateFile(tmp_path / "state", SavedState).write(StateFile.encode(SEA[1]))
     with capture_logs() as logs:
         async with running(config) as daemon:
             await until(daemon, lambda _record: True)
@@ -355,7 +356,7 @@ async def test_a_state_that_an_estimator_stumbles_over(tmp_path: Path, monkeypat
 
 @pytest.mark.parametrize(("params", "learned", "other"), [HARMONIC, SEA])
 async def test_a_state_of_other_parameters(
-    tmp_path: Path, params: heave.Params, learned: PipelineState, other: dict[str, Any]
+    tmp_path: Path, params: heave.Params, learned: SavedState, other: dict[str, Any]
 ) -> None:
     config = demo_config(tmp_path, device=(), heave=params)
     async with running(config) as daemon:
@@ -407,7 +408,7 @@ async def test_the_fitter_dies_again_and_again(tmp_path: Path, monkeypatch: pyte
     """The stream goes on without a gap, with what was learned: here the sea of an earlier run."""
     let_die(monkeypatch, "fitter")
     config = demo_config(tmp_path, heave=SEA[0])
-    StateFile(tmp_path / "state", PipelineState).write(StateFile.encode(SEA[1]))
+    StateFile(tmp_path / "state", SavedState).write(StateFile.encode(SEA[1]))
     async with plant_of(config) as (_, config):
         with capture_logs() as logs:
             async with running(config) as daemon:

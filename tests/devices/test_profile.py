@@ -6,7 +6,6 @@ import math
 import struct
 from typing import Any, Literal
 
-import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,7 +13,6 @@ from hypothesis import strategies as st
 from heaved.devices.profile import (
     Block,
     ByteOrder,
-    DeviceSpec,
     Field,
     Profile,
     Quantity,
@@ -22,7 +20,6 @@ from heaved.devices.profile import (
     Unit,
     block_registers,
     decode,
-    device_faults,
     encode,
     profile_faults,
     si_step,
@@ -232,11 +229,3 @@ def test_every_fault_of_a_profile_is_reported_at_once() -> None:
         assert words in text
     assert len(text.splitlines()) == 9
     assert all("profile bad: block" in line for line in text.splitlines())
-
-
-def test_device_whose_profile_lacks_what_its_role_needs() -> None:
-    profile = Profile(name="gauge", blocks=(one("laser_m", unit="mm"),))
-    device = DeviceSpec(name="mru", role="imu", link="tcp://h:1", profile=profile, rate_hz=10.0)
-    assert len(device_faults(device)) == 1
-    assert "role imu needs" in device_faults(device)[0]
-    assert device_faults(msgspec.structs.replace(device, role="laser")) == []

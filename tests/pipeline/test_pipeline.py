@@ -15,11 +15,12 @@ from scipy.spatial.transform import Rotation
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction
 from heaved.estimation.heave.laser.network import Network, Output
+from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.heave.sea.refit import SeaFit, look
 from heaved.estimation.lever_arm import Point
 from heaved.outputs import wire
 from heaved.outputs.records import SeaRecord
-from heaved.pipeline import Pipeline, PipelineState
+from heaved.pipeline import Pipeline
 from heaved.samples import (
     CorrectionState,
     DelayedHeave,
@@ -507,7 +508,7 @@ def test_what_is_remembered_survives_json(
     trained: tuple[Pipeline, list[tuple[float, str]], list[MotionFrame]], longer: Recording
 ) -> None:
     pipe = trained[0]
-    state = msgspec.json.decode(msgspec.json.encode(pipe.state()), type=PipelineState)
+    state = msgspec.json.decode(msgspec.json.encode(pipe.state()), type=SavedState)
     assert state == pipe.state()
     again = pipeline(correction_params=SMALL)
     again.restore(state)
@@ -517,9 +518,9 @@ def test_what_is_remembered_survives_json(
     last = frames[-300:]
     assert column(last, "correction_m") == pytest.approx(0.3 * column(last, "observer_m"), abs=0.004)
     assert again.summary().lead_learned_s == pipe.summary().lead_learned_s
-    cold = PipelineState(frequencies_hz=(0.125,))
+    cold = SavedState(frequencies_hz=(0.125,))
     fresh = pipeline()
-    fresh.restore(msgspec.json.decode(msgspec.json.encode(cold), type=PipelineState))
+    fresh.restore(msgspec.json.decode(msgspec.json.encode(cold), type=SavedState))
     assert fresh.state() == cold
 
 
@@ -553,7 +554,7 @@ def seen(longer: Recording) -> Pipeline:
 
 def test_the_sea_is_remembered(seen: Pipeline, longer: Recording) -> None:
     """The next start has a heave after ten seconds, from the spectrum of the last run, and says that it settles."""
-    state = msgspec.json.decode(msgspec.json.encode(seen.state()), type=PipelineState)
+    state = msgspec.json.decode(msgspec.json.encode(seen.state()), type=SavedState)
     assert state == seen.state()
     assert state.sea is not None
     assert state.frequencies_hz == ()
@@ -593,15 +594,15 @@ def test_a_saved_sea_that_does_not_fit_is_refused_whole(
     with pytest.raises(ValueError, match=message):
         pipe.restore(state)
     assert pipe.state() == before
-    assert before == PipelineState()
+    assert before == SavedState()
 
 
 def test_what_one_observer_has_learned_is_not_forced_upon_the_other(seen: Pipeline) -> None:
     harmonic, default = pipeline(), pipeline(heave_params=heave.Params())
     harmonic.restore(seen.state())
-    default.restore(PipelineState(frequencies_hz=(0.1,)))
+    default.restore(SavedState(frequencies_hz=(0.1,)))
     assert harmonic.state().frequencies_hz == pipeline().state().frequencies_hz
-    assert default.state() == PipelineState()
+    assert default.state() == SavedState()
 
 
 def test_late_and_failed_fits_change_nothing_and_are_counted(short: Recording) -> None:

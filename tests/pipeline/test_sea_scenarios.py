@@ -19,8 +19,9 @@ from pipelines import NoRock, numbers
 
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
+from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.heave.sea.refit import look
-from heaved.pipeline import Pipeline, PipelineState, assemble
+from heaved.pipeline import Pipeline, assemble
 from heaved.samples import GRAVITY_MPS2, HeaveState, ImuSample, LaserSample, MotionFrame, Sample
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import record
@@ -383,7 +384,7 @@ def test_the_attitude_is_taken_from_when_the_accelerometers_measured() -> None:
     shift = round(late_s * RATE_HZ)
     imu = [s for s in sea().samples if isinstance(s, ImuSample) and s.t_s < 300.0]
     pipe = built(has_laser=False)
-    pipe.restore(PipelineState(lead_learned_s=-late_s))
+    pipe.restore(SavedState(lead_learned_s=-late_s))
     frames = []
     for then, now in zip(imu, imu[shift:], strict=False):
         force = {axis: getattr(then, axis) for axis in ("ax_mps2", "ay_mps2", "az_mps2")}

@@ -17,9 +17,9 @@ from heaved.config.read import data_directory, load
 from heaved.daemon.daemon import Daemon
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.params import SeaParams
+from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.heave.sea.model import SeaModel
 from heaved.outputs import wire
-from heaved.pipeline import PipelineState
 from heaved.simulate.instruments import Instruments
 from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.seaway import seaway
@@ -35,8 +35,8 @@ PATIENCE_S = 20.0
 
 
 # For each observer: [heave], what it may have learned with it, and [heave] which that does not fit.
-HARMONIC = heave.Params(observer="harmonic"), PipelineState(frequencies_hz=(0.0987,)), {"components": 2}
-SEA = heave.Params(), PipelineState(sea=SWELL), {"sea": SeaParams(stages=4)}
+HARMONIC = heave.Params(observer="harmonic"), SavedState(frequencies_hz=(0.0987,)), {"components": 2}
+SEA = heave.Params(), SavedState(sea=SWELL), {"sea": SeaParams(stages=4)}
 
 
 def demo_config(directory: Path, **changes: Any) -> Config:

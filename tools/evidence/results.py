@@ -139,13 +139,12 @@ def replaced(document: str, made: str) -> str:
     return "\n".join(text.rstrip() + "\n" for text in (head, *sections))
 
 
-def record(program: str, words: Sequence[str], report: Report, took_s: float, path: Path | None = None) -> None:
-    """Put what a command has printed into RESULTS.md.
+def record(program: str, words: Sequence[str], report: Report, made_with: Provenance, took_s: float) -> None:
+    """Put what a command has printed into RESULTS.md. ``made_with``: as it was when the command began.
 
     Raises:
         OSError: the file cannot be read or written.
     """
-    path = RESULTS if path is None else path
     day = time.strftime("%Y-%m-%d", time.gmtime())
-    made = section(command_line(program, words), report, provenance(), day, took_s)
-    path.write_text(replaced(path.read_text() if path.exists() else "", made))
+    made = section(command_line(program, words), report, made_with, day, took_s)
+    RESULTS.write_text(replaced(RESULTS.read_text() if RESULTS.exists() else "", made))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from heaved.estimation.heave.harmonic.observer import HarmonicObserver
 from heaved.estimation.heave.laser.correction import Params as CorrectionParams
-from heaved.estimation.heave.laser.correction import Saved as SavedCorrection
+from heaved.estimation.heave.laser.correction import SavedNetwork
 from heaved.estimation.heave.laser.learning import LaserLearning
 from heaved.estimation.heave.laser.reference import Params as LaserParams
 from heaved.estimation.heave.observer import HeaveObserver, SavedObserver
@@ -120,7 +120,7 @@ class HeaveEstimator:
             return None  # The first comparison moves the observer, and with it everything there is to learn.
         return self.correction.due(self.t_s, self.observer.omega_radps)
 
-    def restore(self, observer: SavedObserver, correction: SavedCorrection | None, age_s: float) -> None:
+    def restore(self, observer: SavedObserver, correction: SavedNetwork | None, age_s: float) -> None:
         """Start from what an earlier run has learned ``age_s`` ago (nan: not known); call before the first sample.
 
         Raises:

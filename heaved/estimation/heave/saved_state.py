@@ -1,17 +1,15 @@
-"""What a state of an earlier run cannot hold, so that none of it is used: pure, and before any of it is."""
+"""What a pipeline remembers over a restart, and what a state of an earlier run cannot hold, so that none is used."""
 
 from __future__ import annotations
 
 from math import isfinite, pi
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import msgspec
 
 from heaved.estimation.common.bounds import HEAVE_M
+from heaved.estimation.heave.laser.correction import SavedNetwork
 from heaved.estimation.heave.sea.model import SeaModel, heave_std
-
-if TYPE_CHECKING:
-    from heaved.estimation.heave.laser.correction import Saved
 
 
 class Plausible(msgspec.Struct, frozen=True, kw_only=True):
@@ -48,25 +46,30 @@ class Plausible(msgspec.Struct, frozen=True, kw_only=True):
 PLAUSIBLE: Final = Plausible()
 
 
-def check(
-    *,
-    frequencies_hz: tuple[float, ...],
-    sea: SeaModel | None,
-    lead_s: float | None,
-    gain: float,
-    correction: Saved | None,
-) -> None:
-    """Look at every number of a saved state.
+class SavedState(msgspec.Struct, frozen=True, kw_only=True):
+    """What a restart remembers of a pipeline."""
+
+    frequencies_hz: tuple[float, ...] = ()
+    """Of the harmonic observer."""
+    sea: SeaModel | None = None
+    lead_learned_s: float | None = None
+    gain_learned: float = 1.0
+    correction: SavedNetwork | None = None
+
+
+def check(state: SavedState) -> None:
+    """Whether it holds numbers such as a pipeline has learned; that they fit one is seen when it takes them.
 
     Raises:
         ValueError: one cannot be what an estimator has learned; says which.
     """
-    _within("frequency of the observer", frequencies_hz, PLAUSIBLE.frequency_hz, "Hz")
-    if sea is not None:
-        _check_sea(sea)
-    if lead_s is not None:
-        _within("learned lead", (lead_s,), (-PLAUSIBLE.lead_s, PLAUSIBLE.lead_s), "s")
-    _within("learned gain", (gain,), PLAUSIBLE.gain, "")
+    _within("frequency of the observer", state.frequencies_hz, PLAUSIBLE.frequency_hz, "Hz")
+    if state.sea is not None:
+        _check_sea(state.sea)
+    if state.lead_learned_s is not None:
+        _within("learned lead", (state.lead_learned_s,), (-PLAUSIBLE.lead_s, PLAUSIBLE.lead_s), "s")
+    _within("learned gain", (state.gain_learned,), PLAUSIBLE.gain, "")
+    correction = state.correction
     if correction is not None:
         _within("spacing of the correction's inputs", (correction.step_s,), PLAUSIBLE.step_s, "s")
         _within("heave that the correction was trained on", (correction.input_std_m,), PLAUSIBLE.length_m, "m")

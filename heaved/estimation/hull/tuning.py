@@ -106,8 +106,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Neither a rigid hull nor its vibration is known across a longer one."""
     rounds: int = 4
     """Of identifying what vibrates: each takes most of what the missing readings added to a spectrum out again."""
-    patterns_kept: int = 200
-    """Patterns of holes that are remembered."""
+    patterns_kept: int = 50
+    """Patterns of holes that are remembered: 80 kB each at 25 Hz, and with jitter no two are alike."""
 
     # --- alignment, start, refit --------------------------------------------------------------------------------------
     correlated_s: float = 1.0

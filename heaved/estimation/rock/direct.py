@@ -36,6 +36,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Sequence
+from enum import StrEnum
 from math import ceil, exp, inf, isfinite, nan
 from typing import Annotated, Final
 
@@ -56,6 +57,20 @@ from heaved.estimation.rock.rate_gate import RateGate
 from heaved.estimation.rock.sample_clock import SampleClock
 
 Array = NDArray[np.float64]
+
+
+class Reset(StrEnum):
+    """What there is to count."""
+
+    RESTART = "restart"
+    """The stream was begun anew: its clock was set back, or it has another rate."""
+    OUT_OF_BOUNDS = "out of bounds"
+    """Likewise, for what it predicted."""
+    LOST_TRACK = "lost track"
+    """One channel was begun anew: what was read is not what its filter for holes followed."""
+    SPIKE = "spike"
+    """Samples held back for good."""
+    LEVEL_STEP = "level step"
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -172,16 +187,16 @@ class DirectPredictor:
         self._unknown_curve = np.full((len(self._horizons) + 1, channels), nan)
         self._growth = np.clip(self._horizons / TUNING.surprised_s, 1.0, TUNING.grown)[:, None] ** 2
         self._limits = limits
-        self.begun_anew: Counter[str] = Counter()
+        self.begun_anew: Counter[Reset] = Counter()
         """By reason: how often the stream, or (lost track) one channel of it, was begun anew."""
         self._channels: list[Channel] = []
-        self._of_before: Counter[str] = Counter()
+        self._of_before: Counter[Reset] = Counter()
         """Spikes and level steps of the streams before this one."""
         self.reset()
 
     def reset(self) -> None:
         """Forget everything but what is counted."""
-        self._of_before = Counter({"spike": self.spikes, "level step": self.level_steps})
+        self._of_before = Counter({Reset.SPIKE: self.spikes, Reset.LEVEL_STEP: self.level_steps})
         self.t_s = -inf
         """Of the last sample that was taken."""
         self._read_s = [-inf] * self._n
@@ -241,22 +256,22 @@ class DirectPredictor:
     @property
     def spikes(self) -> int:
         """Samples held back for good."""
-        return self._of_before["spike"] + sum(channel.spikes for channel in self._channels)
+        return self._of_before[Reset.SPIKE] + sum(channel.spikes for channel in self._channels)
 
     @property
     def level_steps(self) -> int:
         """Steps of the level."""
-        return self._of_before["level step"] + sum(channel.level_steps for channel in self._channels)
+        return self._of_before[Reset.LEVEL_STEP] + sum(channel.level_steps for channel in self._channels)
 
     @property
-    def resets(self) -> Counter[str]:
+    def resets(self) -> Counter[Reset]:
         """By reason, as far as there are any: what was begun anew, held back, or moved."""
-        return self.begun_anew + Counter({"spike": self.spikes, "level step": self.level_steps})
+        return self.begun_anew + Counter({Reset.SPIKE: self.spikes, Reset.LEVEL_STEP: self.level_steps})
 
     @property
     def restarts(self) -> int:
         """Times that the stream was begun anew."""
-        return self.begun_anew["restart"] + self.begun_anew["out of bounds"]
+        return self.begun_anew[Reset.RESTART] + self.begun_anew[Reset.OUT_OF_BOUNDS]
 
     @property
     def experts(self) -> NDArray[np.intp]:
@@ -343,7 +358,7 @@ class DirectPredictor:
         steps, late_s = self._clock.step(t_s), self._clock.late_s
         self._rows(steps, values, rates, late_s)
         if self._out >= TUNING.out:
-            self._restart("out of bounds")
+            self._restart(Reset.OUT_OF_BOUNDS)
         elif self._first and (self._clock.is_other or t_s - self._first[0][0] >= self._looks[0]):
             self._look_again(self._clock)
         elif self._clock.is_other:
@@ -362,7 +377,7 @@ class DirectPredictor:
         seen[at_s > end_s + TUNING.beyond_s] = nan
         return seen
 
-    def _restart(self, reason: str = "restart") -> None:
+    def _restart(self, reason: Reset = Reset.RESTART) -> None:
         self.begun_anew[reason] += 1
         self.reset()
 
@@ -393,12 +408,17 @@ class DirectPredictor:
 
     def _look_again(self, clock: SampleClock) -> None:
         """More of the first samples may show another interval: then all is built for that."""
-        stamps_s = [t for t, _, _ in self._first[-TUNING.looked :]]
-        found = clock if are_still_apart(np.array(stamps_s) - stamps_s[0], clock.interval_s) else SampleClock(stamps_s)
-        if abs(found.interval_s - self._interval_s) > TUNING.other * self._interval_s:
+        stamps_s = np.array([t for t, _, _ in self._first[-TUNING.looked :]])
+        if clock.is_other:
+            recent = int(np.count_nonzero(stamps_s >= self.t_s - sample_clock.TUNING.judged_s))
+            clock = SampleClock(stamps_s[-max(recent, TUNING.first) :].tolist())
+        elif not are_still_apart(stamps_s - stamps_s[0], clock.interval_s):
+            clock = SampleClock(stamps_s.tolist())
+        if abs(clock.interval_s - self._interval_s) > TUNING.other * self._interval_s:
             self._forget_built()
-            self._build(found)
+            self._build(clock)
         else:
+            self._clock = clock
             self._publish(clock.late_s)
         while self._looks and self.t_s - self._first[0][0] >= self._looks[0]:
             del self._looks[0]
@@ -654,7 +674,7 @@ class DirectPredictor:
             if measured := hole.read(at, x - hole.mean):
                 x -= hole.value(at)[0] - hole.value(row)[0]
             elif hole.is_lost(row):
-                self.begun_anew["lost track"] += 1
+                self.begun_anew[Reset.LOST_TRACK] += 1
                 channel.forget()
         if not measured:
             x = hole.mean + hole.value(row)[0]

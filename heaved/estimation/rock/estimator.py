@@ -178,7 +178,7 @@ class DirectRockPredictor:
     def resets(self) -> Counter[tuple[str, str]]:
         """By (filter, reason): streams begun anew, steps of the level; spikes that were held back."""
         predictor = self.predictor
-        return Counter() if predictor is None else Counter({("rock", r): n for r, n in predictor.resets.items()})
+        return Counter() if predictor is None else Counter({("rock", r.value): n for r, n in predictor.resets.items()})
 
     def _unwrapped(self, yaw_rad: float) -> float:
         """Yaw relative to the first reading, without jumps."""

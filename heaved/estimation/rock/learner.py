@@ -48,7 +48,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     ridge: float = 0.1
     """Ridge over the noise variance of a feature: that of a sample, for which the square of the one-step error stands,
     over the samples in a mean."""
-    rate_ridge: float = 0.1
+    rate_ridge: float = 0.3
     """The same of rates, over that of the others: scaled as they are, they have so much less noise."""
     least_ridge: float = 1e-12
     """Over the mean diagonal: what double precision leaves of a motion without noise."""

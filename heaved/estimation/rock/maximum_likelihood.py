@@ -119,7 +119,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return points * STEP_S
 
 
-def carried(predictions: tuple[RockPrediction, ...], by_s: float) -> tuple[RockPrediction, ...]:
+def seen_later(predictions: tuple[RockPrediction, ...], by_s: float) -> tuple[RockPrediction, ...]:
     """The same predictions as seen from a moment ``by_s`` later, on straight lines through neighbouring horizons.
 
     For the moment between two samples, or of one that is late. Beyond one step of 50 ms nothing is claimed (nan).
@@ -252,7 +252,7 @@ class MaximumLikelihoodPredictor:
 
     def at(self, t_s: float) -> tuple[RockPrediction, ...]:
         """Predictions as seen from a moment without a sample, on straight lines through neighbouring horizons."""
-        return carried(self._latest, t_s - self._t_s)
+        return seen_later(self._latest, t_s - self._t_s)
 
     def scores(self) -> tuple[RockScore, ...]:
         """No account is kept of how predictions have fared."""

@@ -13,33 +13,35 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from heaved.config import Config
+from heaved.estimation.heave import saved_state
 from heaved.estimation.heave.laser import correction
-from heaved.estimation.heave.laser.correction import Saved
+from heaved.estimation.heave.laser.correction import SavedNetwork
+from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.heave.sea.model import SeaModel
-from heaved.pipeline import Pipeline, PipelineState, assemble, check_state
+from heaved.pipeline import Pipeline, assemble
 
 SEA = SeaModel(
     stages=7, frequency_hz=(0.1, 0.2), damping=(0.3, 0.2), level_m2phz=(4.0, 1.0), noise_psd=4e-6, bias_walk_psd=9e-10
 )
 WEIGHTS = np.concatenate((np.zeros(10 * 50 + 2 * 10 + 1), [0.0, 1.0, 0.0, 1.0])).astype("<f8").tobytes()
-NETWORK = Saved(
+NETWORK = SavedNetwork(
     weights=WEIGHTS, width=50, hidden=10, output="linear", step_s=0.1, input_std_m=0.5, omega_radps=0.7, limit_m=0.3
 )
-LEARNED = PipelineState(sea=SEA, lead_learned_s=0.05, gain_learned=1.02, correction=NETWORK)
+LEARNED = SavedState(sea=SEA, lead_learned_s=0.05, gain_learned=1.02, correction=NETWORK)
 SOUND = {
-    "nothing": PipelineState(),
+    "nothing": SavedState(),
     "all": LEARNED,
-    "a still sea": PipelineState(sea=msgspec.structs.replace(SEA, level_m2phz=(0.0, 0.0))),
-    "the harmonic observer's": PipelineState(frequencies_hz=(0.08, 0.12)),
+    "a still sea": SavedState(sea=msgspec.structs.replace(SEA, level_m2phz=(0.0, 0.0))),
+    "the harmonic observer's": SavedState(frequencies_hz=(0.08, 0.12)),
 }
 
 
-def of_sea(**changes: object) -> PipelineState:
-    return PipelineState(sea=msgspec.structs.replace(SEA, **changes))
+def of_sea(**changes: object) -> SavedState:
+    return SavedState(sea=msgspec.structs.replace(SEA, **changes))
 
 
-def of_network(**changes: object) -> PipelineState:
-    return PipelineState(correction=msgspec.structs.replace(NETWORK, **changes))
+def of_network(**changes: object) -> SavedState:
+    return SavedState(correction=msgspec.structs.replace(NETWORK, **changes))
 
 
 NONSENSE = {
@@ -60,12 +62,12 @@ NONSENSE = {
     "a bias that runs away": (of_sea(bias_walk_psd=1e9), "bias walk"),
     "a thousand resonators": (of_sea(stages=1000), "number of resonators"),
     "no resonator": (of_sea(stages=0), "number of resonators"),
-    "frequency 0 of the observer": (PipelineState(frequencies_hz=(0.0,)), "frequency of the observer 0 Hz"),
-    "many of the observer": (PipelineState(frequencies_hz=(0.1,) * 1000), "1000 values"),
-    "a lead of a year": (PipelineState(lead_learned_s=3e7), "learned lead"),
-    "no lead": (PipelineState(lead_learned_s=nan), "learned lead nan"),
-    "no gain": (PipelineState(gain_learned=0.0), "learned gain 0"),
-    "a gain of 1e300": (PipelineState(gain_learned=1e300), "learned gain 1e+300"),
+    "frequency 0 of the observer": (SavedState(frequencies_hz=(0.0,)), "frequency of the observer 0 Hz"),
+    "many of the observer": (SavedState(frequencies_hz=(0.1,) * 1000), "1000 values"),
+    "a lead of a year": (SavedState(lead_learned_s=3e7), "learned lead"),
+    "no lead": (SavedState(lead_learned_s=nan), "learned lead nan"),
+    "no gain": (SavedState(gain_learned=0.0), "learned gain 0"),
+    "a gain of 1e300": (SavedState(gain_learned=1e300), "learned gain 1e+300"),
     "a step of 0": (of_network(step_s=0.0), "spacing of the correction's inputs 0 s"),
     "a limit of 1e300 m": (of_network(limit_m=1e300), "limit of the correction 1e+300 m"),
     "a frequency of 1e300": (of_network(omega_radps=1e300), "wave frequency"),
@@ -75,14 +77,14 @@ NONSENSE = {
 
 @pytest.mark.parametrize("name", SOUND)
 def test_what_was_learned_is_taken(name: str) -> None:
-    check_state(SOUND[name])
+    saved_state.check(SOUND[name])
 
 
 @pytest.mark.parametrize("name", NONSENSE)
 def test_nonsense_is_named(name: str) -> None:
     state, said = NONSENSE[name]
     with pytest.raises(ValueError, match=re.escape(said)):
-        check_state(state)
+        saved_state.check(state)
 
 
 def pipeline() -> Pipeline:
@@ -108,16 +110,18 @@ LISTS = st.lists(NUMBERS, max_size=5).map(tuple)
         bias_walk_psd=NUMBERS,
     ),
     network=st.none() | st.builds(
-        Saved, weights=st.sampled_from([WEIGHTS, WEIGHTS[:-8], b""]), width=st.sampled_from([50, 0]),
+        SavedNetwork, weights=st.sampled_from([WEIGHTS, WEIGHTS[:-8], b""]), width=st.sampled_from([50, 0]),
         hidden=st.sampled_from([10, -1]), output=st.sampled_from(["linear", "?"]), step_s=NUMBERS, input_std_m=NUMBERS,
         omega_radps=NUMBERS, limit_m=NUMBERS,
     ),
     others=st.fixed_dictionaries({"frequencies_hz": LISTS, "gain_learned": NUMBERS, "lead_learned_s": NUMBERS}),
 )  # fmt: skip
-def test_any_state_is_restored_or_refused(sea: SeaModel | None, network: Saved | None, others: dict[str, Any]) -> None:
-    state = PipelineState(sea=sea, correction=network, **others)
+def test_any_state_is_restored_or_refused(
+    sea: SeaModel | None, network: SavedNetwork | None, others: dict[str, Any]
+) -> None:
+    state = SavedState(sea=sea, correction=network, **others)
     try:
-        check_state(state)
+        saved_state.check(state)
         restored = pipeline()
         restored.restore(state)
     except ValueError:

@@ -193,12 +193,12 @@ def test_a_list_that_comes_about_opens_the_deviations() -> None:
     x = waves(t) + 3e-4 * rng.standard_normal(len(t))
     u = np.clip((t - 150.0) / 5.0, 0.0, 1.0)
     listed = np.radians(3.0) * u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
-    paced = DirectPredictor(1)
-    horizon = paced.horizons_s.index(1.0)
+    predictor = DirectPredictor(1)
+    horizon = predictor.horizons_s.index(1.0)
     off = []
     for moment, value in zip(t.tolist(), (x + listed).tolist(), strict=True):
-        predicted = paced.step(moment, [value])[horizon, 0]
-        off.append((predicted, paced.deviations(moment)[0][horizon, 0]))
+        predicted = predictor.step(moment, [value])[horizon, 0]
+        off.append((predicted, predictor.deviations(moment)[0][horizon, 0]))
     predicted, std = np.array(off).T
     error = predicted[:-20] - (waves(t) + listed)[20:]
     shows = (t[:-20] > 151.0) & (t[:-20] < 170.0)

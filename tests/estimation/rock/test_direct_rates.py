@@ -102,15 +102,15 @@ def test_lost_samples_jitter_and_spikes_cost_little() -> None:
     lost[rng.random(len(x)) < 0.1] = nan
     hit = np.flatnonzero(rng.random(len(x)) < 0.01)
     spiked[hit] += 1.0
-    paced = DirectPredictor(3)
+    predictor = DirectPredictor(3)
     for name, predicted, limit in (
         ("lost", predict(DirectPredictor(3), t, lost), 1.1),
-        ("spiked", predict(paced, t, spiked), 1.1),
+        ("spiked", predict(predictor, t, spiked), 1.1),
     ):
         for horizon in range(3):
             with_all, found = rms(x, whole, horizon, 8_000), rms(x, predicted, horizon, 8_000)
             assert np.all(found < limit * with_all), (name, horizon, found / with_all)
-    assert paced.spikes > 0.8 * 3 * np.count_nonzero(hit > 1000)
+    assert predictor.spikes > 0.8 * 3 * np.count_nonzero(hit > 1000)
     late = t + rng.uniform(-0.002, 0.002, len(t))
     period_s = 9.0
     predicted = predict(DirectPredictor(1), late, np.sin(TURN * late / period_s)[:, None])
@@ -135,9 +135,9 @@ def test_jitter_of_half_an_interval_costs_little(jitter: str) -> None:
     found = []
     for t in (even, np.sort(even + off)):
         x = roll(t) + 1e-3 * rng.standard_normal(len(t))
-        paced = DirectPredictor(1)
-        predicted = predict(paced, t, x[:, None])[:, :, 0]
-        assert paced.restarts == 0
+        predictor = DirectPredictor(1)
+        predicted = predict(predictor, t, x[:, None])[:, :, 0]
+        assert predictor.restarts == 0
         late = t > 60.0
         found.append([rms_of(predicted[late, h] - roll(t[late] + HORIZONS[h])) for h in range(5)])
     regular, jittered = np.array(found)
@@ -166,25 +166,25 @@ def test_rows_that_are_not_there_at_all_cost_little() -> None:
 def test_after_a_gap_and_a_clock_set_back_it_begins_anew() -> None:
     t = np.arange(6000) / RATE_HZ
     x = np.sin(TURN * t / 8)[:, None]
-    paced = DirectPredictor(1)
-    predict(paced, t, x)
-    assert np.isfinite(paced.values).all()
-    assert np.isnan(paced.step(t[-1] + 30.0, [0.0])).all()
-    again = predict(paced, t[-1] + 30.0 + t[1:400], x[1:400])
+    predictor = DirectPredictor(1)
+    predict(predictor, t, x)
+    assert np.isfinite(predictor.values).all()
+    assert np.isnan(predictor.step(t[-1] + 30.0, [0.0])).all()
+    again = predict(predictor, t[-1] + 30.0 + t[1:400], x[1:400])
     assert np.isfinite(again[-1]).all()
     for _ in range(25):
-        paced.step(1.0, [0.0])
-    assert paced.restarts == 1
-    assert np.isnan(paced.values).all()
-    back = predict(paced, 2.0 + t, x)
+        predictor.step(1.0, [0.0])
+    assert predictor.restarts == 1
+    assert np.isnan(predictor.values).all()
+    back = predict(predictor, 2.0 + t, x)
     assert np.max(np.abs(back[3000:, 2, 0] - np.sin(TURN * (t[3000:] + 0.15) / 8))) < 1e-4
 
 
 def test_another_rate_begins_anew() -> None:
-    paced = DirectPredictor(1)
+    predictor = DirectPredictor(1)
     t = np.concatenate([np.arange(3000) / 100.0, 30.0 + np.arange(3000) / 50.0])
-    predicted = predict(paced, t, np.sin(TURN * t / 8)[:, None])
-    assert paced.restarts == 1
+    predicted = predict(predictor, t, np.sin(TURN * t / 8)[:, None])
+    assert predictor.restarts == 1
     assert np.max(np.abs(predicted[-500:, 2, 0] - np.sin(TURN * (t[-500:] + 0.15) / 8))) < 1e-4
 
 
@@ -214,9 +214,9 @@ def test_polls_that_are_held_up_are_no_other_rate(rate_hz: float, seed: int) -> 
     """And the time axis stays: what is predicted for a moment is what the wave is then."""
     t = busy(rate_hz, 40.0, seed)
     assert np.diff(t).max() > 1.9 / rate_hz or rate_hz == 20.0
-    paced = DirectPredictor(1)
-    predicted = predict(paced, t, np.sin(TURN * t / 8)[:, None])[:, 2, 0]
-    assert paced.restarts == 0
+    predictor = DirectPredictor(1)
+    predicted = predict(predictor, t, np.sin(TURN * t / 8)[:, None])[:, 2, 0]
+    assert predictor.restarts == 0
     known = t > 2.2
     error = (predicted - np.sin(TURN * (t + 0.15) / 8))[known]
     assert np.isfinite(error).all()
@@ -261,9 +261,9 @@ def test_a_third_of_the_polls_late_is_no_other_rate(
     kind: Callable[[Array, Array, float], Array], rate_hz: float, seed: int
 ) -> None:
     t = late_polls(kind, rate_hz, 40.0, seed)
-    paced = DirectPredictor(1)
-    predicted = predict(paced, t, np.sin(TURN * t / 8)[:, None])[:, 2, 0]
-    assert paced.restarts <= 2 * (rate_hz == 33.0)  # which the first seconds may not show yet
+    predictor = DirectPredictor(1)
+    predicted = predict(predictor, t, np.sin(TURN * t / 8)[:, None])[:, 2, 0]
+    assert predictor.restarts <= 2 * (rate_hz == 33.0)  # which the first seconds may not show yet
     error = (predicted - np.sin(TURN * (t + 0.15) / 8))[t > 10.0]
     assert np.isfinite(error).all()
     assert np.sqrt(np.mean(error**2)) < 0.02 * np.sqrt(0.5)
@@ -282,12 +282,12 @@ def test_the_usual_interval_where_a_third_of_the_polls_is_late(
 @pytest.mark.parametrize(("before_hz", "after_hz"), [(20.0, 10.0), (10.0, 20.0), (100.0, 50.0), (50.0, 100.0)])
 def test_another_rate_is_noticed_among_held_up_polls(before_hz: float, after_hz: float) -> None:
     t = np.concatenate([busy(before_hz, 20.0, 3), 20.1 + busy(after_hz, 20.0, 4)])
-    paced = DirectPredictor(1)
+    predictor = DirectPredictor(1)
     predicted: list[Array] = []
     noticed_s: list[float] = []
     for moment in t.tolist():
-        predicted.append(paced.step(moment, [np.sin(TURN * moment / 8)])[2, 0])
-        if paced.restarts > len(noticed_s):
+        predicted.append(predictor.step(moment, [np.sin(TURN * moment / 8)])[2, 0])
+        if predictor.restarts > len(noticed_s):
             noticed_s.append(moment)
     assert len(noticed_s) == 1
     assert 20.0 < noticed_s[0] < 23.5
@@ -308,11 +308,11 @@ def test_the_usual_interval_among_held_up_polls(seed: int) -> None:
 
 @pytest.mark.parametrize("value", [nan, inf, 0.0, 1e6])
 def test_whatever_is_fed_nothing_breaks(value: float) -> None:
-    paced = DirectPredictor(2)
+    predictor = DirectPredictor(2)
     rng = np.random.default_rng(1)
     x = 0.01 * rng.standard_normal((3000, 2))
     x[1000:1100, 0] = value
-    predicted = predict(paced, np.arange(3000) / RATE_HZ, x)
+    predicted = predict(predictor, np.arange(3000) / RATE_HZ, x)
     assert np.isfinite(predicted[400:, :, 1]).all()
     assert np.all(np.abs(predicted[400:, :, 1]) < 1.0)
     assert np.isfinite(predicted[-1]).all()
@@ -332,15 +332,15 @@ def test_an_axis_that_is_missing_does_not_touch_the_others() -> None:
 @pytest.mark.parametrize("rate_hz", [10.0, 20.0, 100.0])
 def test_between_samples_the_curve_is_followed(rate_hz: float) -> None:
     t = np.arange(round(60 * rate_hz)) / rate_hz
-    paced = DirectPredictor(1)
-    predict(paced, t, np.sin(TURN * t / 8)[:, None])
+    predictor = DirectPredictor(1)
+    predict(predictor, t, np.sin(TURN * t / 8)[:, None])
     for after_s in (0.0, 0.004, 0.04, 0.3):
         moment = t[-1] + after_s
-        found = paced.at(moment)[:4, 0]
+        found = predictor.at(moment)[:4, 0]
         expected = np.sin(TURN * (moment + np.array(HORIZONS[:4])) / 8)
         assert np.max(np.abs(found - expected)) < 2e-3, after_s
-    assert np.isnan(paced.at(t[-1] + 3.0)).all()
-    assert np.isnan(paced.at(t[-1] - 1.0)).all()
+    assert np.isnan(predictor.at(t[-1] + 3.0)).all()
+    assert np.isnan(predictor.at(t[-1] - 1.0)).all()
 
 
 def test_what_is_scored_has_come_true_though_the_rate_was_first_taken_for_another() -> None:
@@ -349,9 +349,9 @@ def test_what_is_scored_has_come_true_though_the_rate_was_first_taken_for_anothe
     t = np.cumsum(gaps_s)
     rng = np.random.default_rng(8)
     x = np.sin(TURN * t / 7.3) + 0.5 * np.sin(TURN * t / 9.1) + 1e-3 * rng.standard_normal(len(t))
-    paced = DirectPredictor(1)
-    predicted = predict(paced, t, x[:, None])
-    assert paced.restarts == 0
+    predictor = DirectPredictor(1)
+    predicted = predict(predictor, t, x[:, None])
+    assert predictor.restarts == 0
     for horizon in range(len(HORIZONS)):
         steady = rms(x[:, None], predicted, horizon, 14_000)[0]
-        assert 0.75 * steady < paced.std[horizon, 0] < 1.5 * steady, horizon  # few of 5 s there are in 200 s
+        assert 0.75 * steady < predictor.std[horizon, 0] < 1.5 * steady, horizon  # few of 5 s there are in 200 s

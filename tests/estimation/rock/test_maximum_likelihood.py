@@ -16,8 +16,8 @@ from heaved.estimation.rock.maximum_likelihood import (
     STANDARD_HORIZONS_S,
     MaximumLikelihoodPredictor,
     Params,
-    carried,
     regression,
+    seen_later,
 )
 from heaved.samples import RockPrediction
 
@@ -320,10 +320,10 @@ def test_carried_predictions_are_those_of_a_straight_motion_and_end_after_a_step
 
     given = tuple(at(0.0, h) for h in (0.05, 0.1, 0.15))
     for by_s in (0.0, 0.013, 0.05):
-        for seen, expected in zip(carried(given, by_s), (at(by_s, h) for h in (0.05, 0.1, 0.15)), strict=True):
+        for seen, expected in zip(seen_later(given, by_s), (at(by_s, h) for h in (0.05, 0.1, 0.15)), strict=True):
             assert seen.horizon_s == expected.horizon_s
             assert seen.roll_rad == pytest.approx(expected.roll_rad, abs=1e-12)
             assert seen.pitch_rad == pytest.approx(expected.pitch_rad, abs=1e-12)
             assert seen.yaw_rad == pytest.approx(expected.yaw_rad, abs=1e-12)
             assert seen.roll_std_rad >= expected.roll_std_rad
-    assert all(isnan(seen.roll_rad) for seen in carried(given, 0.0501))
+    assert all(isnan(seen.roll_rad) for seen in seen_later(given, 0.0501))

@@ -31,10 +31,11 @@ from evidence.scenarios import Setting, build, triplet
 from heaved.estimation.common import bounds
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
+from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.outputs.wire import motion_head
-from heaved.pipeline import Pipeline, PipelineState, assemble
+from heaved.pipeline import Pipeline, assemble
 from heaved.samples import Fault, HeaveState, ImuSample, MotionFrame, Sample
 from heaved.simulate.seaway import TRAINS
 from heaved.simulate.sensors import Recording, measure
@@ -224,14 +225,14 @@ def _remember(pipe: Pipeline, disaster: Disaster, task: Task) -> None:
         state = _state(sea, task.rate_hz, task.seed + 500, task.plan.memory_s)
         if disaster.memory in ("zeros", "huge"):
             number = 0.0 if disaster.memory == "zeros" else 1e300
-            state = msgspec.convert(_with_all(msgspec.to_builtins(state), number), PipelineState)
+            state = msgspec.convert(_with_all(msgspec.to_builtins(state), number), SavedState)
         pipe.restore(state)
     except ValueError:
         pass
 
 
 @lru_cache
-def _state(sea: str, rate_hz: float, seed: int, duration_s: float) -> PipelineState:
+def _state(sea: str, rate_hz: float, seed: int, duration_s: float) -> SavedState:
     """Of a pipeline that has seen so much of a sea."""
     setting = Setting(rate_hz=rate_hz, duration_s=duration_s, scored_from_s=0.0)
     record = build(sea, triplet(seed), setting).recording

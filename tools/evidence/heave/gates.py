@@ -116,4 +116,7 @@ def load(path: Path = FILE) -> Gates:
 
 
 def save(gates: Gates, path: Path = FILE) -> None:
-    path.write_bytes(msgspec.json.format(msgspec.json.encode(gates), indent=1) + b"\n")
+    """A line for each gate, so that a difference is one of gates."""
+    head = msgspec.json.encode({"commit": gates.commit, "observers": gates.observers})
+    lines = b",\n".join(msgspec.json.encode(gate) for gate in gates.gates)
+    path.write_bytes(head.removesuffix(b"}") + b',"gates":[\n' + lines + b"\n]}\n")

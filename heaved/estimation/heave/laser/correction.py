@@ -89,7 +89,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
 TUNING: Final = Tuning()
 
 
-class Saved(msgspec.Struct, frozen=True, kw_only=True):
+class SavedNetwork(msgspec.Struct, frozen=True, kw_only=True):
     """What a restart remembers of the network in use."""
 
     weights: bytes
@@ -159,7 +159,7 @@ class ResidualCorrection:
         self._rows = RingBuffer(max(1, int(params.window_s / params.step_s)), 2 + params.taps)
         """Time, residual with the laser's constant, inputs."""
         self.network: Network | None = None
-        self._in_use: Saved | None = None
+        self._in_use: SavedNetwork | None = None
         self._pending: _Pending | None = None
         self._number = self.nothing_to_learn = 0
         self._asked_t_s = nan
@@ -324,7 +324,7 @@ class ResidualCorrection:
             return Verdict.REJECTED
         self._replaced = self.network is not None
         self.network = network
-        self._in_use = Saved(
+        self._in_use = SavedNetwork(
             weights=trained.weights,
             width=trained.width,
             hidden=trained.hidden,
@@ -361,11 +361,11 @@ class ResidualCorrection:
         frequency = _ratio(omega_radps, trained.omega_radps)
         return min(_between(amplitude, TUNING.same_amplitude), _between(frequency, TUNING.same_frequency))
 
-    def saved(self) -> Saved | None:
+    def saved(self) -> SavedNetwork | None:
         """What a restart shall remember."""
         return self._in_use
 
-    def restore(self, saved: Saved) -> None:
+    def restore(self, saved: SavedNetwork) -> None:
         """Use the network of an earlier run.
 
         Raises:
