@@ -6,7 +6,6 @@ constant of bias / omega_c^2. Both are known here, because the filter is ours: :
 
 from __future__ import annotations
 
-from cmath import phase
 from math import cos, exp, isfinite, pi, sin, sqrt
 from typing import Final
 
@@ -65,7 +64,3 @@ class InertialDisplacement:
         """Displacement out over true displacement in: s^2 / (s^2 + 2 D w s + w^2) at s = j omega."""
         w = self._w
         return -(omega_radps**2) / complex(w**2 - omega_radps**2, 2.0 * DAMPING * w * omega_radps)
-
-    def lead_s(self, omega_radps: float) -> float:
-        """Time by which the inertial displacement leads the truth at one frequency."""
-        return phase(self.response(omega_radps)) / omega_radps

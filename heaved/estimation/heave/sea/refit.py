@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from functools import partial
-from math import isfinite, nan, sqrt
+from math import isfinite, nan
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -181,8 +181,6 @@ class SeaFit(msgspec.Struct, frozen=True, kw_only=True):
     """Variance of the averaged innovations over the last minute, over what the model has for it; 1 when it is right."""
     waves_seen: float = 0.0
     """How many of the longest waves the record of that model holds."""
-    heave_std_m: float = 0.0
-    """Of the heave that the model describes."""
     waves: float = 0.0
     """How much likelier the record is with waves than with noise alone (log-likelihood)."""
 
@@ -252,7 +250,6 @@ def _look(window: SeaWindow, record: EvenRecord) -> SeaFit:
         delayed=_delayed(window, system, steady, recent, settle).tobytes(),
         whiteness=whiteness(done.innovation, steady),
         waves_seen=seconds[chosen] / longest_period_s(best.model),
-        heave_std_m=sqrt(float(system.heave @ system.stationary @ system.heave)),
         waves=waves,
     )
 
