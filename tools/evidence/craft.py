@@ -226,7 +226,7 @@ def table(
     by_seed = in_order(partial(evaluate, methods=methods, passage=passage), seeds, jobs)
     names = [name for name, _, _ in parts(passage)]
     # Filters that nothing is mixed into; five tunings include the three, so that the best is not one between them.
-    alone = [m.name for m in methods if m.params.mode is not Mode.IMM and m.outlier_share == 0.0] or [methods[0].name]
+    alone = [m.name for m in methods if m.params.mode != Mode.IMM and m.outlier_share == 0.0] or [methods[0].name]
     best = methods[[m.name for m in methods].index(FIVE if FIVE in alone else alone[0])]
     singles = [runs[methods.index(best)] for runs in by_seed]
     return [
