@@ -44,6 +44,15 @@ from heaved.samples import (
 )
 
 _encoder = msgspec.json.Encoder()
+_motion_record = fields.MOTION.into(
+    MotionRecord,
+    "quality",
+    given=("seq", "time", "mono_s", "compensation_lead_s", "points", "rock", "forecast"),
+)
+"""All but its tail."""
+_point_record = fields.POINT.into(PointRecord, "name")
+_rock_record = fields.ROCK.into(RockRecord, "horizon_s")
+_forecast_record = fields.FORECAST.into(ForecastRecord, "horizon_s")
 
 
 def encode_record(record: msgspec.Struct) -> bytes:
@@ -72,20 +81,16 @@ def encode_motion(frame: MotionFrame, *, seq: int, utc_s: float, sent_mono_s: fl
 
 def motion_head(frame: MotionFrame, *, seq: int, utc_s: float) -> bytes:
     """The MOTION line of ``frame`` up to its tail. ``utc_s``: time of validity, seconds since 1970."""
-    record = MotionRecord(
+    record = _motion_record(
+        frame,
         seq=seq,
         time=iso_time(utc_s),
         mono_s=_micro(frame.t_s),
-        **fields.MOTION.known(frame),
         compensation_lead_s=frame.compensation_lead_s or None,
-        points=tuple([PointRecord(point.name, *fields.POINT.sent(point)) for point in frame.points]),
-        rock=tuple([RockRecord(one.horizon_s, *fields.ROCK.sent(one)) for one in frame.rock]),
-        forecast=tuple([
-            ForecastRecord(one.horizon_s, *fields.FORECAST.sent(one)) for one in frame.forecast
-        ]),
-        quality=frame.quality,
-        dropped=None,  # Its tail has it.
-    )  # fmt: skip
+        points=tuple([_point_record(point) for point in frame.points]),
+        rock=tuple([_rock_record(one) for one in frame.rock]),
+        forecast=tuple([_forecast_record(one) for one in frame.forecast]),
+    )
     return _encoder.encode(record)[:-1]
 
 

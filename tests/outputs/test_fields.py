@@ -44,16 +44,18 @@ def test_every_name_of_the_table_is_one_of_the_record(name: str) -> None:
     assert len(names) == len(set(names))
 
 
-@pytest.mark.parametrize("name", ["point", "rock", "forecast"])
-def test_records_that_are_filled_in_order_have_the_order_of_the_table(name: str) -> None:
-    (table,), record = SENT[name]
-    assert record.__struct_fields__[1:] == table.names
+def test_a_record_is_made_of_what_is_known_what_is_the_same_and_what_it_is_given() -> None:
+    make = fields.FORECAST.into(ForecastRecord, "horizon_s")
+    forecast = HeaveForecast(horizon_s=2.0, heave_m=-0.25, std_m=nan)
+    assert make(forecast) == ForecastRecord(2.0, heave_m=-0.25, std_m=None)
+    make = fields.FORECAST.into(ForecastRecord, given=["horizon_s"])
+    assert make(forecast, 5.0) == ForecastRecord(5.0, heave_m=-0.25, std_m=None)
 
 
 def test_units_are_converted_and_what_is_not_known_is_left_out() -> None:
     prediction = RockPrediction(horizon_s=0.1, roll_rad=pi, pitch_rad=-radians(0.25), roll_std_rad=inf)
     assert fields.ROCK.known(prediction) == {"roll_deg": 180.0, "pitch_deg": -0.25}
-    assert fields.ROCK.sent(prediction) == [180.0, -0.25, *[None] * 7]
+    assert fields.ROCK.sent(prediction) == (180.0, -0.25, *[None] * 7)
     hull = HullAngles(t_s=0.0, state="", std_rad=(radians(1.0 / 3600.0), nan, radians(2.3456 / 3600.0)))
     assert fields.HULL_STD.known(hull) == {"x_std_arcsec": 1.0, "z_std_arcsec": 2.346}
     assert fields.HULL.known(hull) == {}
@@ -64,7 +66,8 @@ def test_some_of_a_table() -> None:
     assert few.names == ("delay_s", "static_z_deg")
     hull = HullAngles(t_s=0.0, state="", static_rad=(0.0, 0.0, radians(30.0)), delay_s=0.004)
     assert few.known(hull) == {"delay_s": 0.004, "static_z_deg": 30.0}
-    assert fields.DELAYED.only("std_m", "heave_m").inside(DelayedHeave(t_s=0.0, heave_m=1.0, std_m=2.0)) == (2.0, 1.0)
+    assert fields.DELAYED.only("std_m", "heave_m").sent(DelayedHeave(t_s=0.0, heave_m=1.0, std_m=2.0)) == (2.0, 1.0)
+    assert few.outside(hull) == pytest.approx((0.004, 30.0))
     with pytest.raises(ValueError, match="not in tuple"):
         fields.ATTITUDE.only("yaw_deg", "heave_m")
 
