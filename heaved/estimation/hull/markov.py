@@ -21,7 +21,6 @@ from typing import Final
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import Bounds, minimize
 
 from heaved.estimation.hull.tuning import TUNING
 
@@ -118,6 +117,9 @@ def _search(omega: Array, power: Array, count: Array, rate_hz: float, prior: Arr
 
     omega (n, images): the lines with those that fold onto them.
     """
+    # Loaded where it is needed, in the process that fits: it would cost the daemon 10 MB.
+    from scipy.optimize import Bounds, minimize
+
     # Further images lie on the flank c / omega^2: 2 c / ws^2 times the rest of the sum of 1 / k^2.
     rest = 2.0 * (pi**2 / 6.0 - sum(1.0 / k**2 for k in range(1, TUNING.aliases + 1))) / (2.0 * pi * rate_hz) ** 2
 

@@ -489,7 +489,7 @@ class DirectPredictor:
         ahead_s = interval_s * np.arange(1, ceil(horizons[-1] / interval_s) + 2)
         gap_weights = self._curve_spline(np.minimum(ahead_s, horizons[-1]))
         self._one_step = gap_weights[:1]
-        self._slopes = self._curve_spline(horizons, 1)
+        self._slopes = self._curve_spline.slope(horizons)
         self._seen = np.zeros((n, count + 3, 1))
         self._map = self._mapped()
         self._levels: list[float] = []

@@ -18,7 +18,8 @@ from typing import Final
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
+
+from heaved.estimation.common.spline import CubicSpline
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -101,7 +102,7 @@ def curve_spline(horizons_s: Array) -> CubicSpline:
     A cubic spline through unit vectors: it is linear in the curve.
     """
     nodes = np.concatenate([[0.0], horizons_s])
-    return CubicSpline(nodes, np.eye(len(nodes)), axis=0)
+    return CubicSpline(nodes, np.eye(len(nodes)))
 
 
 class SampleWindow:

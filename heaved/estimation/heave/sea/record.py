@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from heaved.estimation.common import down_sampler
 from heaved.estimation.common.ring import RingBuffer
+from heaved.estimation.common.spline import CubicSpline
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
