@@ -100,8 +100,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     percent off;"""
     looked: int = 256
     """the last so many of them."""
-    other: float = 0.002
-    """Change of the interval by which everything that was built for it is built anew: 10 ms in 5 s."""
+    other: float = 5e-4
+    """Change of the interval by which everything that was built for it is built anew: half a millisecond in 1 s."""
     same_s: float = 1e-4
     """Samples closer together are one; where they come in bursts, those closer than the shortest interval."""
     bursts: float = 0.7
@@ -409,11 +409,13 @@ class DirectPredictor:
     def _look_again(self, clock: SampleClock) -> None:
         """More of the first samples may show another interval: then all is built for that."""
         stamps_s = np.array([t for t, _, _ in self._first[-TUNING.looked :]])
+        known_s = nan
         if clock.is_other:
             recent = int(np.count_nonzero(stamps_s >= self.t_s - sample_clock.TUNING.judged_s))
-            clock = SampleClock(stamps_s[-max(recent, TUNING.first) :].tolist())
-        elif not are_still_apart(stamps_s - stamps_s[0], clock.interval_s):
-            clock = SampleClock(stamps_s.tolist())
+            stamps_s = stamps_s[-max(recent, TUNING.first) :]
+        elif are_still_apart(stamps_s - stamps_s[0], clock.interval_s):
+            known_s = clock.interval_s
+        clock = SampleClock(stamps_s.tolist(), known_s)
         if abs(clock.interval_s - self._interval_s) > TUNING.other * self._interval_s:
             self._forget_built()
             self._build(clock)

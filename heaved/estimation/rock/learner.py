@@ -58,7 +58,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """What is learned is the motion, not the noise of single readings: the cubic through so much on either side of a
     moment (at 100 Hz a fifth of the variance of the noise)."""
     aimed_known: float = 0.3
-    """Share of those samples that were measured, at least: the odd missing one is filled well."""
+    """Share of those samples that were measured, at least, where there are more than it takes to interpolate: at such
+    rates the missing ones are filled well."""
     first_batch_s: float = 0.5
     batch_s: float = 4.0
     """Equations are summed and solved so often: at first, and in the end."""
@@ -128,7 +129,9 @@ class Learner:
         # Where the reading of each horizon lies, and the motion there, in samples and in rows.
         self._reading = around(horizons_s / interval_s, 1)
         self._whole = bool(np.all(self._reading.weights == (0.0, 1.0, 0.0, 0.0)))
-        self._motion = around(horizons_s / interval_s, round(TUNING.aimed_s / interval_s))
+        half = round(TUNING.aimed_s / interval_s)
+        self._motion = around(horizons_s / interval_s, half)
+        self._aimed_known = TUNING.aimed_known if half > 1 else 1.0
         self._delay = np.ceil(np.maximum(self._reading.last, self._motion.last) / every).astype(np.intp)
         self._h = np.arange(len(horizons_s))
         self.shaking_taps = shaking_taps(interval_s)
@@ -312,7 +315,7 @@ class Learner:
         due = -1 - self.every * (delay + np.arange(self._unlearned - 1, -1, -1))[:, None]
         moved, known = self._were(self._motion, due, group)
         if not known.all():
-            moved[known.mean(axis=2) < TUNING.aimed_known] = np.nan
+            moved[known.mean(axis=2) < self._aimed_known] = np.nan
         seen = self._seen[rows].transpose(1, 0, 2)
         wanted = moved.transpose(2, 0, 1) - seen[:, :, self._base[group, 0]]
         augmented = np.concatenate([wanted, seen[:, :, : self._p]], axis=2)
