@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import AsyncIterator
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -16,7 +14,6 @@ from running import PATIENCE_S, Record, demo_config, metric, running
 
 from heaved.config import Config, HttpParams, StateParams, StreamParams
 from heaved.config.read import data_directory, load
-from heaved.daemon.daemon import Daemon
 from heaved.demo.craft_at_sea import voyages
 from heaved.estimation.craft import fusion
 from heaved.estimation.craft.dynamics import Vessel
@@ -28,6 +25,12 @@ from heaved.simulate.hydrofoil import Passage
 from heaved.simulate.instruments import Instruments
 from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.vessel import Motion
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator
+    from pathlib import Path
+
+    from heaved.daemon.daemon import Daemon
 
 Array = NDArray[np.float64]
 

@@ -276,12 +276,14 @@ class DirectPredictor:
     @property
     def experts(self) -> NDArray[np.intp]:
         """The expert in office, (H, n): 0, 1, 2 regressions by their lags, then extrapolation, hold, mean, and the
-        regressions without rates."""
+        regressions without rates.
+        """
         return self._switch.best[self._published]
 
     def deviations(self, t_s: float) -> tuple[Array, Array]:
         """Standard deviations and half-widths of what is predicted from a moment: those of horizons longer by the age
-        of the readings, or what the filter for holes says, if that is more."""
+        of the readings, or what the filter for holes says, if that is more.
+        """
         std, half_width = self._switch.std, self._switch.half_width
         if max(self.surplus) > 0.0:
             wider = 1.0 + self._growth * self.surplus
@@ -511,7 +513,8 @@ class DirectPredictor:
     @property
     def _curves(self) -> Array:
         """(n, H + 1) the latest sample and the predictions, without levels: a view, made when it is asked for; one that
-        is kept would stay with the original when a predictor is copied."""
+        is kept would stay with the original when a predictor is copied.
+        """
         return self._seen[:, :-2, 0]
 
     def _mapped(self) -> Array:
@@ -701,7 +704,8 @@ class DirectPredictor:
 
     def _learn_for_holes(self) -> None:
         """From stretches without any: every other of the rows since the last time, smoothed, for the noise of readings
-        is taken care of elsewhere."""
+        is taken care of elsewhere.
+        """
         window, n, taps = self._window, self._n, self._learner.shaking_taps
         half = len(taps) // 2
         ends = window.end - 1 - half - 2 * int(self._learner.every) * np.arange(TUNING.learned_together // 2)

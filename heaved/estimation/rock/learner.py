@@ -9,18 +9,21 @@ nothing changes but the samples, so what is published is one matrix (:attr:`Lear
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import isfinite
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
-from heaved.estimation.rock.experts import Switch
 from heaved.estimation.rock.features import Around, Indices, Regressors, SampleWindow, around, samples_per_step
-from heaved.estimation.rock.gate import Channel
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from heaved.estimation.rock.experts import Switch
+    from heaved.estimation.rock.gate import Channel
 
 Array = NDArray[np.float64]
 
@@ -289,7 +292,8 @@ class Learner:
 
     def _were(self, target: Around, due: Indices, horizons: slice = ALL) -> tuple[Array, NDArray[np.bool_]]:
         """What came to be at these horizons after samples ``due`` (R, 1 or H) from the end, (R, H, n), and which of the
-        samples (R, H, W, n) it is made of were measured, or make no difference."""
+        samples (R, H, W, n) it is made of were measured, or make no difference.
+        """
         window, n = self._window, self._age.shape[1]
         first, weights = window.end + due + target.first[horizons], target.weights[horizons]
         if target is self._reading and self._whole:
@@ -380,7 +384,8 @@ def moments_of(rows: Array, used: NDArray[np.bool_]) -> Array:
 class NormalEquations:
     """Exponentially weighted normal equations: every horizon of an expert from one matrix.
 
-    Moments of [targets | features] per channel, (n, H + p, H + p): the Gram matrix and the right sides in one."""
+    Moments of [targets | features] per channel, (n, H + p, H + p): the Gram matrix and the right sides in one.
+    """
 
     def __init__(self, channels: int, targets: int, features: int, memory: float) -> None:
         """``memory``: of how many equations the weight falls to 1/e."""
@@ -402,7 +407,8 @@ class NormalEquations:
 
     def solve(self, channel: int, ridge: Array, features: Indices | None = None) -> Array | None:
         """Coefficients (H, p) with ``ridge`` (p,) per equation added to the diagonal, on these ``features`` alone or on
-        all; None: not enough, or not definite."""
+        all; None: not enough, or not definite.
+        """
         count = float(self._count[channel])
         if features is None:
             features = np.arange(self._features)

@@ -9,14 +9,16 @@ stamps are looked at: whether they are still those of this grid.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 from math import nan
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
 
 from heaved.estimation.common.sample_rate import are_still_apart, usual_interval
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 
 class Tuning(msgspec.Struct, frozen=True, kw_only=True):
