@@ -16,29 +16,21 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from math import nan
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from heaved.estimation import quiescence
 from heaved.estimation.heave import saved_state
 from heaved.estimation.heave.estimator import HeaveEstimator
 from heaved.estimation.heave.forecast_check import ForecastCheck
-from heaved.estimation.heave.laser.correction import Params as CorrectionParams
-from heaved.estimation.heave.laser.reference import Params as LaserParams
 from heaved.estimation.heave.observer import SavedObserver, Verdict
-from heaved.estimation.heave.params import Params as HeaveParams
 from heaved.estimation.heave.saved_state import SavedState
-from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
 from heaved.estimation.imu.conditioning import Conditioner
 from heaved.estimation.imu.vertical import Vertical
-from heaved.estimation.lever_arm import Point
 from heaved.estimation.motion_frame import MotionFrames
 from heaved.estimation.quiescence import PointQuiescence
 from heaved.estimation.rock.estimator import RockEstimator
-from heaved.estimation.rock.maximum_likelihood import Params as RockParams
 from heaved.estimation.stages import Stages
 from heaved.samples import (
     ImuSample,
@@ -50,6 +42,17 @@ from heaved.samples import (
     TrainedNetwork,
     TrainingWindow,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from heaved.estimation import quiescence
+    from heaved.estimation.heave.laser.correction import Params as CorrectionParams
+    from heaved.estimation.heave.laser.reference import Params as LaserParams
+    from heaved.estimation.heave.params import Params as HeaveParams
+    from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
+    from heaved.estimation.lever_arm import Point
+    from heaved.estimation.rock.maximum_likelihood import Params as RockParams
 
 MAX_RATE_HZ: Final = 250.0
 """Sizes the buffers; a faster sensor is served too, with a shorter memory of late lasers."""

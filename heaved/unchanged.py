@@ -7,11 +7,13 @@ resolution of the readings, from how often they are the same when all is well, a
 
 from __future__ import annotations
 
-from collections.abc import Hashable
 from math import exp, inf, isfinite, nan, sqrt
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable
 
 
 class Unchanged:

@@ -9,15 +9,18 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
 from heaved import __version__, cli
 from heaved.cli import main
 from heaved.config.read import data_directory
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 COMMANDS = ("run", "demo", "status", "watch", "wait", "check-config", "probe", "replay", "sim")
 

@@ -29,12 +29,13 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 # The matrices are small: threads cost more than they give. To be said before numpy is loaded, here and in processes.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["OMP_NUM_THREADS"] = "1"
+
+from typing import TYPE_CHECKING
 
 from evidence import craft, hull, results
 from evidence.closed_loop import commands as closed_loop
@@ -43,6 +44,9 @@ from evidence.faults import commands as faults
 from evidence.heave import commands as heave
 from evidence.results import CHECKOUT, Output, Report
 from evidence.rock import commands as rock
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 RECORDED: tuple[tuple[str, str], ...] = (
     ("accuracy.py gates", "1 min"),

@@ -19,10 +19,9 @@ import sys
 import tempfile
 import time
 import urllib.request
-from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -35,6 +34,10 @@ from heaved.config.read import data_directory, load
 from heaved.simulate.instruments import Instruments
 from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.seaway import seaway
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from multiprocessing.connection import Connection
 
 WARM_UP_S = 5.0
 TRAINING_PATIENCE_S = 180.0

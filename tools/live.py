@@ -17,6 +17,7 @@ import tempfile
 import time
 from collections import Counter
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -29,7 +30,9 @@ from recordings import FADE_S, hebrides, sea
 from heaved.config.read import data_directory, load
 from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.play import Player, read_recording, write_recording
-from heaved.simulate.sensors import Recording
+
+if TYPE_CHECKING:
+    from heaved.simulate.sensors import Recording
 
 Array = NDArray[np.float64]
 INTERVAL_S = 60.0

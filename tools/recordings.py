@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -29,6 +29,9 @@ from heaved.simulate.seaway import NAMES, seaway
 from heaved.simulate.sensors import ImuModel, Recording, measure, record
 from heaved.simulate.shaking import NONE, Shake
 from heaved.simulate.vessel import Motion
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 Array = NDArray[np.float64]
 

@@ -6,9 +6,8 @@ Nothing is advanced here: a moment without a sample is framed like any other, fr
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from math import hypot, isfinite, nan
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
@@ -18,10 +17,8 @@ from heaved.estimation.heave.estimator import Heave, HeaveEstimator
 from heaved.estimation.heave.quality import TUNING as QUALITY
 from heaved.estimation.heave.quality import Facts, judge
 from heaved.estimation.imu.attitude import UNKNOWN, Attitude, predicted
-from heaved.estimation.imu.vertical import Vertical
 from heaved.estimation.lever_arm import AttitudeMotion, Point
 from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S
-from heaved.estimation.stages import Stages
 from heaved.samples import (
     CorrectionState,
     DelayedHeave,
@@ -33,6 +30,12 @@ from heaved.samples import (
     QuietForecast,
     RockPrediction,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from heaved.estimation.imu.vertical import Vertical
+    from heaved.estimation.stages import Stages
 
 NOTHING: Final = Heave(
     heave_m=nan,
@@ -141,7 +144,8 @@ class MotionFrames:
 
     def _possible(self, heave: Heave) -> Heave | None:
         """A heave that a vessel can have, with what its velocity makes of the time to which the accelerations are known
-        in its standard deviation; None: no vessel does that, so nothing is known."""
+        in its standard deviation; None: no vessel does that, so nothing is known.
+        """
         is_beyond = not _is_possible(heave)
         if is_beyond and not self._is_beyond:
             self.resets["frame", "beyond physics"] += 1

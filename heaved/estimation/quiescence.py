@@ -11,10 +11,9 @@ whatever the distribution, and falls back to how often the sea is quiet at all w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
 from math import exp, hypot, inf, isfinite, log, nan, radians
-from typing import Annotated, Final, Self
+from typing import TYPE_CHECKING, Annotated, Final, Self
 
 import msgspec
 import numpy as np
@@ -23,6 +22,9 @@ from numpy.typing import NDArray
 from heaved.estimation import lever_arm
 from heaved.estimation.lever_arm import AttitudeMotion, Point
 from heaved.samples import HeaveForecast, ImuSample, MotionFrame, QuietForecast, QuietWindow, RockPrediction
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 Array = NDArray[np.float64]
 

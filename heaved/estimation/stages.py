@@ -8,16 +8,20 @@ nowhere else: it is counted as a reset, and the stage starts anew.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from heaved.estimation.craft import fusion
 from heaved.estimation.craft.stage import AttitudeStage
 from heaved.estimation.hull import estimate as hull
-from heaved.estimation.hull.refit import RefitJob, RefitResult
 from heaved.estimation.hull.stage import UNKNOWN, HullStage
-from heaved.estimation.lever_arm import Crane
 from heaved.samples import CraftMotion, CraftSample, Fault, HullAngles, ImuSample, MotionFrame, RatesSample
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from heaved.estimation.hull.refit import RefitJob, RefitResult
+    from heaved.estimation.lever_arm import Crane
 
 
 class Stages:
@@ -124,7 +128,7 @@ class Stages:
         """The one place where a stage may fail."""
         try:
             yield
-        except Exception as error:  # whatever befalls a stage, the heave goes on
+        except Exception as error:  # noqa: BLE001  # whatever befalls a stage, the heave goes on
             self.failure = error
             self._counted += self._resets(name)
             self._counted[name, type(error).__name__] += 1

@@ -7,6 +7,7 @@ import contextlib
 import socket
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator
+from typing import TYPE_CHECKING
 
 import pytest
 from stream_peers import Connect, Serve, make_frame, make_status
@@ -14,8 +15,10 @@ from stream_peers import Connect, Serve, make_frame, make_status
 from heaved.client.stream_client import Trouble, UnreachableError, fetch_status, is_ready, wait_until_ready
 from heaved.outputs import wire
 from heaved.outputs.records import MotionRecord, VersionRecord
-from heaved.outputs.stream import Publisher
 from heaved.samples import CorrectionState, HeaveState, LaserState, Quality
+
+if TYPE_CHECKING:
+    from heaved.outputs.stream import Publisher
 
 Play = Callable[[Callable[[socket.socket], None]], int]
 

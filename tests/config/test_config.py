@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 import re
 import tomllib
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
 
 import msgspec
 import pytest
@@ -19,6 +18,9 @@ from heaved.config.read import ConfigError, data_directory, load, parse
 from heaved.config.rules import cautions, rate_faults
 from heaved.devices.profile import Block, DeviceSpec, Field, Profile
 from heaved.estimation.lever_arm import Point
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
 
 IMU_PROFILE = """
 [device.profile]

@@ -7,8 +7,7 @@ import itertools
 import math
 import statistics
 import time
-from collections.abc import Sequence
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -19,6 +18,10 @@ from heaved.daemon.state import StateFile
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.saved_state import SavedState
 from heaved.simulate.vessel import Motion
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
 
 PERIOD_S = 3.0
 GROWTH_S = 4.0

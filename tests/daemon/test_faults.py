@@ -12,11 +12,10 @@ import os
 import signal
 import socket
 import sys
-from asyncio.subprocess import Process
 from collections.abc import AsyncIterator, Callable, Iterator, MutableMapping, Sequence
 from contextlib import asynccontextmanager, closing
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
@@ -42,15 +41,19 @@ from heaved.daemon import daemon as daemon_module
 from heaved.daemon.daemon import Daemon, run
 from heaved.daemon.realtime import set_real_time
 from heaved.daemon.state import StateFile
-from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.saved_state import SavedState
 from heaved.outputs.listen import ListenError
 from heaved.pipeline import Pipeline
 from heaved.samples import CorrectionState, HeaveState, LaserState, MotionFrame, Quality
 from heaved.simulate.faults import FaultKind, PlannedFault
-from heaved.simulate.plant import SimulatedPlant
-from heaved.workers.jobs import Job
 from heaved.workers.process import Worker
+
+if TYPE_CHECKING:
+    from asyncio.subprocess import Process
+
+    from heaved.estimation.heave import params as heave
+    from heaved.simulate.plant import SimulatedPlant
+    from heaved.workers.jobs import Job
 
 Logs = Sequence[MutableMapping[str, Any]]
 """What structlog has captured."""

@@ -5,14 +5,17 @@ from __future__ import annotations
 import json
 import logging
 import threading
-from collections.abc import Iterator
 from datetime import UTC, datetime
+from typing import TYPE_CHECKING
 
 import pytest
 import structlog
 
 from heaved.daemon import logs
 from heaved.daemon.logs import MOST_DIFFERENT, PERIOD_S, QUEUE_LINES, LineHandler, Repeats, configure_logging
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 
 @pytest.fixture(autouse=True)

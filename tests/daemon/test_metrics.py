@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import msgspec
 import pytest
-from prometheus_client import Metric
 from prometheus_client.parser import text_string_to_metric_families
 
 from heaved.daemon.metrics import Metrics
@@ -26,6 +26,9 @@ from heaved.samples import (
     SeaState,
     Vibration,
 )
+
+if TYPE_CHECKING:
+    from prometheus_client import Metric
 
 # As published: name, type, labels. Change one only with a line in the change log.
 CONTRACT = {

@@ -12,8 +12,8 @@ import os
 import socket
 import stat
 import threading
-from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 import pytest
@@ -22,6 +22,9 @@ from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
 from heaved.daemon.state import Memory, Saved, StateError, StateFile, state_directory
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
 
 
 class Learned(msgspec.Struct, frozen=True):

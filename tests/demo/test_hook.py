@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Callable
 from itertools import count
+from typing import TYPE_CHECKING
 
 from heaved.demo.hook import follow
 from heaved.simulate.seaway import seaway
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 def ends_after(times: int) -> Callable[[], bool]:

@@ -10,10 +10,9 @@ import logging
 import random
 import resource
 import socket
-from collections.abc import Callable
 from math import isnan
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 import serial
@@ -39,6 +38,9 @@ from heaved.devices.host_name import HostName
 from heaved.devices.liveness import PROBE_S
 from heaved.devices.profile import Block, Field, Profile
 from heaved.samples import Fault, ImuSample, LaserSample
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 def well(result: object) -> bool:

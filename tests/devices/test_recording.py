@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import given
@@ -20,6 +20,9 @@ from heaved.devices.recording import (
     RecordingError,
 )
 from heaved.samples import ImuSample, LaserSample
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
 
 HEADER = "t_s,az_mps2,laser_m\n"
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from heaved.devices.timer import DeadlineTimer, Heartbeat, Pace, TimeLimit
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 def test_deadlines_are_counted_from_the_start() -> None:

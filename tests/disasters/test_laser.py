@@ -11,7 +11,7 @@ import copy
 from collections.abc import Callable
 from functools import cache
 from math import inf
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 import numpy as np
@@ -23,10 +23,12 @@ from pipelines import pipeline, rms
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow, look
-from heaved.pipeline import Pipeline
 from heaved.samples import HeaveState, LaserSample, LaserState, MotionFrame
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import LASER_DISTANCE_M, Recording, record
+
+if TYPE_CHECKING:
+    from heaved.pipeline import Pipeline
 
 Array = NDArray[np.float64]
 Instead = Callable[[Array, Array, np.random.Generator], Array]

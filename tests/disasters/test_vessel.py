@@ -57,18 +57,19 @@ DISASTERS: dict[str, dict[Record, float | None]] = {
 sample: after that); None: not asked here."""
 ROWS = [(name, record) for name, records in DISASTERS.items() for record in records]
 BY_CHANCE = 2
+ROWS_OF_AN_INSTANT = {"bursts": 4}
 
 
-def by_chance(missed: str) -> bool:
-    """One or two frames a little beyond four standard deviations come once in some thousands of frames."""
+def by_chance(name: str, missed: str) -> bool:
+    """One or two moments a little beyond four standard deviations come once in some thousands of moments."""
     count, _, rest = missed.partition(" ")
-    return rest.endswith("lies") and int(count) <= BY_CHANCE
+    return rest.endswith("lies") and int(count) <= BY_CHANCE * ROWS_OF_AN_INSTANT.get(name, 1)
 
 
 @pytest.mark.parametrize(("name", "record"), ROWS, ids=[f"{name}, {record.sea}" for name, record in ROWS])
 def test_nothing_that_is_published_is_wrong_and_the_heave_is_back_in_time(name: str, record: Record) -> None:
     found = run(Task(name=name, sea=record.sea, rate_hz=record.rate_hz, seed=record.seed, plan=PLAN))
-    assert [missed for missed in table.missed(found, None) if not by_chance(missed)] == []
+    assert [missed for missed in table.missed(found, None) if not by_chance(name, missed)] == []
     assert found.largest_sigma < record.largest_sigma
     assert found.largest_rock_deg < record.largest_deg
     if (within_s := DISASTERS[name][record]) is not None:

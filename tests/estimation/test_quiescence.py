@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import nan, pi
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -11,7 +12,9 @@ from evidence.rock.quiescence import judge, report
 from numpy.typing import NDArray
 
 from heaved.estimation.quiescence import MotionForecast, Params, Quiescence
-from heaved.samples import QuietWindow
+
+if TYPE_CHECKING:
+    from heaved.samples import QuietWindow
 
 Array = NDArray[np.float64]
 

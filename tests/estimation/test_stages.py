@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -22,6 +22,9 @@ from heaved.estimation.stages import Stages
 from heaved.pipeline import Pipeline, assemble
 from heaved.samples import CraftSample, Fault, ImuSample, MotionFrame, RatesSample, Sample
 from heaved.simulate.flexure import SCENES, Record, Scene, simulate
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 HULL = hull.Params(enabled=True)
 ATTITUDE = fusion.Params(enabled=True)

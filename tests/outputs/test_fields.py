@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from math import inf, nan, pi, radians
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -23,6 +22,9 @@ from heaved.outputs.records import (
     RockStatus,
 )
 from heaved.samples import DelayedHeave, HeaveForecast, HullAngles, RockPrediction
+
+if TYPE_CHECKING:
+    import msgspec
 
 SENT: dict[str, tuple[tuple[Fields[Any], ...], type[msgspec.Struct]]] = {
     "MOTION": ((fields.MOTION,), MotionRecord),

@@ -8,7 +8,7 @@ import os
 import resource
 import socket
 import sys
-from collections.abc import AsyncIterator
+from typing import TYPE_CHECKING
 
 import pytest
 from structlog.testing import capture_logs
@@ -22,6 +22,9 @@ from heaved.outputs.listen import (
     is_loopback_host,
     parse_networks,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator
 
 
 @pytest.mark.parametrize(

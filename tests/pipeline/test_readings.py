@@ -9,7 +9,7 @@ import copy
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from math import isfinite, pi, radians
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 import numpy as np
@@ -24,11 +24,13 @@ from heaved.estimation.heave.quality import BEYOND_PHYSICS
 from heaved.estimation.heave.sea.refit import look
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.motion_frame import MotionFrames
-from heaved.pipeline import Pipeline
 from heaved.samples import GRAVITY_MPS2, HeaveState, ImuSample, MotionFrame
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import REGISTER_STEPS, measure
-from heaved.simulate.vessel import Motion
+
+if TYPE_CHECKING:
+    from heaved.pipeline import Pipeline
+    from heaved.simulate.vessel import Motion
 
 Array = NDArray[np.float64]
 COLUMNS = (

@@ -7,9 +7,8 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -49,6 +48,9 @@ from heaved.samples import (
 )
 from heaved.simulate.flexure import SCENES, simulate
 from heaved.workers import refit_hull as hull_fitter
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 RATES = """fields = [
   { quantity = "gx_radps", offset = 0, type = "float32", unit = "rad/s" },

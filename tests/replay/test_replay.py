@@ -6,8 +6,8 @@ import contextlib
 import csv
 import math
 import stat
-from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -34,6 +34,9 @@ from heaved.samples import (
 from heaved.simulate.play import write_recording
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import Recording, record
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 # Learns early and trains often, so that a short recording shows all of it.
 EAGER = Config(

@@ -6,10 +6,8 @@ import asyncio
 import math
 import os
 import struct
-from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
-from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import msgspec
 import pytest
@@ -18,7 +16,6 @@ from hypothesis import strategies as st
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from pymodbus.exceptions import ModbusException
 from pymodbus.framer import FramerType
-from pymodbus.pdu import ModbusPDU
 
 from heaved.devices.link import RtuLink, TcpLink, parse_link
 from heaved.devices.profile import Block, DeviceSpec, Field, Profile, Quantity
@@ -30,6 +27,12 @@ from heaved.simulate.play import Player, read_recording
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import LASER_DISTANCE_M
 from heaved.simulate.slave import RtuPace, Slave
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+    from pathlib import Path
+
+    from pymodbus.pdu import ModbusPDU
 
 Client = AsyncModbusTcpClient | AsyncModbusSerialClient
 

@@ -9,11 +9,14 @@ import asyncio
 import contextlib
 import os
 import tty
-from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING
 
 from heaved.devices.bus import Bus, PollResult
 from heaved.devices.profile import Block, DeviceSpec, Field, Profile, Quantity
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Callable
 
 PATIENCE_S = 20.0
 """No test measures time: this only ends one that hangs."""

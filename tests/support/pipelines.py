@@ -25,7 +25,7 @@ class NoRock(RockEstimator):
     """Stands in for the rock predictor, which shares nothing with the heave and costs more than it."""
 
     def __init__(self) -> None:
-        super().__init__(rock.Params())
+        super().__init__(rock.Params(horizons_s=()))
 
     def step(self, readings: Conditioned) -> tuple[RockPrediction, ...]:
         return self.at(readings.sample.t_s)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from heaved.estimation.common import sigma
-from heaved.estimation.common.sigma import PointSet
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from heaved.estimation.common.sigma import PointSet
 
 SETS: dict[str, Callable[[int], PointSet]] = {
     "symmetric": sigma.symmetric,

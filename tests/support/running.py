@@ -5,10 +5,8 @@ from __future__ import annotations
 import asyncio
 import itertools
 import statistics
-from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -23,7 +21,12 @@ from heaved.outputs import wire
 from heaved.simulate.instruments import Instruments
 from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.seaway import seaway
-from heaved.simulate.vessel import MotionSource
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Callable
+    from pathlib import Path
+
+    from heaved.simulate.vessel import MotionSource
 
 Record = dict[str, Any]
 """One record of the stream."""

@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 from math import inf, pi, sqrt
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import accuracy
 import msgspec
@@ -18,6 +18,9 @@ from evidence.heave import asked, baselines, estimators, gates
 from evidence.heave import evaluate as heave
 from evidence.scenarios import Setting, triplet
 from scipy.signal import butter, freqs
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 RATE_HZ = 20.0
 BIAS_MPS2 = 0.03

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bench
 import pytest
 from evidence import results
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 BRIEF = {
     "replay": ["--seconds", "20", "--rates", "10"],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from functools import cache
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import accuracy
 import msgspec
@@ -15,6 +15,9 @@ from evidence.closed_loop.figure import hook_motion
 from evidence.heave import asked
 
 from heaved.estimation.heave.params import Params
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 OBSERVER = Params().observer
 SETTINGS = {

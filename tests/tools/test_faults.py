@@ -7,10 +7,10 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Callable
 from functools import cache
 from math import cos, inf, isnan, nan, radians, sin
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import accuracy
 import msgspec
@@ -20,7 +20,6 @@ from evidence.faults import judge as faults
 from evidence.faults import table as fault_table
 from evidence.faults.disasters import DISASTERS, HONEST_OF, IMU, Disaster, Span, spoiled
 from evidence.faults.judge import Outcome, Plan, Published, Task
-from numpy.typing import NDArray
 
 from heaved.pipeline import Pipeline
 from heaved.samples import (
@@ -40,6 +39,11 @@ from heaved.samples import (
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import REGISTER_STEPS, Recording, record
 from heaved.simulate.vessel import Motion
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
 
 Array = np.ndarray
 

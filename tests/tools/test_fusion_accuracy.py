@@ -5,7 +5,7 @@ Short voyages; the bands leave room for them. The figures of 50 full ones are th
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -14,6 +14,9 @@ from evidence import craft
 from evidence.craft import FIVE, IMM, INSTANT, METHODS, OUTLIERS, POINT_SETS, Row
 
 from heaved.simulate.hydrofoil import Passage
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 SHORT = Passage(stages=((0.0, 0.3), (40.0, 2.5), (80.0, 0.3)), duration_s=120.0)
 SEEDS = (1, 2)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from math import inf, isnan, sqrt
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -19,6 +17,10 @@ from evidence.scenarios import Limits, Setting, triplet
 
 from heaved.samples import CorrectionState, DelayedHeave, HeaveState, LaserState, MotionFrame, Quality
 from heaved.simulate.seaway import seaway
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
 
 Array = np.ndarray
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -11,6 +11,9 @@ from evidence.hull import METHODS, SCENE, Run, bound, evaluate, figure, kept_s, 
 
 from heaved.estimation.common.rotations import ARCSEC
 from heaved.simulate.flexure import SCENES, simulate
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def test_the_bound_scales_with_the_flexure_and_is_the_power_over_the_spectrum() -> None:

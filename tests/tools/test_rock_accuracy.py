@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from evidence.rock.paper import SCENES, evaluate, figure, report
 
 from heaved.estimation.rock.maximum_likelihood import Params
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 SCENE = {scene.name: scene for scene in SCENES}
 

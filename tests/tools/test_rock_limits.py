@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from evidence.limits import autocovariance, causal_heave_limit, holed_prediction_limit, prediction_limit
 from numpy.typing import NDArray
 from scipy.linalg import expm, solve_continuous_are, solve_discrete_are
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 Array = NDArray[np.float64]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from functools import cache
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import accuracy
 import msgspec
@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from evidence import scenarios
 from evidence.heave import shake
-from evidence.heave.summary import Result
 from evidence.limits import causal_heave_limit
 from scipy.linalg import solve_toeplitz
 from scipy.signal import fftconvolve
@@ -21,6 +20,11 @@ from heaved.samples import GRAVITY_MPS2
 from heaved.simulate import shaking
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import ImuModel, record
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from evidence.heave.summary import Result
 
 SENSOR = ImuModel(noise_mps2_rthz=1e-3)
 MEMORY_S = 150.0

@@ -6,14 +6,16 @@ Each group of evidence has its own ``COMMANDS``.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from math import inf
 from multiprocessing import get_context
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from evidence.results import CHECKOUT, Output, Report
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
 
 Task = TypeVar("Task")
 Found = TypeVar("Found")

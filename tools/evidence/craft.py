@@ -7,10 +7,8 @@ a spectrum of one peak, while the sea is JONSWAP, met at 18 m/s, moving hulls an
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
@@ -24,6 +22,10 @@ from heaved.estimation.craft.fusion import AttitudeFusion, Differ, Mode, Params
 from heaved.estimation.craft.wave_force import Sea
 from heaved.samples import CraftMotion
 from heaved.simulate.hydrofoil import CRAFT_SHAKES, Passage, Voyage, sail
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
 
 Array = NDArray[np.float64]
 

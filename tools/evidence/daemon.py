@@ -7,13 +7,16 @@ import contextlib
 import os
 import signal
 import sys
-from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 
-from heaved.devices.profile import DeviceSpec
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Sequence
+    from pathlib import Path
+
+    from heaved.devices.profile import DeviceSpec
 
 STARTS_S = 20.0
 

@@ -11,9 +11,8 @@ compared.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from math import pi
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -28,6 +27,10 @@ from heaved.estimation.hull.estimate import Params, Start
 from heaved.estimation.hull.estimator import HullDeformation
 from heaved.simulate.flexure import DEG_H_RADPS, SCENES, Record, Scene, simulate
 from heaved.simulate.gyro_shaking import GYRO_SHAKES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
 
 Array = NDArray[np.float64]
 AXES = ("x", "y", "z")

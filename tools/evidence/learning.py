@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from heaved.estimation.heave.sea.refit import look
-from heaved.pipeline import Pipeline
+
+if TYPE_CHECKING:
+    from heaved.pipeline import Pipeline
 
 
 def learn(pipeline: Pipeline) -> None:

@@ -11,11 +11,10 @@ each other; all estimators get the same three.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from functools import lru_cache
 from math import inf, nan
 from pathlib import Path
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 import msgspec
 import numpy as np
@@ -28,6 +27,9 @@ from evidence.limits import causal_heave_limit, noncausal_heave_limit
 from heaved.simulate.seaway import HIGHEST_HZ, RAMPS, SEAS, STILL, TRAINS, heave_spectrum, seaway
 from heaved.simulate.sensors import REGISTER_STEPS, ImuModel, Recording, imu_model, record
 from heaved.simulate.shaking import NONE, Shake, shake_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
 
 Array = NDArray[np.float64]
 Tilt = Literal["none", "exact", "noisy"]

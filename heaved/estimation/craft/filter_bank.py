@@ -13,15 +13,18 @@ Arrays: x (B, n), P (B, n, n), probabilities (B,).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from math import exp, isfinite
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf
 
-from heaved.estimation.common.sigma import PointSet
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from heaved.estimation.common.sigma import PointSet
 
 Array = NDArray[np.float64]
 

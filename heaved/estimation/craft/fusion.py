@@ -26,7 +26,7 @@ from __future__ import annotations
 from collections import Counter
 from enum import StrEnum
 from math import isfinite, nan, sqrt
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import msgspec
 import numpy as np
@@ -36,13 +36,15 @@ from heaved.estimation.common import sigma
 from heaved.estimation.common.best_of import BestOf
 from heaved.estimation.craft import filter_bank as bank
 from heaved.estimation.craft.dynamics import Vessel
-from heaved.estimation.craft.filter_bank import Bank
 from heaved.estimation.craft.inputs import REJECTED, Caution, Channel, CraftInputs
 from heaved.estimation.craft.model import CraftModel, State
 from heaved.estimation.craft.sensor_noise import CraftNoise
 from heaved.estimation.craft.tuning import TUNING
 from heaved.estimation.craft.wave_force import Sea, WaveShape
 from heaved.samples import CraftMotion
+
+if TYPE_CHECKING:
+    from heaved.estimation.craft.filter_bank import Bank
 
 Array = NDArray[np.float64]
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from enum import IntEnum, StrEnum
 from math import isfinite, nan
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.craft.dynamics import Vessel
 from heaved.estimation.craft.tuning import TUNING
 from heaved.unchanged import Unchanged
+
+if TYPE_CHECKING:
+    from heaved.estimation.craft.dynamics import Vessel
 
 Array = NDArray[np.float64]
 

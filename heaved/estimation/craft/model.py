@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from enum import IntEnum
 from math import isfinite
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -15,6 +15,9 @@ from heaved.estimation.craft.dynamics import Craft, Vessel
 from heaved.estimation.craft.filter_bank import Bank, Points
 from heaved.estimation.craft.tuning import TUNING
 from heaved.estimation.craft.wave_force import Sea, WaveShape, propagation, white_acceleration
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 Array = NDArray[np.float64]
 

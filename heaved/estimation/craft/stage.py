@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from math import inf, isfinite, nan
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
@@ -12,6 +11,9 @@ from heaved.estimation.craft.fusion import AttitudeFusion, Params, ResetReason, 
 from heaved.estimation.craft.inputs import MISSING
 from heaved.estimation.craft.tuning import TUNING
 from heaved.samples import CraftMotion, CraftSample, Fault, MotionFrame
+
+if TYPE_CHECKING:
+    from collections import Counter
 
 UNKNOWN: Final = (nan, nan, nan)
 

@@ -10,21 +10,24 @@ from __future__ import annotations
 
 from collections import Counter
 from math import hypot, isfinite, nan
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.heave.harmonic.observer import HarmonicObserver
-from heaved.estimation.heave.laser.correction import Params as CorrectionParams
-from heaved.estimation.heave.laser.correction import SavedNetwork
 from heaved.estimation.heave.laser.learning import LaserLearning
-from heaved.estimation.heave.laser.reference import Params as LaserParams
-from heaved.estimation.heave.observer import HeaveObserver, SavedObserver
-from heaved.estimation.heave.params import Params as HeaveParams
 from heaved.estimation.heave.sea.observer import SeaObserver
-from heaved.estimation.imu.vertical import VerticalAcceleration
 from heaved.samples import DelayedHeave, HeaveForecast, TrainingWindow
+
+if TYPE_CHECKING:
+    from heaved.estimation.heave.laser.correction import Params as CorrectionParams
+    from heaved.estimation.heave.laser.correction import SavedNetwork
+    from heaved.estimation.heave.laser.reference import Params as LaserParams
+    from heaved.estimation.heave.observer import HeaveObserver, SavedObserver
+    from heaved.estimation.heave.params import Params as HeaveParams
+    from heaved.estimation.imu.vertical import VerticalAcceleration
 
 Array = NDArray[np.float64]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from math import hypot, nan, radians, sqrt
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +12,10 @@ from numpy.typing import NDArray
 from heaved.estimation.common.rotations import ARCSEC, from_euler, rotation_vector
 from heaved.estimation.hull.estimate import HullWarning, Params
 from heaved.estimation.hull.markov import Flexure, information
-from heaved.estimation.hull.streams import RateCheck, TwoStreams
 from heaved.estimation.hull.tuning import TUNING
+
+if TYPE_CHECKING:
+    from heaved.estimation.hull.streams import RateCheck, TwoStreams
 
 Array = NDArray[np.float64]
 

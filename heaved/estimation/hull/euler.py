@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from copy import copy
 from math import isfinite, nan
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +25,11 @@ from numpy.typing import NDArray
 from heaved.estimation.common import sigma
 from heaved.estimation.common.rotations import from_euler
 from heaved.estimation.hull.estimate import Method
-from heaved.estimation.hull.markov import Flexure
 from heaved.estimation.hull.so3 import Noise, transition
 from heaved.estimation.hull.tuning import TUNING
+
+if TYPE_CHECKING:
+    from heaved.estimation.hull.markov import Flexure
 
 Array = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ Everything here is a pure function of a record, so that what takes long can be c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import isnan
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -20,6 +20,9 @@ from heaved.estimation.hull.markov import Flexure, fit
 from heaved.estimation.hull.slow_motion import SlowPair, SlowReading
 from heaved.estimation.hull.so3 import Noise, So3Filter
 from heaved.estimation.hull.tuning import TUNING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 Array = NDArray[np.float64]
 Filter = So3Filter | EulerFilter

@@ -18,6 +18,7 @@ from copy import copy
 from enum import IntEnum
 from functools import lru_cache
 from math import isfinite, sqrt
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -26,8 +27,10 @@ from scipy.linalg.blas import dtrsm
 from scipy.linalg.lapack import dpotrf
 
 from heaved.estimation.common.rotations import cross_matrix, passive
-from heaved.estimation.hull.markov import Flexure
 from heaved.estimation.hull.tuning import TUNING
+
+if TYPE_CHECKING:
+    from heaved.estimation.hull.markov import Flexure
 
 Array = NDArray[np.float64]
 

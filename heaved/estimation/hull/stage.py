@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from math import isfinite, nan, radians
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from heaved.estimation.common.rotations import ARCSEC, AttitudeAngles, crane_base_attitude, from_euler
 from heaved.estimation.hull.estimate import HullEstimate, HullState, Params, ResetReason
 from heaved.estimation.hull.estimator import HullDeformation
-from heaved.estimation.hull.refit import RefitJob, RefitResult
 from heaved.estimation.lever_arm import Crane
 from heaved.samples import HullAngles, ImuSample, RatesSample
+
+if TYPE_CHECKING:
+    from collections import Counter
+
+    from heaved.estimation.hull.refit import RefitJob, RefitResult
 
 UNKNOWN: Final = (nan, nan, nan)
 

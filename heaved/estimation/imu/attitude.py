@@ -11,13 +11,15 @@ Axes x forward, y port, z up; roll port up, pitch bow up (see :mod:`heaved.sampl
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import cos, isfinite, nan, radians, sin, sqrt, tan
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
 from heaved.samples import GRAVITY_MPS2, ImuSample, RockPrediction
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 
 class Tuning(msgspec.Struct, frozen=True, kw_only=True):

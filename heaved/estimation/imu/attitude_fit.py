@@ -8,14 +8,16 @@ matrix (2, 2), the inverse of a covariance, and that times their mean (2,); what
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from heaved.samples import GRAVITY_MPS2
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

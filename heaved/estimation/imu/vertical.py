@@ -7,9 +7,8 @@ they come, how many are lost.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import cos, inf, isfinite, nan
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
@@ -21,6 +20,9 @@ from heaved.estimation.imu.attitude_fit import Noise
 from heaved.estimation.imu.conditioning import NOTHING, Conditioned
 from heaved.estimation.imu.level_bias import LevelBias
 from heaved.samples import GRAVITY_MPS2, Fault, RockPrediction
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 TOO_TILTED: Final = "no attitude or no horizontal acceleration: too much tilt in the acceleration to use it"
 
@@ -128,7 +130,8 @@ class Vertical:
 
     def _is_of_another_kind(self, t_s: float, has_tilt: bool) -> bool:
         """Whether the tilt is removed from now on and was not, or the other way round; and whether the acceleration had
-        better be withheld."""
+        better be withheld.
+        """
         self.withheld = ""
         if has_tilt:
             self._tilted_s = t_s
@@ -171,7 +174,8 @@ class Vertical:
 
     def _attitude_of_acceleration(self, t_s: float) -> tuple[float, float]:
         """Roll and pitch for the moment that the accelerometers show: their own low-pass makes them late, as far as the
-        laser has shown, and gravity removed with a later attitude leaves g (rate x lag)^2 / 2, slow and rectified."""
+        laser has shown, and gravity removed with a later attitude leaves g (rate x lag)^2 / 2, slow and rectified.
+        """
         if t_s < self.attitude.t_s:
             then = self._attitudes.at(t_s)
             if then is not None:

@@ -100,8 +100,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     percent off;"""
     looked: int = 256
     """the last so many of them."""
-    other: float = 0.002
-    """Change of the interval by which everything that was built for it is built anew: 10 ms in 5 s."""
+    other: float = 5e-4
+    """Change of the interval by which everything that was built for it is built anew: half a millisecond in 1 s."""
     same_s: float = 1e-4
     """Samples closer together are one; where they come in bursts, those closer than the shortest interval."""
     bursts: float = 0.7
@@ -276,12 +276,14 @@ class DirectPredictor:
     @property
     def experts(self) -> NDArray[np.intp]:
         """The expert in office, (H, n): 0, 1, 2 regressions by their lags, then extrapolation, hold, mean, and the
-        regressions without rates."""
+        regressions without rates.
+        """
         return self._switch.best[self._published]
 
     def deviations(self, t_s: float) -> tuple[Array, Array]:
         """Standard deviations and half-widths of what is predicted from a moment: those of horizons longer by the age
-        of the readings, or what the filter for holes says, if that is more."""
+        of the readings, or what the filter for holes says, if that is more.
+        """
         std, half_width = self._switch.std, self._switch.half_width
         if max(self.surplus) > 0.0:
             wider = 1.0 + self._growth * self.surplus
@@ -409,11 +411,13 @@ class DirectPredictor:
     def _look_again(self, clock: SampleClock) -> None:
         """More of the first samples may show another interval: then all is built for that."""
         stamps_s = np.array([t for t, _, _ in self._first[-TUNING.looked :]])
+        known_s = nan
         if clock.is_other:
             recent = int(np.count_nonzero(stamps_s >= self.t_s - sample_clock.TUNING.judged_s))
-            clock = SampleClock(stamps_s[-max(recent, TUNING.first) :].tolist())
-        elif not are_still_apart(stamps_s - stamps_s[0], clock.interval_s):
-            clock = SampleClock(stamps_s.tolist())
+            stamps_s = stamps_s[-max(recent, TUNING.first) :]
+        elif are_still_apart(stamps_s - stamps_s[0], clock.interval_s):
+            known_s = clock.interval_s
+        clock = SampleClock(stamps_s.tolist(), known_s)
         if abs(clock.interval_s - self._interval_s) > TUNING.other * self._interval_s:
             self._forget_built()
             self._build(clock)
@@ -509,7 +513,8 @@ class DirectPredictor:
     @property
     def _curves(self) -> Array:
         """(n, H + 1) the latest sample and the predictions, without levels: a view, made when it is asked for; one that
-        is kept would stay with the original when a predictor is copied."""
+        is kept would stay with the original when a predictor is copied.
+        """
         return self._seen[:, :-2, 0]
 
     def _mapped(self) -> Array:
@@ -699,7 +704,8 @@ class DirectPredictor:
 
     def _learn_for_holes(self) -> None:
         """From stretches without any: every other of the rows since the last time, smoothed, for the noise of readings
-        is taken care of elsewhere."""
+        is taken care of elsewhere.
+        """
         window, n, taps = self._window, self._n, self._learner.shaking_taps
         half = len(taps) // 2
         ends = window.end - 1 - half - 2 * int(self._learner.every) * np.arange(TUNING.learned_together // 2)

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections import Counter
 from math import isfinite, nan, pi
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.imu.attitude import angle_rates
-from heaved.estimation.imu.conditioning import Conditioned
 from heaved.estimation.rock import direct
 from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.estimation.rock.direct import DirectPredictor
 from heaved.samples import RockPrediction, RockScore
+
+if TYPE_CHECKING:
+    from heaved.estimation.imu.conditioning import Conditioned
 
 Array = NDArray[np.float64]
 

@@ -80,7 +80,8 @@ class Switch:
 
     def score(self, spacing_s: float, error: Array, half_width: Array) -> None:
         """Take the errors (R, H, E + 1, n) of R predictions made ``spacing_s`` apart, of the experts and last of what
-        was published (which is overwritten where it had no interval), and the half-widths published with it."""
+        was published (which is overwritten where it had no interval), and the half-widths published with it.
+        """
         published = error[:, :, -1]
         if not isfinite(half_width.sum()):
             published[np.isnan(half_width)] = np.nan

@@ -136,7 +136,8 @@ class SampleWindow:
     @property
     def x(self) -> Array:
         """The samples, (capacity, columns): a view, made when it is asked for; one that is kept would stay with the
-        original when a window is copied."""
+        original when a window is copied.
+        """
         return self._rows[:-1, : self._columns]
 
     def push(self, values: list[float], known: list[bool]) -> None:

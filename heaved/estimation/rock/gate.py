@@ -10,14 +10,16 @@ the motion itself, which then goes into the lags after all.
 from __future__ import annotations
 
 from bisect import insort
-from collections.abc import Sequence
 from functools import cache
 from math import inf, isfinite, nan, sqrt
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 Array = NDArray[np.float64]
 
@@ -69,7 +71,8 @@ class Limits(msgspec.Struct, frozen=True):
 
     def left_by(self, curves: Array, at_s: tuple[float, ...]) -> NDArray[np.bool_]:
         """Which of the values (..., H, n) at H moments lie beyond the limits, or cannot follow the one before; what is
-        not known does neither."""
+        not known does neither.
+        """
         largest, steps = _largest(self, at_s)
         beyond: NDArray[np.bool_] = np.abs(curves) > largest
         beyond[..., 1:, :] |= np.abs(curves[..., 1:, :] - curves[..., :-1, :]) > steps
@@ -150,6 +153,7 @@ class Channel:
 
     @property
     def ready(self) -> bool:
+        """Whether there has been enough of the channel to predict from."""
         return self.since >= self._timing.settling
 
     def reach(self, x: float) -> float:

@@ -320,7 +320,8 @@ class HoleFilter:
     def variance(self, row: float, ahead_s: Array) -> Array:
         """Of the errors of :meth:`curve` against readings: what is not known of the nodes, what is to come, noise; by
         as much more as innovations are larger than they should be, and as a model fitted to so few of them predicts
-        worse than it fits (Akaike 1970: final prediction error)."""
+        worse than it fits (Akaike 1970: final prediction error).
+        """
         model = self.model
         place = self._places(row, ahead_s)
         first = _first_of_four(place, len(model.ahead))

@@ -9,18 +9,21 @@ nothing changes but the samples, so what is published is one matrix (:attr:`Lear
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import isfinite
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
-from heaved.estimation.rock.experts import Switch
 from heaved.estimation.rock.features import Around, Indices, Regressors, SampleWindow, around, samples_per_step
-from heaved.estimation.rock.gate import Channel
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from heaved.estimation.rock.experts import Switch
+    from heaved.estimation.rock.gate import Channel
 
 Array = NDArray[np.float64]
 
@@ -58,7 +61,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """What is learned is the motion, not the noise of single readings: the cubic through so much on either side of a
     moment (at 100 Hz a fifth of the variance of the noise)."""
     aimed_known: float = 0.3
-    """Share of those samples that were measured, at least: the odd missing one is filled well."""
+    """Share of those samples that were measured, at least, where there are more than it takes to interpolate: at such
+    rates the missing ones are filled well."""
     first_batch_s: float = 0.5
     batch_s: float = 4.0
     """Equations are summed and solved so often: at first, and in the end."""
@@ -128,7 +132,9 @@ class Learner:
         # Where the reading of each horizon lies, and the motion there, in samples and in rows.
         self._reading = around(horizons_s / interval_s, 1)
         self._whole = bool(np.all(self._reading.weights == (0.0, 1.0, 0.0, 0.0)))
-        self._motion = around(horizons_s / interval_s, round(TUNING.aimed_s / interval_s))
+        half = round(TUNING.aimed_s / interval_s)
+        self._motion = around(horizons_s / interval_s, half)
+        self._aimed_known = TUNING.aimed_known if half > 1 else 1.0
         self._delay = np.ceil(np.maximum(self._reading.last, self._motion.last) / every).astype(np.intp)
         self._h = np.arange(len(horizons_s))
         self.shaking_taps = shaking_taps(interval_s)
@@ -286,7 +292,8 @@ class Learner:
 
     def _were(self, target: Around, due: Indices, horizons: slice = ALL) -> tuple[Array, NDArray[np.bool_]]:
         """What came to be at these horizons after samples ``due`` (R, 1 or H) from the end, (R, H, n), and which of the
-        samples (R, H, W, n) it is made of were measured, or make no difference."""
+        samples (R, H, W, n) it is made of were measured, or make no difference.
+        """
         window, n = self._window, self._age.shape[1]
         first, weights = window.end + due + target.first[horizons], target.weights[horizons]
         if target is self._reading and self._whole:
@@ -312,7 +319,7 @@ class Learner:
         due = -1 - self.every * (delay + np.arange(self._unlearned - 1, -1, -1))[:, None]
         moved, known = self._were(self._motion, due, group)
         if not known.all():
-            moved[known.mean(axis=2) < TUNING.aimed_known] = np.nan
+            moved[known.mean(axis=2) < self._aimed_known] = np.nan
         seen = self._seen[rows].transpose(1, 0, 2)
         wanted = moved.transpose(2, 0, 1) - seen[:, :, self._base[group, 0]]
         augmented = np.concatenate([wanted, seen[:, :, : self._p]], axis=2)
@@ -377,7 +384,8 @@ def moments_of(rows: Array, used: NDArray[np.bool_]) -> Array:
 class NormalEquations:
     """Exponentially weighted normal equations: every horizon of an expert from one matrix.
 
-    Moments of [targets | features] per channel, (n, H + p, H + p): the Gram matrix and the right sides in one."""
+    Moments of [targets | features] per channel, (n, H + p, H + p): the Gram matrix and the right sides in one.
+    """
 
     def __init__(self, channels: int, targets: int, features: int, memory: float) -> None:
         """``memory``: of how many equations the weight falls to 1/e."""
@@ -399,7 +407,8 @@ class NormalEquations:
 
     def solve(self, channel: int, ridge: Array, features: Indices | None = None) -> Array | None:
         """Coefficients (H, p) with ``ridge`` (p,) per equation added to the diagonal, on these ``features`` alone or on
-        all; None: not enough, or not definite."""
+        all; None: not enough, or not definite.
+        """
         count = float(self._count[channel])
         if features is None:
             features = np.arange(self._features)

@@ -24,9 +24,8 @@ with the least realised error is published.
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Sequence
 from math import exp, inf, nan, pi
-from typing import Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import msgspec
 import numpy as np
@@ -36,6 +35,9 @@ from heaved.estimation.common.bounds import ANGLE_RAD, ANGLE_RATE_RADPS
 from heaved.estimation.rock.fading import gain_table, gains, pascal
 from heaved.estimation.rock.gate import Limits
 from heaved.samples import RockPrediction, RockScore
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 Array = NDArray[np.float64]
 
@@ -115,6 +117,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     @property
     def window_s(self) -> float:
+        """Length of the past that the maximum-likelihood method looks at."""
         points = self.points if self.points is not None else (210 if self.mode == "zero" else 67)
         return points * STEP_S
 
@@ -210,7 +213,7 @@ class MaximumLikelihoodPredictor:
         self,
         t_s: float,
         angles_rad: tuple[float, float, float],
-        rates_radps: tuple[float, float, float] = (nan, nan, nan),  # the method makes no use of them
+        rates_radps: tuple[float, float, float] = (nan, nan, nan),  # noqa: ARG002  # the method makes no use of them
     ) -> tuple[RockPrediction, ...]:
         """Take roll, pitch and yaw (nan: not known) and predict from them, one record per horizon, shortest first.
 
@@ -555,6 +558,7 @@ class History:
         return row
 
     def window(self, since_s: float) -> Array:
+        """What is remembered since then."""
         self._window = max(self._window, self.first)
         while self.t_s[self._window] < since_s:
             self._window += 1

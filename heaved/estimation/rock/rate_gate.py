@@ -9,11 +9,13 @@ replaced by that line; so is one that is missing, for a moment.
 from __future__ import annotations
 
 from bisect import insort
-from collections.abc import Sequence
 from math import exp, inf, isfinite, nan
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 
 class Tuning(msgspec.Struct, frozen=True, kw_only=True):
@@ -100,8 +102,7 @@ class RateGate:
         if axis.limit >= 0.0:
             axis.usual = usual = axis.usual * (TUNING.higher if size > axis.usual else TUNING.lower)
             axis.limit = TUNING.gate * usual
-            if axis.limit < TUNING.quanta * axis.quantum:
-                axis.limit = TUNING.quanta * axis.quantum
+            axis.limit = max(axis.limit, TUNING.quanta * axis.quantum)
         else:
             insort(axis.first, size)
             axis.interval_s = min(axis.interval_s or elapsed_s, elapsed_s)

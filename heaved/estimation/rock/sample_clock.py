@@ -9,13 +9,16 @@ stamps are looked at: whether they are still those of this grid.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
-from typing import Final
+from math import nan
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
 
 from heaved.estimation.common.sample_rate import are_still_apart, usual_interval
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 
 class Tuning(msgspec.Struct, frozen=True, kw_only=True):
@@ -58,12 +61,12 @@ class SampleClock:
         is_other: the recent stamps come at another rate than the grid's.
     """
 
-    def __init__(self, stamps_s: Sequence[float]) -> None:
-        """From the first, increasing stamps, four at least."""
+    def __init__(self, stamps_s: Sequence[float], interval_s: float = nan) -> None:
+        """From increasing stamps, four at least; ``interval_s``: where it is nearly known, and only refined."""
         trusted = TUNING.trusted
         t = np.array(stamps_s)
         since_s = t - t[-1]
-        interval_s = max(usual_interval(t), TUNING.least_s)
+        interval_s = interval_s if interval_s > 0.0 else max(usual_interval(t), TUNING.least_s)
         # The mean of the phases, which late stamps move little; on whole steps about it, a straight line.
         phase = float(np.angle(np.exp(2j * np.pi * since_s / interval_s).mean())) / (2.0 * np.pi)
         steps = np.rint(since_s / interval_s - phase)

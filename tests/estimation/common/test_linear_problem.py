@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -13,13 +13,17 @@ from scipy.linalg import expm
 from seas import model, simulated
 
 from heaved.estimation.common import sigma
-from heaved.estimation.common.sigma import PointSet
 from heaved.estimation.craft import filter_bank as bank
 from heaved.estimation.craft.filter_bank import Bank
 from heaved.estimation.heave.harmonic.observer import HarmonicObserver
 from heaved.estimation.heave.params import Params
 from heaved.estimation.heave.sea.filter import SeaFilter
 from heaved.estimation.heave.sea.model import SeaSystem, measurement_variance
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from heaved.estimation.common.sigma import PointSet
 
 Array = NDArray[np.float64]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -10,7 +10,11 @@ from point_sets import SETS
 from scipy.stats import chi2
 
 from heaved.estimation.common import sigma
-from heaved.estimation.common.sigma import Array, PointSet
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from heaved.estimation.common.sigma import Array, PointSet
 
 every_set = pytest.mark.parametrize("make", SETS.values(), ids=SETS.keys())
 

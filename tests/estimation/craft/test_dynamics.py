@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from math import exp, tanh
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -15,6 +15,9 @@ from scipy.optimize import brentq
 
 from heaved.estimation.craft.dynamics import FOILLESS, Craft, Foil, Vessel
 from heaved.estimation.craft.tuning import TUNING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
 
 Array = NDArray[np.float64]
 DEFAULT = Vessel()

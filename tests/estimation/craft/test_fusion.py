@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import deepcopy
 from math import inf, nan
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -17,8 +17,10 @@ from heaved.demo.craft_at_sea import hull
 from heaved.estimation.craft.dynamics import FOILLESS, Craft
 from heaved.estimation.craft.fusion import AttitudeFusion, Mode, Params
 from heaved.estimation.craft.inputs import Caution
-from heaved.samples import CraftMotion
 from heaved.simulate.hydrofoil import Passage, Voyage, sail
+
+if TYPE_CHECKING:
+    from heaved.samples import CraftMotion
 
 Array = NDArray[np.float64]
 MODES = tuple(Mode)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import cos, sin
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -12,6 +12,9 @@ from heaved.estimation.imu.mounting import SignCheck, UnitsCheck
 from heaved.samples import GRAVITY_MPS2
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import Recording, record
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 Rows = list[tuple[float, ...]]
 

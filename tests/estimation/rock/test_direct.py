@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from math import nan, pi
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -21,6 +21,9 @@ from heaved.estimation.rock.features import SampleWindow, around, lag_knots
 from heaved.estimation.rock.gate import Channel, Timing
 from heaved.estimation.rock.learner import NormalEquations, moments_of
 from heaved.estimation.rock.sample_clock import SampleClock
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
 
 Array = NDArray[np.float64]
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from math import isnan, nan, pi
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import msgspec
 import numpy as np
@@ -20,6 +19,9 @@ from heaved.estimation.rock.maximum_likelihood import (
     seen_later,
 )
 from heaved.samples import RockPrediction
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
 
 Mode = Literal["endpoint", "zero"]
 

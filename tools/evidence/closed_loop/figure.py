@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -11,6 +10,9 @@ from matplotlib.ticker import MaxNLocator
 
 from evidence.closed_loop.loop import PERFECT, Trial
 from evidence.heave.figures import BLACK, BLUE, COLUMN_IN, DPI, GREEN, ORANGE
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 WINDOW_S: Final = 60.0
 

@@ -15,11 +15,10 @@ from __future__ import annotations
 import asyncio
 import tempfile
 import time
-from collections.abc import Callable, Sequence
 from contextlib import AsyncExitStack
 from math import nan
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
@@ -39,6 +38,9 @@ from heaved.simulate.seaway import Seaway, seaway
 from heaved.simulate.sensors import LASER_NOISE_M, record
 from heaved.simulate.shaking import NONE as NOT_SHAKEN
 from heaved.simulate.winch import WinchParams
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
 
 Array = NDArray[np.float64]
 

@@ -13,10 +13,9 @@ import re
 import resource
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from math import inf, isfinite, isinf, isnan, nan, radians
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -39,7 +38,11 @@ from heaved.pipeline import Pipeline, assemble
 from heaved.samples import Fault, HeaveState, ImuSample, MotionFrame, Sample
 from heaved.simulate.seaway import TRAINS
 from heaved.simulate.sensors import Recording, measure
-from heaved.simulate.vessel import Motion
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+
+    from heaved.simulate.vessel import Motion
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

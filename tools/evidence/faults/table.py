@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
 from math import inf, isfinite, isnan, nan
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
 
 from evidence.faults.disasters import DISASTERS, HONEST_OF, Asked
 from evidence.faults.judge import KINDS, LIE, Outcome, Task
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
 
 HEADS: Final = (
     "disaster", "what happens", "lies", "doubted", "beyond", "worst / std", "largest / σ", "largest angle", "valid",

@@ -73,7 +73,7 @@ def _asked(what: str, on: _On, figure: str, most: float = inf, *, of: str = "", 
     return Asked(what=what, of=of or on.scenario, where=on.fields(), figure=figure, most=most, **fields)
 
 
-def _heave() -> Iterator[Asked]:  # noqa: PLR0912  # a list in loops, no decisions
+def _heave() -> Iterator[Asked]:  # a list in loops, no decisions
     for scenario, most in (("S4", 1.25), ("S6S", 1.25), ("Hebrides", 1.25), ("SL", 1.4)):
         yield _asked("A: error over the causal limit", _On(scenario), _RATIO, most)
     yield _asked("A, with tilt and attitude noise: error over the causal limit", _On("S6", tilt="noisy"), _RATIO, 1.7)

@@ -7,18 +7,20 @@ as their source has it or, where it says nothing, as suits them best.
 from __future__ import annotations
 
 from math import isnan
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import bilinear_zpk, butter, sosfilt, sosfilt_zi, zpk2sos
 
 from heaved.estimation.common import sigma
-from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.harmonic.inertial_displacement import InertialDisplacement
 from heaved.estimation.heave.harmonic.observer import HarmonicObserver
 from heaved.estimation.imu.attitude import up_acceleration
 from heaved.samples import GRAVITY_MPS2, ImuSample
+
+if TYPE_CHECKING:
+    from heaved.estimation.heave import params as heave
 
 Array = NDArray[np.float64]
 

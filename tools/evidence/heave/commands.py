@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
 import msgspec
 
@@ -21,11 +20,15 @@ from evidence.commands import (
     seeds_of,
 )
 from evidence.heave import asked, correction, estimators, evaluate, gates, shake, tables
-from evidence.heave.summary import Judged, Result
 from evidence.results import LINES, Output, Report
 from evidence.scenarios import Setting
 from heaved.simulate.sensors import SENSORS, laser_pattern
 from heaved.simulate.shaking import NONE
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from evidence.heave.summary import Judged, Result
 
 
 def run_heave(options: Options, output: Output) -> Report:

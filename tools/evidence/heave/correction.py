@@ -12,10 +12,9 @@ process, which is waited for.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from math import isfinite, nan
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
@@ -27,10 +26,14 @@ from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.heave.sea.refit import look
 from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.pipeline import Pipeline, assemble
-from heaved.samples import MotionFrame
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import SENSORS, laser_pattern, record
 from heaved.workers.process import BlockingTrainer
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from heaved.samples import MotionFrame
 
 Array = NDArray[np.float64]
 

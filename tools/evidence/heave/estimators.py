@@ -10,9 +10,8 @@ Each is causal: a value of the trace is what was known when its sample came. Whi
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
 from math import nan
-from typing import Final, get_args, get_type_hints
+from typing import TYPE_CHECKING, Final, get_args, get_type_hints
 
 import msgspec
 import numpy as np
@@ -25,6 +24,9 @@ from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.pipeline import Pipeline, assemble
 from heaved.samples import HeaveState, ImuSample, MotionFrame, Sample
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
 
 Array = NDArray[np.float64]
 

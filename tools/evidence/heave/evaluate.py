@@ -6,10 +6,9 @@ for how it is shown.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
@@ -21,6 +20,9 @@ from evidence.heave.summary import Judged, Result, judged, summary
 from evidence.scenarios import HORIZONS_S, REAL, Seeds, Setting, build, files, triplet
 from heaved.samples import ImuSample
 from heaved.simulate.seaway import TRAINS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
 LEVEL_SEA: Final = Setting(tilt="none")
 TRAIN: Final = Setting(scored_from_s=200.0)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator
@@ -16,10 +13,17 @@ from scipy.signal import detrend, welch
 
 from evidence.heave.estimators import KF, Trace
 from evidence.heave.scores import BIN_S, COVER, SETTLED_SHARE, SETTLING_END_S, laser_times, rms
-from evidence.heave.summary import Result
 from evidence.limits import causal_heave_limit
 from evidence.scenarios import Case, accelerometer_noise, simulated_spectrum
 from heaved.simulate.seaway import RAMPS, SEAS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+
+    from evidence.heave.summary import Result
 
 Array = NDArray[np.float64]
 

@@ -6,16 +6,19 @@ same command has just added to results.jsonl. They say nothing about how good th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from math import isfinite, nan
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
 from evidence.heave.evaluate import Task
-from evidence.heave.summary import Result
 from evidence.scenarios import Setting, triplet
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from evidence.heave.summary import Result
 
 FILE: Final = Path(__file__).with_name("gates.json")
 MARGIN: Final = 1.05

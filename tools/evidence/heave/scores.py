@@ -7,9 +7,8 @@ its own mean out, after the fact, as no real-time output could: it shows what th
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from math import inf, nan
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
@@ -17,9 +16,13 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from evidence.heave.estimators import INERTIAL, Trace, shares
-from evidence.scenarios import Case
 from heaved.samples import HeaveState
 from heaved.simulate.sensors import laser_pattern
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from evidence.scenarios import Case
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

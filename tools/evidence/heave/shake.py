@@ -8,9 +8,8 @@ list, an attitude sensor's errors) has no part in it: there the error is asked f
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
 from math import isfinite
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 import msgspec
 
@@ -22,6 +21,9 @@ from evidence.heave.summary import Result, summary
 from evidence.scenarios import HORIZONS_S, Setting, Tilt, triplet
 from heaved.simulate.sensors import SENSORS
 from heaved.simulate.shaking import NONE, SHAKES, Slams
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
 
 OURS: Final = "sea"
 TEXTBOOK: Final = "double"

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
 
-from evidence.heave.estimators import Trace
 from evidence.heave.scores import ForecastScore, Score, scores, settled_from_s, sigma_of
 from evidence.scenarios import Case, Seeds, Setting
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from evidence.heave.estimators import Trace
 
 
 class Result(msgspec.Struct, frozen=True, kw_only=True):

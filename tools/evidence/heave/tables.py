@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import sqrt
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from evidence.heave import baselines
 from evidence.heave.estimators import CORRECTED, DOUBLE, IIR, INERTIAL, KF, UKF
 from evidence.heave.scores import SETTLED_SHARE
-from evidence.heave.summary import Result
 from evidence.scenarios import HORIZONS_S, grid, sea_limits, simulated_spectrum
 from heaved.samples import GRAVITY_MPS2
 from heaved.simulate.seaway import RAMPS, SEAS, TRAINS
 from heaved.simulate.sensors import LASER_NOISE_M, SENSORS, laser_pattern
 from heaved.simulate.shaking import NONE
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from evidence.heave.summary import Result
 
 PAPER_M: Final[dict[str, tuple[float, float, float]]] = {
     INERTIAL: (0.0692, 0.0843, 0.0469),

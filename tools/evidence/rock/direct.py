@@ -6,11 +6,9 @@ predictor for the known spectrum (``limits.prediction_limit``) with the same noi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from functools import partial
 from math import nan
-from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 import numpy as np
@@ -22,6 +20,10 @@ from evidence.rock.seas import F_HZ, RATE_HZ, SHIPS, Sea, Ship, gaussian, known_
 from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.estimation.rock.direct import DirectPredictor, Params
 from heaved.estimation.rock.fading import finite_taps
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
 
 Array = NDArray[np.float64]
 Found = TypeVar("Found")

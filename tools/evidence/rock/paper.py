@@ -7,10 +7,9 @@ the limit is the optimal linear predictor of the same record, with the same nois
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from math import hypot, pi
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -20,6 +19,10 @@ from scipy.signal import lfilter
 from evidence.commands import in_order
 from evidence.limits import prediction_limit
 from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S, STEP_S, MaximumLikelihoodPredictor, Params
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
 
 Array = NDArray[np.float64]
 ARCSEC = pi / 180 / 3600

@@ -4,8 +4,8 @@ often what it gave a chance of p came true.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -15,6 +15,9 @@ from evidence.commands import in_order
 from evidence.rock.seas import DEGREE, RATE_HZ, Sea, Ship, motion
 from heaved.estimation.quiescence import MotionForecast, Params, Quiescence
 from heaved.estimation.rock import direct as rock_direct
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 Array = NDArray[np.float64]
 

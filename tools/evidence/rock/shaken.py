@@ -9,12 +9,11 @@ deviations, and no error against the waves beyond 4.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from itertools import product
 from math import nan
 from operator import attrgetter
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -29,6 +28,9 @@ from heaved.estimation.rock.estimator import RockEstimator
 from heaved.samples import Fault, ImuSample
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import Recording, record
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 Array = NDArray[np.float64]
 
