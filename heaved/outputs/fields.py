@@ -73,26 +73,22 @@ class Fields(Generic[R]):
 
     Attributes:
         names: outside, in the order in which they are sent.
-        outside: tuple of a record's values in that order, in their units outside, not rounded.
-        sent: the same, rounded as they are sent; None: not known (nan, infinite, absurd).
+        sent: a record's values in that order, rounded as they are sent; None: not known (nan, infinite, absurd).
     """
 
     def __init__(self, *names: str, places: Sequence[str] | None = None) -> None:
         """``places``: where a record has them, ``total_rad[0]`` say; None: attributes by their names inside."""
-        units = [_unit(name) for name in names]
-        (decimals,) = {unit.decimals for unit in units}
-        wholes = 10.0**decimals
         self.names = names
         self._places = tuple(map(_inside, names)) if places is None else tuple(places)
-        found = list(zip(self._places, units, strict=True))
+        self._units = tuple(map(_unit, names))
+        (decimals,) = {unit.decimals for unit in self._units}
+        wholes = 10.0**decimals
         self._sent = [
             f"(x + {_ROUND} - {_ROUND}) / {wholes} "
             f"if -{_LIMIT} < (x := record.{place} * {unit.per_inside * wholes}) < {_LIMIT} else None"
-            for place, unit in found
+            for place, unit in zip(self._places, self._units, strict=True)
         ]
-        outside = [f"record.{place}" + f" * {unit.per_inside}" * (unit.per_inside != 1.0) for place, unit in found]
-        self.outside: Callable[[R], tuple[float, ...]] = _compiled(f"({', '.join(outside)},)")
-        self.sent: Callable[[R], tuple[float | None, ...]] = _compiled(f"({', '.join(self._sent)},)")
+        self.sent: Callable[[R], tuple[float | None, ...]] = compiled(f"({', '.join(self._sent)},)")
 
     def only(self, *names: str) -> Fields[R]:
         """Some of them.
@@ -106,16 +102,23 @@ class Fields(Generic[R]):
         """Those that are known, by name, rounded as they are sent."""
         return {name: value for name, value in zip(self.names, self.sent(record), strict=True) if value is not None}
 
+    def outside(self, record: str) -> list[str]:
+        """For :func:`compiled`: expressions of these values of ``record``, in units outside, not rounded."""
+        return [
+            f"{record}.{place}" + f" * {unit.per_inside}" * (unit.per_inside != 1.0)
+            for place, unit in zip(self._places, self._units, strict=True)
+        ]
+
     def into(self, kind: Callable[..., S], *same: str, given: Sequence[str] = ()) -> Callable[..., S]:
         """Function that makes the record of ``kind`` that is sent of one inside: these quantities, what is ``same`` in
         both, and what it is ``given`` beside the record.
         """
         values = [f"{name}={value}" for name, value in zip(self.names, self._sent, strict=True)]
         values += [f"{name}=record.{name}" for name in same] + [f"{name}={name}" for name in given]
-        return _compiled(f"kind({', '.join(values)})", ["record", *given], kind=kind)
+        return compiled(f"kind({', '.join(values)})", ["record", *given], kind=kind)
 
 
-def _compiled(value: str, arguments: Sequence[str] = ("record",), **names: object) -> Callable[..., Any]:
+def compiled(value: str, arguments: Sequence[str] = ("record",), **names: object) -> Callable[..., Any]:
     """Function of the ``arguments`` that gives this expression of them and of these ``names``."""
     source = f"lambda {', '.join(arguments)}: {value}"
     function: Callable[..., Any] = eval(source, names)  # noqa: S307  # All of it is written in this program.

@@ -7,14 +7,12 @@ time is known, a minute later; if it never is, until there are too many that wai
 from __future__ import annotations
 
 from collections import deque
-from itertools import chain
 from math import inf, nan
-from operator import itemgetter
 from typing import TYPE_CHECKING, Final, TypeVar
 
 from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S
-from heaved.outputs.fields import ATTITUDE, FORECAST, HULL, HULL_STD, MOTION, ROCK
-from heaved.samples import DelayedHeave, HeaveForecast, HullAngles, MotionFrame, RockPrediction
+from heaved.outputs.fields import ATTITUDE, FORECAST, HULL, HULL_STD, MOTION, ROCK, compiled
+from heaved.samples import CraftMotion, DelayedHeave, HeaveForecast, HullAngles, MotionFrame, RockPrediction
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -30,7 +28,7 @@ FASTEST_HZ: Final = 250.0
 
 _NOW: Final = MOTION.only("heave_m", "heave_std_m", "heave_velocity_mps", "observer_m", "correction_m", "lead_s")
 _AXES: Final = ("roll", "pitch", "yaw")
-_ROCK: Final = ROCK.only(*(f"{axis}_{what}" for axis in _AXES for what in ("deg", "std_deg")))
+_ROCK: Final = tuple(ROCK.only(f"{axis}_deg", f"{axis}_std_deg") for axis in _AXES)
 _HULL: Final = (
     HULL.only(*(f"{axis}_deg" for axis in "xyz"), *(f"static_{axis}_deg" for axis in "xyz")),
     HULL_STD.only(*(f"{axis}_std_arcsec" for axis in "xyz")),
@@ -38,7 +36,17 @@ _HULL: Final = (
 _NO_FORECAST: Final = HeaveForecast(horizon_s=nan)
 _NO_ROCK: Final = RockPrediction(horizon_s=nan)
 _NO_HULL: Final = HullAngles(t_s=nan, state="")
-_NO_ATTITUDE: Final = (nan,) * len(ATTITUDE.names)
+_NO_ATTITUDE: Final = CraftMotion(
+    t_s=nan,
+    heave_m=nan,
+    heave_velocity_mps=nan,
+    pitch_rad=nan,
+    pitch_rate_radps=nan,
+    heave_std_m=nan,
+    heave_velocity_std_mps=nan,
+    pitch_std_rad=nan,
+    pitch_rate_std_radps=nan,
+)
 
 
 class Table:
@@ -51,28 +59,34 @@ class Table:
     def __init__(self, config: Config, write: Callable[[str], object]) -> None:
         """``write`` gets the header at once, and whole lines later."""
         self._write = write
-        self._forecast_horizons_s = config.heave.forecast_horizons_s
-        self._rock_horizons_s = tuple(sorted({*config.rock.horizons_s, *STANDARD_HORIZONS_S}))
-        self._has_hull, self._has_attitude = config.hull.enabled, config.attitude.enabled
-        forecasts = [f"forecast_{h:g}s_{what}" for h in self._forecast_horizons_s for what in ("m", "std_m")]
-        rocks = [
-            f"{axis}_{h:g}s_{what}" for axis in _AXES for h in self._rock_horizons_s for what in ("deg", "std_deg")
-        ]
-        hull = [f"hull_{name}" for fields in _HULL for name in fields.names] if self._has_hull else []
-        # Of a craft, z is what is heave elsewhere.
-        craft = [name.replace("heave_velocity", "z_rate").replace("heave", "z") for name in ATTITUDE.names]
-        attitude = [f"attitude_{name}" for name in craft] if self._has_attitude else []
-        ahead = [*forecasts, *rocks, *hull, *attitude]
-        self.names = ("t_s", *_NOW.names, "quality", "delayed_heave_m", *ahead)
-        width, count = len(_ROCK.names), len(self._rock_horizons_s)
-        self._by_axis = itemgetter(
-            *(width * i + 2 * axis + what for axis in range(len(_AXES)) for i in range(count) for what in range(2))
+        self._forecast_horizons_s = list(config.heave.forecast_horizons_s)
+        self._rock_horizons_s = sorted({*config.rock.horizons_s, *STANDARD_HORIZONS_S})
+        # What is known of later, and of the stages: names of the columns, and expressions of their values.
+        ahead: list[tuple[str, str]] = []
+        for i, h in enumerate(self._forecast_horizons_s):
+            names = f"forecast_{h:g}s_m", f"forecast_{h:g}s_std_m"
+            ahead += zip(names, FORECAST.outside(f"forecasts[{i}]"), strict=True)
+        for axis, fields in zip(_AXES, _ROCK, strict=True):
+            for i, h in enumerate(self._rock_horizons_s):
+                names = f"{axis}_{h:g}s_deg", f"{axis}_{h:g}s_std_deg"
+                ahead += zip(names, fields.outside(f"rocks[{i}]"), strict=True)
+        if config.hull.enabled:
+            for angles in _HULL:
+                ahead += zip([f"hull_{name}" for name in angles.names], angles.outside("hull"), strict=True)
+        if config.attitude.enabled:
+            # Of a craft, z is what is heave elsewhere.
+            craft = [name.replace("heave_velocity", "z_rate").replace("heave", "z") for name in ATTITUDE.names]
+            ahead += zip([f"attitude_{name}" for name in craft], ATTITUDE.outside("attitude"), strict=True)
+        self.names = ("t_s", *_NOW.names, "quality", "delayed_heave_m", *(name for name, _ in ahead))
+        values = ["frame.t_s", *_NOW.outside("frame"), *(value for _, value in ahead)]
+        self._numbers: Callable[..., tuple[float, ...]] = compiled(
+            f"({', '.join(values)})", ["frame", "forecasts", "rocks", "hull", "attitude"]
         )
-        """Of the numbers of the predictions, one prediction after the other: in the order of the columns."""
+        """All but quality and delayed heave, in the order of the columns."""
         cells = ["%.6f"] * (1 + len(_NOW.names)) + ["%%s"] * 2 + ["%.6f"] * len(ahead)
         self._row = (",".join(cells) + "\n").encode()
-        """All numbers at once, which takes two thirds of the time of one after the other, as bytes, in which they are a
-        tenth faster. Quality and delayed heave are put in when it is written."""
+        """All numbers at once, in two thirds of the time of one after the other, and as bytes, which is a tenth faster
+        again. Quality and delayed heave are put in when it is written."""
         self._delayed = DelayedColumn()
         self._waiting: deque[tuple[float, str, str]] = deque()
         """Times of rows, their quality, and their numbers."""
@@ -81,7 +95,14 @@ class Table:
 
     def push(self, frame: MotionFrame) -> None:
         """Add the row of a frame."""
-        text = (self._row % self._numbers(frame)).decode()
+        numbers = self._numbers(
+            frame,
+            _of_horizons(frame.forecast, self._forecast_horizons_s, _NO_FORECAST),
+            _of_horizons(frame.rock, self._rock_horizons_s, _NO_ROCK),
+            frame.hull or _NO_HULL,
+            frame.attitude or _NO_ATTITUDE,
+        )
+        text = (self._row % numbers).decode()
         self._waiting.append((frame.t_s, frame.quality.heave.value, _blank(text)))
         self._delayed.push(frame.delayed)
         while self._waiting and (self._waiting[0][0] <= self._delayed.newest_s or len(self._waiting) > self._most_rows):
@@ -96,25 +117,10 @@ class Table:
         t_s, quality, text = self._waiting.popleft()
         self._write(text % (quality, _blank(f"{self._delayed.at(t_s):.6f}")))
 
-    def _numbers(self, frame: MotionFrame) -> tuple[float, ...]:
-        """All but quality and delayed heave, in the order of the columns and in their units."""
-        forecasts = _of_horizons(frame.forecast, self._forecast_horizons_s, _NO_FORECAST)
-        rocks = _of_horizons(frame.rock, self._rock_horizons_s, _NO_ROCK)
-        numbers = [frame.t_s, *_NOW.outside(frame)]
-        for forecast in forecasts:
-            numbers += FORECAST.outside(forecast)
-        numbers += self._by_axis(list(chain.from_iterable(map(_ROCK.outside, rocks))))
-        if self._has_hull:
-            for fields in _HULL:
-                numbers += fields.outside(frame.hull or _NO_HULL)
-        if self._has_attitude:
-            numbers += _NO_ATTITUDE if frame.attitude is None else ATTITUDE.outside(frame.attitude)
-        return tuple(numbers)
 
-
-def _of_horizons(found: Sequence[Ahead], horizons_s: tuple[float, ...], none: Ahead) -> Sequence[Ahead]:
+def _of_horizons(found: Sequence[Ahead], horizons_s: list[float], none: Ahead) -> Sequence[Ahead]:
     """Those of these horizons; ``none`` where there is none. Nearly always they are all that are found, in order."""
-    if tuple([one.horizon_s for one in found]) == horizons_s:
+    if [one.horizon_s for one in found] == horizons_s:
         return found
     by_horizon = {one.horizon_s: one for one in found}
     return [by_horizon.get(horizon_s, none) for horizon_s in horizons_s]

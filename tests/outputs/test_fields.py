@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from heaved.outputs import fields
-from heaved.outputs.fields import Fields, rounded
+from heaved.outputs.fields import Fields, compiled, rounded
 from heaved.outputs.records import (
     AttitudeRecord,
     DelayedRecord,
@@ -69,7 +69,7 @@ def test_some_of_a_table() -> None:
     hull = HullAngles(t_s=0.0, state="", static_rad=(0.0, 0.0, radians(30.0)), delay_s=0.004)
     assert few.known(hull) == {"delay_s": 0.004, "static_z_deg": 30.0}
     assert fields.DELAYED.only("std_m", "heave_m").sent(DelayedHeave(t_s=0.0, heave_m=1.0, std_m=2.0)) == (2.0, 1.0)
-    assert few.outside(hull) == pytest.approx((0.004, 30.0))
+    assert compiled(f"({', '.join(few.outside('hull'))})", ["hull"])(hull) == pytest.approx((0.004, 30.0))
     with pytest.raises(ValueError, match="not in tuple"):
         fields.ATTITUDE.only("yaw_deg", "heave_m")
 
