@@ -363,11 +363,14 @@ def shaking_taps(interval_s: float) -> Array:
     """Weights (2 L + 1,) on the samples about one of them: what of it is no wave motion, but vibration and noise.
 
     What is left by a polynomial fitted with weights that fall to zero: 1e-6 of a motion of 5 s period, 3 % of one of
-    1 s, half at 0.5 s, and all that is faster than 2.5 Hz.
+    1 s, half at 0.5 s, and all that is faster than 2.5 Hz. Nothing, where samples come so seldom that the polynomial
+    goes through all of them.
     """
     half = round(TUNING.smoothed_s / interval_s)
     place = np.arange(-half, half + 1) / (half + 1)
     powers = place[:, None] ** np.arange(0, TUNING.smoothed_degree + 1, 2)
+    if half < powers.shape[1]:
+        return np.zeros(len(place))
     root = np.cos(0.5 * np.pi * place)
     smooth = (np.linalg.pinv(root[:, None] * powers) * root)[0]
     return np.asarray((place == 0.0) - smooth, dtype=np.float64)

@@ -56,6 +56,29 @@ def rms(error: npt.ArrayLike) -> float:
     return float(np.sqrt(np.mean(np.square(error))))
 
 
+@pytest.mark.parametrize("rate_hz", [1.0, 2.0, 4.0, 5.0])
+def test_intervals_of_a_slow_record_hold_as_much_as_they_say(rate_hz: float) -> None:
+    """A narrow-banded sea, drawn from its spectrum, and readings as seldom as a ship's record has them: nothing can be
+    told there of what is faster than the waves, and nothing is added to the deviations for it.
+    """
+    t = np.arange(round(900.0 * rate_hz)) / rate_hz
+    rng = np.random.default_rng(11)
+    f = np.linspace(0.07, 0.12, 60)
+    x = np.sum(0.004 * rng.standard_normal((60, 1)) * np.cos(TURN * (f[:, None] * t + rng.random((60, 1)))), axis=0)
+    x += 2e-5 * rng.standard_normal(len(t))
+    horizons = (1.0, 2.0, 5.0)
+    predictor = DirectPredictor(1, Params(horizons_s=horizons))
+    inside: list[list[bool]] = [[], [], []]
+    for k, (now, value) in enumerate(zip(t.tolist(), x.tolist(), strict=True)):
+        predicted = predictor.step(now, [value])[:, 0]
+        half_width = predictor.deviations(now)[1][:, 0]
+        for h, ahead_s in enumerate(horizons):
+            later = k + round(ahead_s * rate_hz)
+            if now > 300.0 and later < len(t):
+                inside[h].append(bool(abs(x[later] - predicted[h]) < half_width[h]))
+    assert all(0.88 < np.mean(one) < 0.99 for one in inside), [np.mean(one) for one in inside]
+
+
 # -- parts --------------------------------------------------------------------------------------------------------
 
 
