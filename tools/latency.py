@@ -66,7 +66,7 @@ class Row(msgspec.Struct):
     first_frame_s: float
     cpu_percent: float
     rss_mb: float
-    trainer_rss_mb: float
+    workers_rss_mb: float
     lateness: dict[float, float]
     """Poll deadlines met within so many seconds of lateness, as a share of all."""
     trainings: float
@@ -218,7 +218,7 @@ async def measure(name: str, arguments: argparse.Namespace, *, training: bool, w
                 first_frame_s=first_s,
                 cpu_percent=cpu_percent,
                 rss_mb=rss_mb(daemon.pid),
-                trainer_rss_mb=sum(rss_mb(pid) for pid in children(daemon.pid)),
+                workers_rss_mb=sum(rss_mb(pid) for pid in children(daemon.pid)),
                 lateness=lateness_shares(before, after),
                 trainings=trainings(after) - trainings(before),
             )
@@ -240,7 +240,7 @@ def table(rows: list[Row]) -> str:
         lines.append(line(f"poll deadlines met within {bound_s * 1e3:g} ms (%)", shares))
     lines.append(line("daemon: processor, % of a core", [f"{row.cpu_percent:.1f}" for row in rows]))
     lines.append(line("daemon: resident memory (MB)", [f"{row.rss_mb:.0f}" for row in rows]))
-    lines.append(line("trainer: resident memory (MB)", [f"{row.trainer_rss_mb:.0f}" for row in rows]))
+    lines.append(line("its workers: resident memory (MB)", [f"{row.workers_rss_mb:.0f}" for row in rows]))
     lines.append(line("trainings meanwhile", [f"{row.trainings:.0f}" for row in rows]))
     lines.append(line("start to first frame (s)", [f"{row.first_frame_s:.2f}" for row in rows]))
     return "\n".join(lines)
