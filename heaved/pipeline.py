@@ -271,5 +271,5 @@ class PipelineSummary(msgspec.Struct, frozen=True, kw_only=True):
     out_of_order: int
     spikes: int
     rejected: int
-    """Beats that the observer's own gate has kept out."""
+    """Means of 50 ms that the observer's own gate has kept out."""
     rock: tuple[RockScore, ...]

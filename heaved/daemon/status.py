@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from heaved.config import Config
     from heaved.daemon.acquisition import Acquisition
     from heaved.daemon.utc_clock import UtcClock
+    from heaved.pipeline import PipelineSummary
 
 _SHOWN_S: Final = (0.15, 1.0)
 """Horizons whose predictions the status judges."""
@@ -61,8 +62,8 @@ def status_record(
         clients=clients,
         dropped=dropped,
         lead_s=rounded(summary.lead_s),
-        observer=_observer(acquisition, config, frame.sea if frame is not None else None, now_s),
-        correction=_correction(acquisition, frame, now_s),
+        observer=_observer(acquisition, summary, config, frame.sea if frame is not None else None, now_s),
+        correction=_correction(acquisition, summary, frame, now_s),
         hull=_hull(frame) if config.hull.enabled else None,
         attitude=_attitude(frame, now_s) if config.attitude.enabled else None,
         rock=wire.rock_status(acquisition.rock_scores(), _SHOWN_S),
@@ -98,14 +99,15 @@ def _heave(frame: MotionFrame | None, now_s: float) -> HeaveStatus:
     )
 
 
-def _observer(acquisition: Acquisition, config: Config, sea: SeaState | None, now_s: float) -> ObserverStatus:
+def _observer(
+    acquisition: Acquisition, summary: PipelineSummary, config: Config, sea: SeaState | None, now_s: float
+) -> ObserverStatus:
     """``sea``: as it was fitted last, with what the accelerometer has shown beside it."""
-    pipeline = acquisition.pipeline
     return ObserverStatus(
         name=config.heave.observer,
-        frequencies_hz=tuple(round(frequency_hz, 5) for frequency_hz in pipeline.summary().frequencies_hz),
+        frequencies_hz=tuple(round(frequency_hz, 5) for frequency_hz in summary.frequencies_hz),
         fit_age_s=rounded(now_s - sea.t_s) if sea is not None else None,
-        resets=sum(count for (name, _), count in pipeline.resets.items() if name == "heave"),
+        resets=sum(count for (name, _), count in acquisition.pipeline.resets.items() if name == "heave"),
         vibration=wire.vibration_record(sea.vibration) if sea is not None else (),
         noise_mps2_rthz=wire.density(sea.noise_mps2_rthz) if sea is not None else None,
         bias_walk_mps2_rts=wire.density(sea.bias_walk_mps2_rts) if sea is not None else None,
@@ -158,12 +160,14 @@ def _devices(acquisition: Acquisition, config: Config, now_s: float) -> tuple[De
     return tuple(devices)
 
 
-def _correction(acquisition: Acquisition, frame: MotionFrame | None, now_s: float) -> CorrectionStatus:
+def _correction(
+    acquisition: Acquisition, summary: PipelineSummary, frame: MotionFrame | None, now_s: float
+) -> CorrectionStatus:
     age_s = now_s - acquisition.accepted_s
     return CorrectionStatus(
         state=frame.quality.correction if frame else CorrectionState.OFF,
         runs=acquisition.trainings,
         last_result=acquisition.last_training or None,
         age_s=round(age_s, 3) if isfinite(age_s) else None,
-        nothing_to_learn=acquisition.pipeline.summary().windows_with_nothing_to_learn,
+        nothing_to_learn=summary.windows_with_nothing_to_learn,
     )

@@ -29,9 +29,10 @@ UNRECORDED: Final = {"--record": 0, "--no-figures": 0, "--jobs": 1, "--out": 1}
 """Options that change no figure, and how many words follow each: they are not part of a heading."""
 HEAD: Final = """# Results
 
-Every figure that the README quotes, as the command above it printed it with `--record`. `tools/accuracy.py results`
-runs them all, `--list` says which and how long they take. "+" after a commit: with changes that were not committed.
-Times and costs depend on the machine; errors do not.
+What commands printed with `--record`, each under its own line, for the README to quote from.
+`tools/accuracy.py results` runs all that it quotes, `--list` says which and how long they take; what has no section
+here yet is to be run again. "+" after a commit: with changes that were not committed. Times and costs depend on the
+machine; errors do not.
 """
 
 

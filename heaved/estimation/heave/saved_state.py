@@ -22,7 +22,7 @@ class Plausible(msgspec.Struct, frozen=True, kw_only=True):
     level_m2phz: tuple[float, float] = (0.0, 1e6)
     """Of a heave spectrum; a sea of 15 m significant height has some 300 m2/Hz."""
     shaken_hz: tuple[float, float] = (0.05, 100.0)
-    """Of what shakes the accelerometer; the fits look above 0.7 Hz, and up to half the rate of the beats."""
+    """Of what shakes the accelerometer; the fits look above 0.7 Hz, and up to half the rate of the means."""
     shaken_damping: tuple[float, float] = (1e-3, 0.999)
     """Of such a resonance."""
     shaken_psd: tuple[float, float] = (0.0, 1e6)
