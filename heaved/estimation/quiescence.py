@@ -114,11 +114,6 @@ class Quiescence:
         """Of a quiet window that begins 0, 1, 2 ... s from the last full second on; nan: not known."""
         self._window: QuietWindow | None = None
 
-    @property
-    def starts_s(self) -> Array:
-        """When the windows of :attr:`probabilities` begin, from the last full second on."""
-        return np.asarray(TUNING.block_s * self._starts, dtype=np.float64)
-
     def is_due(self, t_s: float) -> bool:
         """Whether a sample of this time ends a second, so that the forecast is looked at."""
         return t_s >= self._block_end_s
