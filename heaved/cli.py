@@ -257,7 +257,7 @@ def probe(
 
     from heaved.config.read import packaged_profiles
     from heaved.devices import probe as probing
-    from heaved.devices.link import parse_link
+    from heaved.links import parse_link
 
     try:
         wanted, parsed = probing.parse_ids(ids), parse_link(link)

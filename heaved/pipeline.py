@@ -33,6 +33,7 @@ from heaved.estimation.quiescence import PointQuiescence
 from heaved.estimation.rock.estimator import RockEstimator
 from heaved.estimation.stages import Stages
 from heaved.samples import (
+    CraneSample,
     ImuSample,
     LaserSample,
     MotionFrame,
@@ -95,6 +96,8 @@ class Pipeline:
         """Take one sample; a frame for each IMU sample, faulted ones too. One older than the last is counted."""
         if isinstance(sample, LaserSample):
             self.laser.push(sample)
+            return None
+        if isinstance(sample, CraneSample):
             return None
         if not isinstance(sample, ImuSample):
             self.stages.push(sample)

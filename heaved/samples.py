@@ -91,7 +91,22 @@ class CraftSample(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     fault: Fault = Fault.NONE
 
 
-Sample = ImuSample | LaserSample | RatesSample | CraftSample
+class CraneSample(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """One reading of the crane's encoders; what it does not measure is nan. It never touches the heave.
+
+    Slew positive clockwise from above, 0 with the boom forward; boom its elevation above the deck, positive up; jib the
+    same of the jib, against the deck; line out is the length that the winch has paid out.
+    """
+
+    t_s: float
+    slew_rad: float = nan
+    boom_rad: float = nan
+    jib_rad: float = nan
+    line_out_m: float = nan
+    fault: Fault = Fault.NONE
+
+
+Sample = ImuSample | LaserSample | RatesSample | CraftSample | CraneSample
 
 
 # ---- what a frame is worth -------------------------------------------------------------------------------------------
@@ -137,22 +152,44 @@ class Quality(msgspec.Struct, frozen=True, gc=False, kw_only=True):
 # ---- the heave, elsewhere and at other times -------------------------------------------------------------------------
 
 
-class PointMotion(msgspec.Struct, frozen=True, gc=False, kw_only=True):
-    """Motion of a monitoring point: that of the IMU, and what the attitude adds at the end of the lever arm."""
-
-    name: str
-    heave_m: float = nan
-    heave_std_m: float = nan
-    """From those of the heave and of the measured attitude; how well the attitude is aligned is not known to us."""
-    heave_velocity_mps: float = nan
-
-
 class HeaveForecast(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     """Heave predicted for ``t_s + horizon_s``."""
 
     horizon_s: float
     heave_m: float = nan
     std_m: float = nan
+
+
+class PointMotion(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """Motion of a monitoring point: that of the IMU, and what the attitude adds at the end of the lever arm.
+
+    Heave and its velocity are what the ship does to it. What the crane does to it, by slewing, luffing and hoisting, is
+    apart: ``own_height_m``, its height over the IMU on the level ship, and the rate of that.
+    """
+
+    name: str
+    heave_m: float = nan
+    heave_std_m: float = nan
+    """From those of the heave and of the measured attitude; how well the attitude is aligned is not known to us."""
+    heave_velocity_mps: float = nan
+    heave_acceleration_mps2: float = nan
+    own_height_m: float = nan
+    own_velocity_mps: float = nan
+    forecast: tuple[HeaveForecast, ...] = ()
+    """Of the heave, for as far ahead of the frame as its own forecasts."""
+    state: HeaveState | None = None
+    """Where it is worth less than the heave of the IMU; None: as much."""
+    reasons: tuple[str, ...] = ()
+    """Why."""
+
+
+class MotionNow(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """Heave and points of ``t_s`` itself, where those of the frame are for a moment after it."""
+
+    heave_m: float = nan
+    heave_std_m: float = nan
+    heave_velocity_mps: float = nan
+    points: tuple[PointMotion, ...] = ()
 
 
 class DelayedHeave(msgspec.Struct, frozen=True, gc=False, kw_only=True):
@@ -339,6 +376,13 @@ class MotionFrame(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     roll_rad: float = nan
     pitch_rad: float = nan
     yaw_rad: float = nan
+    surge_acceleration_mps2: float = nan
+    """Forward and to port, in the level frame that turns with the heading."""
+    sway_acceleration_mps2: float = nan
+    roll_rate_radps: float = nan
+    """Derivatives of the three angles, as far as they are known."""
+    pitch_rate_radps: float = nan
+    yaw_rate_radps: float = nan
     points: tuple[PointMotion, ...] = ()
     rock: Sequence[RockPrediction] = ()
     """One per horizon, shortest first; from the pipeline as columns (:mod:`heaved.predictions`), like the next ones."""
@@ -347,6 +391,8 @@ class MotionFrame(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     forecast: Sequence[HeaveForecast] = ()
     compensation_lead_s: float = 0.0
     """Heave, velocity, their standard deviation and the points are for this long after ``t_s``."""
+    now: MotionNow | None = None
+    """What they are at ``t_s`` itself; None: there is no lead, they are for it."""
     delayed: DelayedHeave | None = None
     """The newest delayed heave; several frames may carry the same one."""
     sea: SeaState | None = None

@@ -14,11 +14,12 @@ import msgspec
 from heaved.config import Config
 from heaved.config.typed import sound_keys, table_of
 from heaved.devices.bandwidth import bandwidth_hz, folding, remedy
-from heaved.devices.link import RtuLink, bus_load_faults, buses, line_faults, most_rate_hz, parse_link
+from heaved.devices.link import bus_load_faults, buses, line_faults, most_rate_hz
 from heaved.devices.profile import DeviceSpec, Role, profile_faults, role_needs, role_quantities
 from heaved.estimation.craft import fusion
 from heaved.estimation.heave.sea.whittle_fit import TUNING as FIT
 from heaved.estimation.hull import estimate as hull
+from heaved.links import SerialLink, parse_link
 
 LEAST_IMU_RATE_HZ: Final = 2.0 * FIT.band_hz[1]
 """Nyquist: of the highest frequency at which the sea is fitted."""
@@ -269,7 +270,7 @@ def _port_faults(devices: Mapping[int, DeviceSpec]) -> list[str]:
     for i, device in devices.items():
         with suppress(ValueError):
             link = parse_link(device.link)
-            if isinstance(link, RtuLink):
+            if isinstance(link, SerialLink):
                 other, name = first.setdefault(os.path.realpath(link.path), (i, link.path))
                 if name != link.path:
                     faults.append(

@@ -28,6 +28,7 @@ from heaved.daemon.acquisition import Acquisition
 from heaved.daemon.learning import Workers
 from heaved.daemon.logs import configure_logging
 from heaved.daemon.metrics import RENEWED_S, Metrics
+from heaved.daemon.outputs import TABLES, Outputs
 from heaved.daemon.realtime import freeze_memory, set_real_time
 from heaved.daemon.sdnotify import Notifier
 from heaved.daemon.signals import Signals
@@ -131,6 +132,7 @@ class Daemon:
         self._fed_s = -1.0
         self._fed_frames = 0
         self._publisher = self._make_publisher()
+        self._outputs = Outputs(self.utc.utc_s, clock)
         self._http = self._make_http() if config.http.enabled else None
 
     # ---- start and stop ----------------------------------------------------------------------------------------------
@@ -153,6 +155,7 @@ class Daemon:
         self._is_restored = True
         await self._poll_devices()
         await self.workers.have(self.config)
+        await self._outputs.have(self.config, _CANCEL_S)
         self._heartbeat.start(self.acquisition.period_s)
         self._supervise("housekeeping", self._keep_house)
         self._supervise("state", partial(self.memory.keep_saving, self.config.state.save_period_s))
@@ -171,6 +174,7 @@ class Daemon:
             "stream": self._publisher.close(0.5 * _STOP_S),
             **({"state": self.memory.save()} if self._is_restored else {}),  # Else there is nothing new to save.
             **self.workers.stopping(),
+            "outputs": self._outputs.stop(_CANCEL_S),
         }
         if self._http is not None:
             parts["http"] = self._http.close()
@@ -230,6 +234,8 @@ class Daemon:
             await self.workers.have(self.config)
         if new.attitude != old.attitude:
             self.acquisition.pipeline.stages.configure_attitude(new.attitude)
+        if any(getattr(new, table) != getattr(old, table) for table in TABLES):
+            await self._outputs.have(self.config, _CANCEL_S)
         if new.device != old.device:
             await self._poll_devices()
             self._heartbeat.start(self.acquisition.period_s)
@@ -336,6 +342,7 @@ class Daemon:
 
     def _publish(self, frame: MotionFrame) -> None:
         self._publisher.publish(frame)
+        self._outputs.publish(frame)
         if not self._is_ready:
             self._is_ready = True
             self._notifier.notify("READY=1", "STATUS=running")

@@ -38,12 +38,13 @@ from heaved.devices.frames import (
     tcp_senders,
     tcp_stream_is_whole,
 )
-from heaved.devices.host_name import HostName
-from heaved.devices.link import Link, RtuLink, TcpLink, bus_key, explain_open_failure, parse_link, silence_s
+from heaved.devices.link import bus_key
 from heaved.devices.liveness import Contact
 from heaved.devices.profile import Block, DeviceSpec, Quantity, block_registers
 from heaved.devices.station import PollResult, Reading, Station
 from heaved.devices.timer import DeadlineTimer, Pace, TimeLimit
+from heaved.host_name import HostName
+from heaved.links import Link, SerialLink, TcpLink, explain_open_failure, parse_link, silence_s
 from heaved.samples import Fault
 
 if TYPE_CHECKING:
@@ -125,7 +126,7 @@ class OpenLink:
     async def open(self) -> str:
         """Returns why it failed and what to do; empty when open. Opening a serial port keeps the loop for a moment."""
         _quieten_pymodbus()
-        if isinstance(self.link, RtuLink):
+        if isinstance(self.link, SerialLink):
             return await self._open(self.link.path)
         failure = ""
         try:
@@ -157,7 +158,7 @@ class OpenLink:
                 return explain_open_failure(self.link, cause[0] if cause else TimeoutError())
         except (termios.error, ValueError) as error:  # the port refuses its settings
             return explain_open_failure(self.link, error)
-        if isinstance(self.link, RtuLink):
+        if isinstance(self.link, SerialLink):
             with contextlib.suppress(ValueError):  # what pyserial raises where the port has no such mode
                 # USB adapters otherwise hold bytes back for up to 16 ms. Only real ports know this.
                 client.ctx.transport.sync_serial.set_low_latency_mode(True)  # type: ignore[attr-defined]
@@ -192,7 +193,7 @@ class OpenLink:
         client = self._client
         if client is None or not client.connected:
             return Answer(nan, [], Fault.DISCONNECTED, "the connection is lost", False)
-        if isinstance(self.link, RtuLink):
+        if isinstance(self.link, SerialLink):
             await self._wait_for_silence(self.link, timeout_s)
         request = Request(device_id, 3 if block.function == "holding" else 4, count)
         self._heard, self._found = b"", b""
@@ -213,7 +214,7 @@ class OpenLink:
         if self._in_vain or self.late_s:
             self.late_s.pop(device_id, None)
             self._in_vain = {asked: t_s for asked, t_s in self._in_vain.items() if asked.device_id != device_id}
-        answer = self._found if isinstance(self.link, RtuLink) else self._found[6:]
+        answer = self._found if isinstance(self.link, SerialLink) else self._found[6:]
         if answer[1] & 0x80:
             code = answer[2]
             return Answer(sent_s, [], Fault.EXCEPTION, explain_exception(code), exception=code)
@@ -223,7 +224,7 @@ class OpenLink:
             return Answer(sent_s, [], Fault.LENGTH, detail)
         return Answer(sent_s, registers)
 
-    async def _wait_for_silence(self, link: RtuLink, most_s: float) -> None:
+    async def _wait_for_silence(self, link: SerialLink, most_s: float) -> None:
         """A late answer that is coming in would collide with the request."""
         latest_s = self._clock() + most_s
         while self._clock() < (free_s := min(self._heard_s + silence_s(link), latest_s)):
@@ -239,7 +240,7 @@ class OpenLink:
             del self._in_vain[next(iter(self._in_vain))]
         self._spare = b""
         late_s = self.late_s.get(request.device_id, 0.0)
-        if isinstance(self.link, RtuLink):
+        if isinstance(self.link, SerialLink):
             why = explain_rtu_silence(self._heard, request, sent=self._sent, late_s=late_s)
         else:
             why = explain_tcp_silence(self._heard, self._transaction, request, late_s=late_s)
@@ -275,11 +276,11 @@ class OpenLink:
                 self.late_s[sender.device_id] = self._heard_s - asked[-1]
 
     def _senders(self, heard: bytes) -> list[Sender]:
-        return rtu_senders(heard) if isinstance(self.link, RtuLink) else tcp_senders(heard)
+        return rtu_senders(heard) if isinstance(self.link, SerialLink) else tcp_senders(heard)
 
     def _request_frame(self, request: Request, start: int) -> bytes:
         body = _READ.pack(request.device_id, request.function, start, request.count)
-        if isinstance(self.link, RtuLink):
+        if isinstance(self.link, SerialLink):
             return body + crc16(body).to_bytes(2, "little")
         self._transaction = self._transaction % _MOST_TRANSACTIONS + 1
         return _HEADER.pack(self._transaction, 0, len(body)) + body
@@ -293,7 +294,7 @@ class OpenLink:
             return
         heard = self._heard + data
         self._heard = heard = heard if len(heard) <= _MOST_HEARD_BYTES else b""
-        if isinstance(self.link, RtuLink):
+        if isinstance(self.link, SerialLink):
             answer = find_rtu_answer(heard, request)
         else:
             answer = find_tcp_answer(heard, self._transaction, request)
@@ -413,7 +414,7 @@ class Bus:
                     self._is_good = False
                     self._tried.set()
                 else:
-                    if isinstance(self.link, RtuLink):  # Somebody else's answers may be under way.
+                    if isinstance(self.link, SerialLink):  # Somebody else's answers may be under way.
                         await asyncio.sleep(max(contact.quiet_s for contact in self._contacts.values()))
                     self._opened(connection)
                     await self._lost.wait()

@@ -21,9 +21,10 @@ import msgspec
 from heaved.devices.bandwidth import PASSES, folding, remedy
 from heaved.devices.bus import Answer, OpenLink
 from heaved.devices.frames import explain_exception
-from heaved.devices.link import Link, TcpLink, most_rate_hz
+from heaved.devices.link import most_rate_hz
 from heaved.devices.profile import Block, ByteOrder, Field, Profile, Quantity, block_registers, decode
 from heaved.devices.timer import DeadlineTimer
+from heaved.links import Link, TcpLink
 from heaved.samples import GRAVITY_MPS2, Fault
 
 MOST_SHOWN: Final = 4

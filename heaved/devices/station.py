@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from heaved.devices.link import Link, request_wire_s
+from heaved.devices.link import request_wire_s
 from heaved.devices.liveness import Contact, LivenessCheck
 from heaved.devices.profile import (
     Block,
@@ -25,6 +25,8 @@ from heaved.samples import CraftSample, Fault, ImuSample, LaserSample, RatesSamp
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+
+    from heaved.links import Link
 
 _KINDS: Final[dict[Role, Callable[..., Sample]]] = {
     "imu": ImuSample,

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from heaved.devices.link import Link, RtuLink, TcpLink, bus_key, parse_link
+from heaved.devices.link import bus_key
+from heaved.links import Link, SerialLink, TcpLink, parse_link
 from heaved.simulate.faults import FaultKind, PlannedFault
 from heaved.simulate.slave import Answer, RtuLine, Slave, Source, TcpLine
 
@@ -79,7 +80,7 @@ class SimulatedPlant:
 
     def _line(self, bus: str, link: Link) -> TcpLine | RtuLine:
         ask = partial(self._ask, bus)
-        if isinstance(link, RtuLink):
+        if isinstance(link, SerialLink):
             return RtuLine(link, ask, self._rng)
         return TcpLine(TcpLink(link.host, 0) if self._any_port else link, ask, self._rng)
 

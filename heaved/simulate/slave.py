@@ -22,8 +22,8 @@ from pymodbus.constants import ExcCodes
 from pymodbus.framer import FramerRTU, FramerSocket
 from pymodbus.pdu import DecodePDU
 
-from heaved.devices.link import RtuLink, TcpLink, character_s, silence_s
 from heaved.devices.profile import DeviceSpec, Quantity, block_registers, encode, role_needs, role_quantities
+from heaved.links import SerialLink, TcpLink, character_s, silence_s
 from heaved.simulate.faults import FaultKind, PlannedFault
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ class RtuPace:
     does. Silences of 3.5 characters stand before the answer and before the next request.
     """
 
-    def __init__(self, link: RtuLink) -> None:
+    def __init__(self, link: SerialLink) -> None:
         self._character_s, self._silence_s = character_s(link), silence_s(link)
         self._free_at_s = -inf
 
@@ -233,7 +233,7 @@ class _TcpConnection(asyncio.Protocol):
 class RtuLine:
     """Slaves on one serial line, which is a pseudo-terminal reached through a symbolic link at the line's path."""
 
-    def __init__(self, link: RtuLink, ask: Ask, rng: np.random.Generator) -> None:
+    def __init__(self, link: SerialLink, ask: Ask, rng: np.random.Generator) -> None:
         self.path = Path(link.path)
         self.is_open = False
         self._ask, self._rng = ask, rng

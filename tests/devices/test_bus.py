@@ -34,9 +34,9 @@ from heaved.daemon.supervise import cancelled
 from heaved.devices import bus as modbus
 from heaved.devices.bus import CONNECT_TIMEOUT_S, RETRY_S, Bus, PollResult
 from heaved.devices.frames import find_tcp_answer
-from heaved.devices.host_name import HostName
 from heaved.devices.liveness import PROBE_S
 from heaved.devices.profile import Block, Field, Profile
+from heaved.host_name import HostName
 from heaved.samples import Fault, ImuSample, LaserSample
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import socket
 
 import pytest
 
-from heaved.devices.host_name import MOST_ADDRESSES, HostName
+from heaved.host_name import MOST_ADDRESSES, HostName
 
 
 class NameServer:

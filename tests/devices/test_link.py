@@ -9,21 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from heaved.devices.link import (
-    RtuLink,
-    TcpLink,
-    bus_key,
-    bus_load_faults,
-    buses,
-    character_s,
-    explain_open_failure,
-    line_faults,
-    parse_link,
-    request_time_s,
-    request_wire_s,
-    silence_s,
-)
+from heaved.devices.link import bus_key, bus_load_faults, buses, line_faults, request_time_s, request_wire_s
 from heaved.devices.profile import Block, DeviceSpec, Field, Profile
+from heaved.links import SerialLink, TcpLink, character_s, explain_open_failure, parse_link, silence_s
 
 
 def profile(*registers: int) -> Profile:
@@ -45,8 +33,8 @@ def device(name: str, link: str, rate_hz: float, registers: int = 12, device_id:
         ("tcp://10.0.0.7:502", TcpLink("10.0.0.7", 502)),
         ("tcp://plc.ship:1502", TcpLink("plc.ship", 1502)),
         ("tcp://[::1]:502", TcpLink("::1", 502)),
-        ("rtu:///dev/ttyUSB0", RtuLink("/dev/ttyUSB0", 9600, "N", 1, 8)),
-        ("rtu:///dev/ttyS1?baudrate=57600&parity=E&stopbits=2&bytesize=8", RtuLink("/dev/ttyS1", 57600, "E", 2, 8)),
+        ("rtu:///dev/ttyUSB0", SerialLink("/dev/ttyUSB0", 9600, "N", 1, 8)),
+        ("rtu:///dev/ttyS1?baudrate=57600&parity=E&stopbits=2&bytesize=8", SerialLink("/dev/ttyS1", 57600, "E", 2, 8)),
     ],
 )
 def test_links(text: str, link: object) -> None:
@@ -114,16 +102,16 @@ def test_devices_on_one_line_share_a_bus() -> None:
 
 @pytest.mark.parametrize(("baudrate", "milliseconds"), [(9600, 45.8), (115200, 6.7)])
 def test_twelve_registers_take_what_the_field_measures(baudrate: int, milliseconds: float) -> None:
-    seconds = request_time_s(RtuLink("/dev/x", baudrate), profile(12))
+    seconds = request_time_s(SerialLink("/dev/x", baudrate), profile(12))
     assert seconds * 1e3 == pytest.approx(milliseconds, abs=0.05)
 
 
 def test_wire_time_counts_every_bit() -> None:
-    link = RtuLink("/dev/x", 19200, "E", 2)
+    link = SerialLink("/dev/x", 19200, "E", 2)
     # 1 start, 8 data, 1 parity, 2 stop bits; up to 19200 baud a silence is 3.5 characters.
     assert character_s(link) == pytest.approx(12 / 19200)
     assert silence_s(link) == pytest.approx(42 / 19200)
-    assert silence_s(RtuLink("/dev/x", 38400)) == 0.00175
+    assert silence_s(SerialLink("/dev/x", 38400)) == 0.00175
     assert request_wire_s(link) == pytest.approx(96 / 19200)
     # Two blocks of 1 and 3 registers: requests of 8 bytes, answers of 7 and 11, four silences.
     assert request_time_s(link, profile(1, 3)) == pytest.approx((8 + 7 + 8 + 11 + 4 * 3.5) * 12 / 19200)

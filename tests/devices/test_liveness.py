@@ -20,10 +20,10 @@ from heaved.devices.frames import (
     find_tcp_answer,
     tcp_stream_is_whole,
 )
-from heaved.devices.link import RtuLink
 from heaved.devices.liveness import Contact, LivenessCheck
 from heaved.devices.profile import Block, Field, Profile, Quantity
 from heaved.devices.station import Reading, Station, cuts
+from heaved.links import SerialLink
 from heaved.samples import Fault
 
 ASKED = Request(80, 3, 2)
@@ -399,7 +399,7 @@ def test_a_block_is_divided_between_its_values() -> None:
 
 
 def test_results_of_a_station() -> None:
-    link = RtuLink("/dev/a", 115200)
+    link = SerialLink("/dev/a", 115200)
     spec = device("rtu:///dev/a?baudrate=115200", latency_ms=-5.0, rate_hz=10.0, profile=counter_profile(2))
     station = Station(spec, link, contact(), 100.0)
     good = Reading(sent_s=100.001, values={"az_mps2": 9.8, "ax_mps2": 0.1})
@@ -424,4 +424,4 @@ def test_results_of_a_station() -> None:
 
 def test_profile_without_the_role_is_refused() -> None:
     with pytest.raises(ValueError, match="nothing for the role laser"):
-        Station(device("rtu:///dev/a", role="laser"), RtuLink("/dev/a"), contact(), 0.0)
+        Station(device("rtu:///dev/a", role="laser"), SerialLink("/dev/a"), contact(), 0.0)

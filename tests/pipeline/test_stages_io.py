@@ -21,7 +21,6 @@ from heaved.config import Config
 from heaved.config.read import ConfigError, data_directory, load, load_to_run, parse
 from heaved.config.rules import rate_faults, stage_faults
 from heaved.daemon.metrics import Metrics
-from heaved.devices.link import TcpLink
 from heaved.devices.liveness import Contact
 from heaved.devices.profile import Quantity, encode, profile_faults
 from heaved.devices.recording import STAGE_COLUMNS, Recording, RecordingError
@@ -30,6 +29,7 @@ from heaved.estimation.craft import fusion
 from heaved.estimation.hull import estimate as hull
 from heaved.estimation.hull.estimator import HullDeformation
 from heaved.estimation.hull.refit import refit
+from heaved.links import TcpLink
 from heaved.outputs import wire
 from heaved.outputs.records import AttitudeStatus, HeaveStatus, HullStatus, StatusRecord
 from heaved.replay.replay import replay

@@ -17,8 +17,8 @@ from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from pymodbus.exceptions import ModbusException
 from pymodbus.framer import FramerType
 
-from heaved.devices.link import RtuLink, TcpLink, parse_link
 from heaved.devices.profile import Block, DeviceSpec, Field, Profile, Quantity
+from heaved.links import SerialLink, TcpLink, parse_link
 from heaved.samples import GRAVITY_MPS2, ImuSample, LaserSample, Sample
 from heaved.simulate.faults import parse_faults
 from heaved.simulate.instruments import Instruments
@@ -397,7 +397,7 @@ async def test_the_path_of_a_serial_line_is_ours_or_left_alone(tmp_path: Path) -
 def test_a_serial_line_takes_its_time(
     baudrate: int, parity: Literal["N", "E", "O"], character_s: float, silence_s: float, poll_s: float
 ) -> None:
-    pace = RtuPace(RtuLink("/dev/x", baudrate=baudrate, parity=parity))
+    pace = RtuPace(SerialLink("/dev/x", baudrate=baudrate, parity=parity))
     heard = pace.heard_at(100.0, 8)
     assert heard - 100.0 == pytest.approx(8 * character_s)
     done = pace.answered_at(heard, 29)
