@@ -88,7 +88,7 @@ def frame(t_s: float, *, lead_s: float = 0.0, state: HeaveState = HeaveState.VAL
 def test_a_telegram_is_of_the_moment_at_which_it_is_sent(t_s: float, age_s: float) -> None:
     motion = motion_at(frame(t_s), "", Lead.TRANSMISSION, t_s + age_s, utc_s)
     h, v, _ = heave(t_s + age_s)
-    # What is left out: the jerk of the heave, and the bend of an angle between predictions that are 0.1 s apart at most.
+    # What is left out: the jerk of the heave, the bend of an angle between predictions that are 0.1 s apart at most.
     jerk, bend = HEAVE_M * OMEGA**3, ROLL_RAD * OMEGA**2
     assert motion.heave_m == pytest.approx(h, abs=jerk * age_s**3 / 6.0 + 1e-12)
     assert motion.heave_velocity_mps == pytest.approx(v, abs=jerk * age_s**2 / 2.0 + 1e-12)
