@@ -98,7 +98,7 @@ class RegisterPush:
             had_line = self._line is not None and self._line.is_open
             try:
                 line = await self._reach()
-            except OSError as error:
+            except (OSError, UnicodeError) as error:  # The latter for what no host can be called.
                 self._fail("not_connected", explain_open_failure(self._link, error))
                 return RETRY_S
             try:

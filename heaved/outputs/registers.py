@@ -330,7 +330,7 @@ class RtuRegisters:
     ) -> None:
         self.health = OutputHealth("registers", "Modbus RTU server", str(link))
         self._answers = _Answers(params, registers, clock, self.health)
-        self._link, self._registers, self._device_id, self._clock = link, registers, params.device_id, clock
+        self._link, self._registers, self._device_id = link, registers, params.device_id
         self._requests = RtuRequests(params.device_id)
         self._port: SerialPort | None = None
         self._answering: asyncio.TimerHandle | None = None
@@ -361,9 +361,9 @@ class RtuRegisters:
 
     def _hear(self, data: bytes) -> None:
         self._call_off()  # Something follows: what looked like a request to us was not the last that was said.
-        request = self._requests.feed(data, self._clock())
+        loop = asyncio.get_running_loop()
+        request = self._requests.feed(data, loop.time())
         if request:
-            loop = asyncio.get_running_loop()
             self._answering = loop.call_later(silence_s(self._link), self._answer, request)
 
     def _answer(self, request: bytes) -> None:

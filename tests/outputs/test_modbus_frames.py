@@ -175,6 +175,14 @@ def test_what_is_no_request_to_us(heard: bytes) -> None:
     assert heard_by_us([heard])[-1] == b""
 
 
+@given(st.lists(st.binary(max_size=300), max_size=5))
+def test_whatever_is_heard_a_request_is_its_end(chunks: list[bytes]) -> None:
+    everything = b""
+    for chunk, request in zip(chunks, heard_by_us(chunks), strict=True):
+        everything += chunk
+        assert not request or everything.endswith(rtu(bytes((OURS,)) + request))
+
+
 def test_of_two_requests_only_the_last_is_still_waited_for() -> None:
     first, last = rtu(bytes((OURS,)) + read(3, 6)), rtu(bytes((OURS,)) + read(4, 1))
     assert heard_by_us([first + last]) == [read(4, 1)]

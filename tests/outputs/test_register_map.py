@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 import re
+import struct
 from math import inf, nan
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -134,6 +135,27 @@ def test_the_words_are_those_of_the_moment_at_which_they_are_asked_for() -> None
     assert words[1] == round(1000 * (-0.088 - 0.070 * later_s)) % 0x10000
     assert words[7] == 100
     assert words_of(FULL, T_S + later_s, lead=Lead.NONE)[:3] == words_of(FULL, T_S)[:3]
+
+
+def test_between_two_frames_a_plc_reads_the_present() -> None:
+    """Of a heave of 1 m and 6 s, of which there is a frame every 100 ms."""
+    w = 2.0 * math.pi / 6.0
+    errors_m: dict[Lead, list[float]] = {lead: [] for lead in (Lead.TRANSMISSION, Lead.NONE)}
+    for lead, errors in errors_m.items():
+        registers = RegisterMap(RegistersParams(lead=lead), (), utc_s)
+        for i in range(600):
+            now_s = T_S + 0.01 * i
+            if i % 10 == 0:
+                s, c = math.sin(w * now_s), math.cos(w * now_s)
+                registers.push(
+                    msgspec.structs.replace(
+                        FULL, t_s=now_s, heave_m=s, heave_velocity_mps=w * c, heave_acceleration_mps2=-w * w * s
+                    )
+                )
+            (word,) = struct.unpack_from(">h", registers.at(now_s))
+            errors.append(abs(0.001 * word - math.sin(w * now_s)))
+    assert max(errors_m[Lead.TRANSMISSION]) < 0.0005 + (w * 0.09) ** 3 / 6.0
+    assert max(errors_m[Lead.NONE]) > 0.09
 
 
 def test_one_moment_is_computed_once_and_the_next_anew() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import re
 import struct
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Any
@@ -245,6 +246,14 @@ async def test_an_answer_to_something_else_is_none(answer: bytes) -> None:
         async with output_running(output):
             await until(lambda: output.health.lost["lost"] > 2)
         assert (output.health.sent, output.health.is_up) == (0, False)
+
+
+@pytest.mark.parametrize("host", ["nowhere.invalid", "a" * 300])
+async def test_a_host_that_has_no_address(host: str) -> None:
+    output = push_to(TcpLink(host, 502))
+    async with output_running(output):
+        await until(lambda: output.health.lost["not_connected"] > 1)
+    assert re.search("check it, or write the IP address|check network and address|no name server", output.health.detail)
 
 
 async def test_a_plc_that_is_switched_on_later_and_off_again(unused_tcp_port: int) -> None:

@@ -453,6 +453,18 @@ async def test_what_is_for_others_is_not_answered(line: NullModem) -> None:
         assert (server.health.sent, server.health.lost) == (1, {})
 
 
+async def test_what_only_looked_like_a_request_is_not_answered(line: NullModem) -> None:
+    """Somebody speaks on before the silence that ends a frame: it was a part of something else."""
+    async with output_running(rtu_server(line, 7)) as server, wire(line) as (reader, say):
+        await until(lambda: server.health.is_up)
+        server._hear(OURS)
+        server._hear(b"\x00")
+        say(OURS)
+        async with asyncio.timeout(PATIENCE_S):
+            assert await reader.readexactly(len(ANSWER)) == ANSWER
+        assert server.health.sent == 1
+
+
 async def test_a_line_that_goes_and_comes_back(line: NullModem, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "RETRY_S", 0.01)
     with capture_logs() as logs:
