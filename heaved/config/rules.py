@@ -12,6 +12,7 @@ from typing import Any, Final, get_args
 import msgspec
 
 from heaved.config import Config
+from heaved.config.register_rules import register_faults
 from heaved.config.typed import sound_keys, table_of
 from heaved.devices.bandwidth import bandwidth_hz, folding, remedy
 from heaved.devices.link import bus_load_faults, buses, line_faults, most_rate_hz
@@ -90,7 +91,8 @@ def rule_faults(file: Written) -> list[str]:
     same = config.stream.port == config.http.port != 0 and config.stream.host == config.http.host
     if config.http.enabled and same and not {"stream.port", "http.port"} & file.wrong:
         faults.append(f"http.port: {config.http.port} is also stream.port")
-    return faults
+    points = [point.get("name", "") for point in file.listed("point") if isinstance(point, dict)]
+    return faults + register_faults(config, devices, points, file.wrong)
 
 
 def run_faults(file: Written) -> list[str]:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import structlog
 
 from heaved.daemon.supervise import cancelled, supervise
+from heaved.outputs.registers import register_output
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -16,7 +18,7 @@ if TYPE_CHECKING:
     from heaved.outputs.output import Output, OutputHealth
     from heaved.samples import MotionFrame
 
-TABLES: Final[tuple[str, ...]] = ()
+TABLES: Final[tuple[str, ...]] = ("registers", "point")
 """Of the configuration, whose change makes outputs anew."""
 
 _log = structlog.get_logger(__name__)
@@ -67,8 +69,11 @@ class Outputs:
 
     def _wanted(self, config: Config) -> dict[object, Callable[[], Output]]:
         """By its table, how each output is made."""
-        del config
-        return {}
+        wanted: dict[object, Callable[[], Output]] = {}
+        registers, points = config.registers, tuple(point.name for point in config.point)
+        if registers.enabled:
+            wanted[registers, points] = partial(register_output, registers, points, self._utc_s, self._clock)
+        return wanted
 
     def _bug(self, health: OutputHealth, error: Exception) -> None:
         kind = f"{health.name}: {type(error).__name__}"

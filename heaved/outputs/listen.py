@@ -40,7 +40,7 @@ class Listener:
     connection that waits, and again a second later, twice as often.)
     """
 
-    def __init__(self, section: str, host: str, port: int, protocol: Callable[[str], asyncio.Protocol]) -> None:
+    def __init__(self, section: str, host: str, port: int, protocol: Callable[[str], asyncio.BaseProtocol]) -> None:
         """``section`` of the configuration, for messages; ``protocol``: makes what serves a peer, told its address."""
         self._section = section
         self._host = host
