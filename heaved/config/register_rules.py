@@ -8,7 +8,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from heaved.links import SerialLink, TcpLink, parse_link
-from heaved.outputs.listen import is_loopback_host, parse_networks
+from heaved.networks import is_loopback_host, parse_networks
 from heaved.outputs.register_map import Mode, RegistersParams, table, write_time_s
 
 if TYPE_CHECKING:

@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING, Final, cast
 import structlog
 
 from heaved.links import SerialLink, TcpLink, explain_open_failure, parse_link, silence_s
-from heaved.outputs.listen import Listener, ListenError, checked_networks, is_allowed
+from heaved.networks import checked_networks, is_allowed
+from heaved.outputs.listen import Listener, ListenError
 from heaved.outputs.modbus_frames import (
     NO_SUCH_DEVICE,
     REFUSALS,
