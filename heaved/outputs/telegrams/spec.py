@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import StrEnum
-from math import asin, cos, sin
+from math import asin, cos, nan, sin
 from typing import Annotated, Final
 
 import msgspec
@@ -108,7 +108,8 @@ class Format(msgspec.Struct, frozen=True, kw_only=True):
     """For people."""
     encode: Callable[[Motion, OutputSpec], bytes]
     """Of a motion whose signs are the reader's already; the whole of what is sent at one moment, ends of line included.
-    Whatever the numbers, it gives a telegram that says what is known and nothing else."""
+    Whatever the numbers, it gives a telegram that says what is known and nothing else. Empty: something is not known,
+    and the format has no way to say so; nothing is sent, so that the reader's own time-out acts."""
     longest_bytes: int
     lead: Lead
     """What is usual: NONE where it tells its time of validity, else TRANSMISSION."""
@@ -123,7 +124,8 @@ def as_read(motion: Motion, spec: OutputSpec, signs: Signs) -> Motion:
     """The same motion with the signs and the roll that the reader expects."""
     changed: dict[str, float] = {}
     if (spec.roll_convention or signs.convention) is RollConvention.TSS:
-        changed["roll_rad"] = asin(sin(motion.roll_rad) * cos(motion.pitch_rad))
+        is_known = motion.has_attitude
+        changed["roll_rad"] = asin(sin(motion.roll_rad) * cos(motion.pitch_rad)) if is_known else nan
     if (spec.roll_positive or signs.roll) is RollPositive.STARBOARD_UP:
         changed["roll_rad"] = -changed.get("roll_rad", motion.roll_rad)
         changed["roll_rate_radps"] = -motion.roll_rate_radps
