@@ -1,5 +1,6 @@
 """Host names of links to addresses, without holding anything up: a name server that is away takes the C library up to
-half a minute, and each look-up a thread of a pool that others need.
+half a minute, and each look-up a thread. So they have threads of their own: files and servers need those of the event
+loop.
 """
 
 from __future__ import annotations
@@ -7,10 +8,14 @@ from __future__ import annotations
 import asyncio
 import ipaddress
 import socket
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Final
 
 MOST_ADDRESSES: Final = 4
 """Tried for one name."""
+
+_THREADS: Final = ThreadPoolExecutor(16, "look up")
 
 
 class HostName:
@@ -42,5 +47,6 @@ class HostName:
 
 
 async def _look_up(host: str) -> list[str]:
-    found = await asyncio.get_running_loop().getaddrinfo(host, None, type=socket.SOCK_STREAM)
+    ask = partial(socket.getaddrinfo, host, None, type=socket.SOCK_STREAM)
+    found = await asyncio.get_running_loop().run_in_executor(_THREADS, ask)
     return list(dict.fromkeys(str(entry[4][0]) for entry in found))[:MOST_ADDRESSES]

@@ -19,6 +19,7 @@ from heaved.estimation.hull import estimate as hull
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.outputs.register_map import RegistersParams
+from heaved.outputs.telegrams.spec import OutputSpec
 
 Port = Annotated[int, msgspec.Meta(ge=0, le=65535)]
 
@@ -80,6 +81,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     quiet: quiescence.Params = quiescence.Params()
     point: tuple[Point, ...] = ()
     compensation: CompensationParams = CompensationParams()
+    output: tuple[OutputSpec, ...] = ()
     stream: StreamParams = StreamParams()
     http: HttpParams = HttpParams()
     registers: RegistersParams = RegistersParams()

@@ -65,7 +65,7 @@ def parse(document: Mapping[str, Any], *, file: str, directory: Path, to_run: bo
     """
     faults: list[str] = []
     tree = dict(document)
-    for key in ("device", "point"):
+    for key in ("device", "point", "output"):
         if isinstance(tree.get(key), dict):
             faults.append(f"{key}: is one table; write [[{key}]], once for each {key}")
             del tree[key]

@@ -12,6 +12,7 @@ from typing import Any, Final, get_args
 import msgspec
 
 from heaved.config import Config
+from heaved.config.outputs import output_cautions, output_faults
 from heaved.config.register_rules import register_faults
 from heaved.config.typed import sound_keys, table_of
 from heaved.devices.bandwidth import bandwidth_hz, folding, remedy
@@ -22,6 +23,7 @@ from heaved.estimation.craft import fusion
 from heaved.estimation.heave.sea.whittle_fit import TUNING as FIT
 from heaved.estimation.hull import estimate as hull
 from heaved.links import SerialLink, UdpListenLink, parse_any_link, parse_link
+from heaved.outputs.telegrams.spec import OutputSpec
 
 LEAST_IMU_RATE_HZ: Final = 2.0 * FIT.band_hz[1]
 """Nyquist: of the highest frequency at which the sea is fitted."""
@@ -42,32 +44,41 @@ class Written(msgspec.Struct, frozen=True, kw_only=True):
     tree: Mapping[str, Any]
     devices: dict[int, DeviceSpec]
     """The sound ones, by index."""
+    outputs: dict[int, OutputSpec]
+    """Those of which the telegram is known, by index, with defaults in place of wrong keys."""
     tables: Config
-    """The others, with defaults in place of wrong keys; no devices."""
+    """The others, with defaults in place of wrong keys; no devices, no outputs."""
     wrong: frozenset[str]
     """Paths that have a fault already."""
 
     def listed(self, array: str) -> list[Any]:
-        """``[[device]]`` or ``[[point]]``, sound or not."""
-        found = self.tree.get(array)
-        return found if isinstance(found, list) else []
+        """``[[device]]``, ``[[point]]`` or ``[[output]]``, sound or not."""
+        return _tables(self.tree, array)
 
 
 def written(tree: Mapping[str, Any], wrong: Collection[str]) -> Written:
     """``wrong``: paths of the faults found in single keys."""
-    devices: dict[int, DeviceSpec] = {}
-    listed = tree.get("device")
-    for i, device in enumerate(listed if isinstance(listed, list) else ()):
-        with suppress(msgspec.ValidationError):
-            devices[i] = msgspec.convert(device, DeviceSpec)
     tables: dict[str, Any] = {}
     for field in msgspec.structs.fields(Config):
-        if field.name in tree and field.name != "device":
+        if field.name in tree and field.name not in ("device", "output"):
             value = tree[field.name]
             with suppress(msgspec.ValidationError):
                 sound = value if table_of(field.type) is None else sound_keys(field.type, value)
                 tables[field.name] = msgspec.convert(sound, field.type)
-    return Written(tree=tree, devices=devices, tables=Config(**tables), wrong=frozenset(wrong))
+    devices: dict[int, DeviceSpec] = {}
+    for i, device in enumerate(_tables(tree, "device")):
+        with suppress(msgspec.ValidationError):
+            devices[i] = msgspec.convert(device, DeviceSpec)
+    outputs: dict[int, OutputSpec] = {}
+    for i, output in enumerate(_tables(tree, "output")):
+        with suppress(msgspec.ValidationError):
+            outputs[i] = msgspec.convert({"name": "unnamed", "link": ""} | sound_keys(OutputSpec, output), OutputSpec)
+    return Written(tree=tree, devices=devices, outputs=outputs, tables=Config(**tables), wrong=frozenset(wrong))
+
+
+def _tables(tree: Mapping[str, Any], array: str) -> list[Any]:
+    listed = tree.get(array)
+    return listed if isinstance(listed, list) else []
 
 
 def rule_faults(file: Written) -> list[str]:
@@ -77,7 +88,7 @@ def rule_faults(file: Written) -> list[str]:
     for i, device in enumerate(file.listed("device")):
         if i not in devices and isinstance(device, dict) and isinstance(device.get("link"), str):
             faults += _link_faults(f"device[{i}]", device["link"], dict.fromkeys((*MODBUS, *SCHEMES)))
-    for array, key in (("device", "name"), ("device", "role"), ("point", "name")):
+    for array, key in (("device", "name"), ("device", "role"), ("point", "name"), ("output", "name")):
         faults += _twice(file, array, key)
     faults += _point_faults(file)
     faults += _heave_faults(config)
@@ -88,6 +99,8 @@ def rule_faults(file: Written) -> list[str]:
         faults += [fault for fault in line_faults(tuple(devices.values())) if fault not in overload]
     for name, table in (("stream", config.stream), ("http", config.http)):
         faults += _listen_faults(name, table.host, table.allow)
+    found = output_faults(file.listed("output"), file.outputs, devices, _points(file), _servers(file))
+    faults += [fault for fault in found if fault.partition(":")[0] not in file.wrong]
     same = config.stream.port == config.http.port != 0 and config.stream.host == config.http.host
     if config.http.enabled and same and not {"stream.port", "http.port"} & file.wrong:
         faults.append(f"http.port: {config.http.port} is also stream.port")
@@ -159,7 +172,7 @@ def cautions(config: Config) -> list[str]:
                     f"device {device.name}: timeout_ms {device.timeout_ms:g} is longer than the period of {names} on "
                     "the same line: each answer that it loses costs them polls; lower it, or give each its own line"
                 )
-    return found
+    return found + output_cautions(config.output, config.compensation.lead_s)
 
 
 def rate_faults(config: Config) -> list[str]:
@@ -223,6 +236,22 @@ def _point_faults(file: Written) -> list[str]:
     if wanted and wanted not in [point.get("name") for point in points.values()]:
         faults.append(f"quiet.point: no [[point]] is named {wanted!r}")
     return faults
+
+
+def _points(file: Written) -> Collection[object] | None:
+    """Names of the points, as they are written; None: that cannot be said."""
+    if "point" in file.wrong:
+        return None
+    return [point.get("name") for point in file.listed("point") if isinstance(point, dict)]
+
+
+def _servers(file: Written) -> dict[str, tuple[str, int]]:
+    """Where heaved listens, by the key that says so, as far as that is sound."""
+    config = file.tables
+    servers = {"stream.port": (config.stream.host, config.stream.port)}
+    if config.http.enabled:
+        servers["http.port"] = (config.http.host, config.http.port)
+    return {key: where for key, where in servers.items() if not {key, key.replace("port", "host")} & file.wrong}
 
 
 def _heave_faults(config: Config) -> list[str]:

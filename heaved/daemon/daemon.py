@@ -2,8 +2,9 @@
 
 Start: listen, restore the state, poll, train, then READY once frames flow (with or without sensors).
 Stop (SIGTERM, SIGINT): no more polls, clients get what is queued, the state is saved; within two seconds.
-SIGHUP: the configuration file is read again; ``[[device]]`` and the estimators' tables take effect at once, the others
-(``[stream]``, ``[http]``, ``[state]``, ``[runtime]``) with the next start. A file with faults changes nothing.
+SIGHUP: the configuration file is read again; ``[[device]]``, ``[[output]]`` and the estimators' tables take effect at
+once, the others (``[stream]``, ``[http]``, ``[state]``, ``[runtime]``) with the next start. A file with faults changes
+nothing.
 """
 
 from __future__ import annotations
@@ -134,6 +135,7 @@ class Daemon:
         self._fed_frames = 0
         self._publisher = self._make_publisher()
         self._outputs = Outputs(self.utc.utc_s, clock)
+        self.metrics.have_outputs(lambda: self._outputs.health)
         self._http = self._make_http() if config.http.enabled else None
 
     # ---- start and stop ----------------------------------------------------------------------------------------------
@@ -338,6 +340,7 @@ class Daemon:
             now_s=self._clock(),
             started_s=self._started_s,
             utc=self.utc,
+            outputs=self._outputs.health,
             clients=self._publisher.clients,
             dropped=self._publisher.dropped,
             config_file=str(self._config_path) if self._config_path else None,

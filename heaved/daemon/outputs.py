@@ -10,15 +10,18 @@ import structlog
 
 from heaved.daemon.supervise import cancelled, supervise
 from heaved.outputs.registers import register_output
+from heaved.outputs.telegram_output import TelegramOutput
+from heaved.outputs.telegrams.formats import FORMATS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from heaved.config import Config
     from heaved.outputs.output import Output, OutputHealth
+    from heaved.outputs.telegrams.spec import OutputSpec
     from heaved.samples import MotionFrame
 
-TABLES: Final[tuple[str, ...]] = ("registers", "point")
+TABLES: Final = ("output", "registers", "point")
 """Of the configuration, whose change makes outputs anew."""
 
 _log = structlog.get_logger(__name__)
@@ -41,9 +44,10 @@ class Outputs:
         for table in gone:
             del self._running[table]
         await cancelled([self._tasks.pop(table) for table in gone], stop_s)
+        running, self._running = self._running, {}
         for table, make in wanted.items():
-            if table not in self._running:
-                output = self._running[table] = make()
+            output = self._running[table] = running.get(table) or make()
+            if table not in running:
                 name = f"output {output.health.name}"
                 self._tasks[table] = asyncio.create_task(supervise(name, output.run), name=name)
 
@@ -69,11 +73,14 @@ class Outputs:
 
     def _wanted(self, config: Config) -> dict[object, Callable[[], Output]]:
         """By its table, how each output is made."""
-        wanted: dict[object, Callable[[], Output]] = {}
+        wanted: dict[object, Callable[[], Output]] = {spec: self._telegrams(spec) for spec in config.output}
         registers, points = config.registers, tuple(point.name for point in config.point)
         if registers.enabled:
             wanted[registers, points] = partial(register_output, registers, points, self._utc_s, self._clock)
         return wanted
+
+    def _telegrams(self, spec: OutputSpec) -> Callable[[], Output]:
+        return lambda: TelegramOutput(spec, FORMATS[spec.telegram], self._utc_s, self._clock)
 
     def _bug(self, health: OutputHealth, error: Exception) -> None:
         kind = f"{health.name}: {type(error).__name__}"

@@ -14,7 +14,7 @@ import msgspec
 from heaved.samples import CorrectionState, Quality, Vibration
 
 PROTO_MAJOR: Final = 1
-PROTO_MINOR: Final = 3
+PROTO_MINOR: Final = 4
 
 
 class VersionRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class", tag="VERSION"):
@@ -270,6 +270,22 @@ class DeviceStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     """What is wrong and what to do, for a person."""
 
 
+class OutputStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A configured output beside the stream."""
+
+    name: str
+    kind: str
+    """What it speaks."""
+    link: str
+    up: bool
+    sent: int = 0
+    """Messages since the start, or since its configuration has changed."""
+    lost: dict[str, int] = {}
+    """That did not go out, by reason: ``down``, ``slow``, ``not known``, ..."""
+    detail: str = ""
+    """What is wrong and what to do, for a person."""
+
+
 class ObserverStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """The observer of the heave."""
 
@@ -342,6 +358,7 @@ class StatusRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     heave: HeaveStatus
     quality: Quality
     devices: tuple[DeviceStatus, ...]
+    outputs: tuple[OutputStatus, ...] = ()
     clients: int
     dropped: int
     """Lines dropped for slow clients since the start, all clients together."""

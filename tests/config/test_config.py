@@ -18,6 +18,7 @@ from heaved.config.read import ConfigError, data_directory, load, parse
 from heaved.config.rules import cautions, rate_faults
 from heaved.devices.profile import Block, DeviceSpec, Field, Profile, Sentence, SentenceField
 from heaved.estimation.lever_arm import Point
+from heaved.outputs.telegrams.spec import OutputSpec
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -392,11 +393,11 @@ def test_a_rate_that_the_line_cannot_carry_is_a_fault_of_the_plan() -> None:
 
 # ---- hostile input ---------------------------------------------------------------------------------------------------
 
-ARRAYS = ("device", "point")
+ARRAYS = ("device", "point", "output")
 """Tables of which there may be several."""
 
 _KEYS = sorted(
-    {field.name for kind in (Config, DeviceSpec, Profile, Block, Field, Point)
+    {field.name for kind in (Config, DeviceSpec, Profile, Block, Field, Point, OutputSpec)
        for field in msgspec.structs.fields(kind)}
     | {field.name for table in Config() .__struct_fields__ if table not in ARRAYS
        for field in msgspec.structs.fields(getattr(Config(), table))}

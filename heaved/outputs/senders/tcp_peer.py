@@ -1,0 +1,141 @@
+"""One peer on TCP that reads telegrams: what waits for it, and when it is given up."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections import deque
+from math import inf
+from typing import TYPE_CHECKING, Final, cast
+
+from heaved.outputs.senders.sender import DOWN, SLOW, STUCK_S, explain
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from heaved.links import AnyLink
+    from heaved.outputs.output import OutputHealth
+
+_MOST_WAITING: Final = 8
+"""Telegrams that wait for a peer which does not keep up: what is older is of no use to it."""
+_SEND_BUFFER_BYTES: Final = 16 * 1024
+"""Of the system, which doubles it: enough for 100 telegrams a second over a satellite, and full within seconds when
+nothing is taken."""
+_UNACKNOWLEDGED_MS: Final = 5000
+"""A peer that is not there any more (cable, power) does not acknowledge what is sent."""
+_IDLE_S: Final = 10
+_PROBE_S: Final = 5
+_MOST_PROBES: Final = 3
+"""Of keepalive: the same is found within half a minute while nothing is sent."""
+_MOST_HEARD_BYTES: Final = 1 << 20
+"""In a second. Whatever a peer says is thrown away; one that says more costs the others time."""
+
+
+class TcpPeer(asyncio.Protocol):
+    """Made by the event loop; the transport's own buffer is limited to nothing, so that it asks for a pause as soon as
+    the system has not taken a whole telegram, and what is old can still be dropped.
+
+    Attributes:
+        closed: done once the connection is no more; why, and what to do.
+    """
+
+    def __init__(
+        self,
+        link: AnyLink,
+        health: OutputHealth,
+        clock: Callable[[], float],
+        admit: Callable[[TcpPeer], str] = lambda _: "",
+    ) -> None:
+        """``admit``: asked once it is there; why it is not served, if it is not."""
+        self.closed: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        self._link, self._health, self._clock = link, health, clock
+        self._transport: asyncio.Transport | None = None
+        self._queue: deque[bytes] = deque()
+        self._is_paused = False
+        self._full_since_s = inf
+        self._admit = admit
+        self._why = ""
+        self._heard_bytes = 0
+        self._heard_since_s = -inf
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """It is there."""
+        self._transport = cast("asyncio.Transport", transport)
+        connection = transport.get_extra_info("socket")
+        _set_options(connection)
+        self._transport.set_write_buffer_limits(high=0)
+        if connection.getsockname() == connection.getpeername():
+            # The system has given our end the very port that is tried, on which nobody listens.
+            self.close(explain(self._link, ConnectionRefusedError()))
+        elif why := self._admit(self):
+            self.close(why)
+
+    @property
+    def is_given_up(self) -> bool:
+        """Whether we, not it, have ended the connection."""
+        return bool(self._why)
+
+    def connection_lost(self, error: Exception | None) -> None:
+        """It is gone."""
+        self._transport = None
+        if not self.closed.done():
+            self.closed.set_result(self._why or explain(self._link, error or ConnectionResetError("closed")))
+
+    def eof_received(self) -> bool:
+        """It will say no more, which is no reason to say no more to it; that it has gone shows on sending."""
+        return True
+
+    def close(self, why: str = "") -> None:
+        """End the connection at once."""
+        self._why = self._why or why
+        if self._transport is not None:
+            self._transport.abort()
+            self._transport = None
+
+    def send(self, data: bytes) -> None:
+        """Send a telegram, or have it wait in place of the oldest one."""
+        if self._transport is None:
+            self._health.lost[DOWN] += 1
+            return
+        if not self._is_paused:
+            self._transport.write(data)
+            self._health.sent += 1
+            return
+        self._queue.append(data)
+        if len(self._queue) <= _MOST_WAITING:
+            return
+        self._queue.popleft()
+        self._health.lost[SLOW] += 1
+        now_s = self._clock()
+        self._full_since_s = min(self._full_since_s, now_s)
+        if now_s - self._full_since_s > STUCK_S:
+            self.close(f"{self._link} has taken nothing for {STUCK_S:g} s: look at the program that reads there")
+
+    def pause_writing(self) -> None:
+        """It does not keep up."""
+        self._is_paused = True
+
+    def resume_writing(self) -> None:
+        """It does again."""
+        self._is_paused, self._full_since_s = False, inf
+        while self._queue and not self._is_paused:
+            self.send(self._queue.popleft())
+
+    def data_received(self, data: bytes) -> None:
+        """Throw away what it says."""
+        now_s = self._clock()
+        if now_s - self._heard_since_s >= 1.0:
+            self._heard_since_s, self._heard_bytes = now_s, 0
+        self._heard_bytes += len(data)
+        if self._heard_bytes > _MOST_HEARD_BYTES:
+            self.close(f"{self._link} sends more than a megabyte a second: it is the wrong program, or the wrong port")
+
+
+def _set_options(connection: socket.socket) -> None:
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNACKNOWLEDGED_MS)
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, _IDLE_S)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, _PROBE_S)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, _MOST_PROBES)
