@@ -7,13 +7,10 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import os
 import socket
 import time
 from math import inf, nan
 from typing import TYPE_CHECKING, Any, Final
-
-import serial
 
 from heaved.devices.liveness import LivenessCheck
 from heaved.devices.profile import Decoded, DeviceSpec, Quantity, role_quantities
@@ -23,6 +20,7 @@ from heaved.host_name import HostName
 from heaved.links import AnyLink, SerialLink, TcpLink, UdpListenLink, explain_open_failure, parse_any_link
 from heaved.networks import is_allowed, parse_networks
 from heaved.samples import Fault
+from heaved.serial_port import SerialPort
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -80,37 +78,32 @@ class Listening:
     # ---- the line ----------------------------------------------------------------------------------------------------
 
     async def _keep_open(self) -> None:
-        loop = asyncio.get_running_loop()
         name = HostName(self._link.host if isinstance(self._link, TcpLink) else "")
         while True:
             self._lost.clear()
             try:
-                fd, close = await self._open(name)
-            except (OSError, ValueError) as error:  # The latter for settings that a port refuses.
+                close = await self._open(name)
+            except OSError as error:
                 self._is_open, self._detail = False, _explained(self._link, error)
-                await asyncio.sleep(RETRY_S)
-                continue
-            self._is_open, self._opened = True, self._opened + 1
-            self._reader.reset()
-            loop.add_reader(fd, self._on_readable, fd)
-            try:
-                await self._lost.wait()
-            finally:
-                loop.remove_reader(fd)
-                close()
-            self._is_open = False
+            else:
+                self._is_open, self._opened = True, self._opened + 1
+                self._reader.reset()
+                try:
+                    await self._lost.wait()
+                finally:
+                    close()
+                self._is_open = False
             await asyncio.sleep(RETRY_S)
 
-    async def _open(self, name: HostName) -> tuple[int, Callable[[], None]]:
-        """A descriptor that does not block, and how it is closed."""
+    async def _open(self, name: HostName) -> Callable[[], None]:
+        """Have what comes read; returns how the line is closed."""
         link = self._link
         if isinstance(link, SerialLink):
-            port = serial.Serial(
-                link.path, link.baudrate, link.bytesize, link.parity, link.stopbits, timeout=0, exclusive=True
-            )
-            return port.fileno(), port.close
+            port = SerialPort(link, self._heard, self._lose)
+            port.open()
+            return port.close
         if isinstance(link, TcpLink):
-            return await self._connected(name, link.port)
+            return _read_by(await self._connected(name, link.port), self._on_readable)
         family = socket.AF_INET6 if ":" in link.host else socket.AF_INET
         listening = socket.socket(family, socket.SOCK_DGRAM)
         try:
@@ -119,10 +112,9 @@ class Listening:
         except OSError:
             listening.close()
             raise
-        self._socket = listening
-        return listening.fileno(), listening.close
+        return _read_by(listening, self._take_datagrams)
 
-    async def _connected(self, name: HostName, port: int) -> tuple[int, Callable[[], None]]:
+    async def _connected(self, name: HostName, port: int) -> socket.socket:
         failure: OSError = TimeoutError()
         for address in await name.addresses(CONNECT_TIMEOUT_S):
             connection = socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET, socket.SOCK_STREAM)
@@ -141,31 +133,31 @@ class Listening:
                 for option, value in ((socket.TCP_KEEPIDLE, 2), (socket.TCP_KEEPINTVL, 1), (socket.TCP_KEEPCNT, 3)):
                     connection.setsockopt(socket.IPPROTO_TCP, option, value)
                 connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-                return connection.fileno(), connection.close
+                return connection
         raise failure
 
-    def _on_readable(self, fd: int) -> None:
-        if isinstance(self._link, UdpListenLink):
-            self._take_datagrams()
-            return
+    def _on_readable(self, connection: socket.socket) -> None:
         try:
-            data = os.read(fd, _READ_BYTES)
+            data = connection.recv(_READ_BYTES)
         except (BlockingIOError, InterruptedError):
             return
         except OSError as error:
-            self._lose(f"the connection was lost ({error.strerror}): trying to open it again")
+            self._lose(error.strerror or str(error))
             return
-        if not data:
-            self._lose("the connection was closed by the other side: trying to open it again")
-            return
+        if data:
+            self._heard(data)
+        else:
+            self._lose("closed by the other side")
+
+    def _heard(self, data: bytes) -> None:
         heard_s = self._clock()
         for decoded in self._reader.feed(data):
             self._say(decoded, heard_s)
 
-    def _take_datagrams(self) -> None:
+    def _take_datagrams(self, listening: socket.socket) -> None:
         for _ in range(_DATAGRAMS):
             try:
-                data, address = self._socket.recvfrom(_READ_BYTES)
+                data, address = listening.recvfrom(_READ_BYTES)
             except OSError:
                 return
             if not is_allowed(address[0], self._networks):
@@ -175,8 +167,8 @@ class Listening:
             for decoded in self._reader.datagram(data):
                 self._say(decoded, heard_s)
 
-    def _lose(self, detail: str) -> None:
-        self._is_open, self._detail = False, detail
+    def _lose(self, reason: str) -> None:
+        self._is_open, self._detail = False, f"the connection was lost ({reason}): trying to open it again"
         self._lost.set()
 
     # ---- what comes of it --------------------------------------------------------------------------------------------
@@ -233,10 +225,22 @@ class Listening:
         )
 
 
-def _explained(link: AnyLink, error: OSError | ValueError) -> str:
+def _read_by(line: socket.socket, readable: Callable[[socket.socket], None]) -> Callable[[], None]:
+    """Call ``readable`` with the socket whenever there is something to read; returns how that ends and it is closed."""
+    loop = asyncio.get_running_loop()
+    loop.add_reader(line, readable, line)
+
+    def close() -> None:
+        loop.remove_reader(line)
+        line.close()
+
+    return close
+
+
+def _explained(link: AnyLink, error: OSError) -> str:
     """Why the line could not be opened, and what to do."""
     if isinstance(link, UdpListenLink):
-        number = error.errno if isinstance(error, OSError) else None
+        number = error.errno
         if number == errno.EADDRINUSE:
             return f"port {link.port} is in use: stop the other program that listens there, or choose another port"
         if number == errno.EADDRNOTAVAIL:

@@ -37,7 +37,7 @@ from heaved.outputs.modbus_frames import (
 from heaved.outputs.output import OutputHealth
 from heaved.outputs.register_map import Mode, RegisterMap, RegistersParams
 from heaved.outputs.register_push import RegisterPush
-from heaved.outputs.serial_port import SerialPort
+from heaved.serial_port import SerialPort
 from heaved.text import printable
 
 if TYPE_CHECKING:

@@ -19,6 +19,39 @@ _READ_BYTES: Final = 512
 """Taken at a time: whoever floods the line has the loop for no longer than that."""
 
 
+def open_serial(link: SerialLink) -> serial.Serial:
+    """The port, held exclusively; its descriptor does not block. Keeps the caller for a moment.
+
+    Raises:
+        OSError: it is not there, in use, or refuses its settings.
+    """
+    try:
+        port = serial.Serial(
+            link.path,
+            baudrate=link.baudrate,
+            bytesize=link.bytesize,
+            parity=link.parity,
+            stopbits=link.stopbits,
+            timeout=0,
+            write_timeout=0,
+            exclusive=True,
+        )
+    except (termios.error, ValueError) as error:  # Neither is an OSError: the port refuses its settings.
+        raise OSError(f"{error}") from error
+    os.set_blocking(port.fileno(), False)
+    with suppress(ValueError, OSError):  # What pyserial raises where the port has no such mode: a pty.
+        # USB adapters otherwise hold bytes back for up to 16 ms.
+        port.set_low_latency_mode(True)
+    return port
+
+
+def close_serial(port: serial.Serial) -> None:
+    """Give it back; what has not gone out is thrown away, since ``close`` would wait for it up to half a minute."""
+    with suppress(OSError, termios.error):  # It may be gone.
+        termios.tcflush(port.fileno(), termios.TCOFLUSH)
+    port.close()
+
+
 class SerialPort:
     """One port, held exclusively while it is open."""
 
@@ -34,24 +67,8 @@ class SerialPort:
         Raises:
             OSError: it is not there, in use, or refuses its settings.
         """
-        link = self._link
-        try:
-            self._port = serial.Serial(
-                link.path,
-                baudrate=link.baudrate,
-                bytesize=link.bytesize,
-                parity=link.parity,
-                stopbits=link.stopbits,
-                timeout=0,
-                exclusive=True,
-            )
-        except (termios.error, ValueError) as error:  # The port refuses its settings.
-            raise OSError(f"{error}") from error
+        self._port = open_serial(self._link)
         self._fd = self._port.fileno()
-        os.set_blocking(self._fd, False)
-        with suppress(ValueError, OSError):  # What pyserial raises where the port has no such mode: a pty.
-            # USB adapters otherwise hold bytes back for up to 16 ms.
-            self._port.set_low_latency_mode(True)
         asyncio.get_running_loop().add_reader(self._fd, self._readable)
 
     def write(self, data: bytes) -> bool:
@@ -69,10 +86,7 @@ class SerialPort:
         if self._port is not None:
             asyncio.get_running_loop().remove_reader(self._fd)
             self._fd = -1
-            # What has not gone out is not waited for.
-            with suppress(OSError, termios.error):
-                self._port.reset_output_buffer()
-            self._port.close()
+            close_serial(self._port)
             self._port = None
 
     def _readable(self) -> None:
