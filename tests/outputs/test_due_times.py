@@ -19,15 +19,18 @@ def test_without_a_rate_everything_is() -> None:
     assert taken(times_s, None) == times_s
 
 
-@pytest.mark.parametrize("come_hz", [7.3, 20.0, 100.0, 123.4])
-@pytest.mark.parametrize("rate_hz", [0.1, 1.0, 3.0, 7.0, 10.0, 30.0, 70.0, 99.0])
+COME_HZ = (7.3, 20.0, 100.0, 123.4)
+RATES_HZ = (0.1, 1.0, 3.0, 7.0, 10.0, 30.0, 70.0, 99.0)
+
+
+@pytest.mark.parametrize(
+    ("come_hz", "rate_hz"), [(come, rate) for come in COME_HZ for rate in RATES_HZ if rate <= come]
+)
 @pytest.mark.parametrize("jitter", [0.0, 0.4])
 def test_the_mean_rate_is_the_wanted_one_and_the_nearest_is_taken(
     come_hz: float, rate_hz: float, jitter: float
 ) -> None:
     """Against the definition: due at whole periods after the first, and for each the nearest of all that come."""
-    if rate_hz > come_hz:
-        pytest.skip("more than comes cannot be had")
     random.seed(1)
     count = round(1000 * come_hz / rate_hz)
     times_s = [(i + jitter * random.uniform(-0.5, 0.5)) / come_hz for i in range(count)]

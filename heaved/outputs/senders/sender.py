@@ -50,6 +50,10 @@ def explain(link: AnyLink, error: BaseException) -> str:
     if isinstance(error, ConnectionError):
         return f"{link} has ended the connection ({error.strerror or error}): connecting anew"
     if isinstance(error, TimeoutError):
-        return f"nobody answers at {link}: check power, cable, address, and firewalls between"
+        return (
+            f"nobody answers at {link}: check power, cable, address, and firewalls between, IPAddressAllow of the unit"
+        )
+    if isinstance(error, PermissionError):
+        return f"the system does not let us send to {link}: allow its network in the firewall, or in the systemd unit"
     explained = explain_open_failure(TcpLink(link.host, link.port), error)
     return f"{explained} ({link})"

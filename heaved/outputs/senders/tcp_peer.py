@@ -19,8 +19,10 @@ if TYPE_CHECKING:
 _MOST_WAITING: Final = 8
 """Telegrams that wait for a peer which does not keep up: what is older is of no use to it."""
 _SEND_BUFFER_BYTES: Final = 16 * 1024
-"""Of the system, which doubles it: enough for 100 telegrams a second over a satellite, and full within seconds when
-nothing is taken."""
+"""Of the system, which doubles it: for what is under way, 100 telegrams a second over a satellite."""
+_UNSENT_BYTES: Final = 512
+"""Of the system, for what cannot be on its way yet, since who reads does not keep up: it would come seconds too late,
+and many formats tell no time."""
 _UNACKNOWLEDGED_MS: Final = 5000
 """A peer that is not there any more (cable, power) does not acknowledge what is sent."""
 _IDLE_S: Final = 10
@@ -133,6 +135,7 @@ class TcpPeer(asyncio.Protocol):
 
 def _set_options(connection: socket.socket) -> None:
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, _UNSENT_BYTES)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNACKNOWLEDGED_MS)
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)

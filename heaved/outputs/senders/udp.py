@@ -105,12 +105,15 @@ class UdpSender:
 
     def _open(self, address: str) -> None:
         self._close()
-        kind = socket.AF_INET6 if ":" in address else socket.AF_INET
-        opened = socket.socket(kind, socket.SOCK_DGRAM)
+        # Of an address as text this asks nobody; it knows what "%eth0" is.
+        (family, kind, _, _, where), *_ = socket.getaddrinfo(
+            address, self._link.port, type=socket.SOCK_DGRAM, flags=socket.AI_NUMERICHOST
+        )
+        opened = socket.socket(family, kind)
         try:
             opened.setblocking(False)
             opened.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-            opened.connect((address, self._link.port))  # So that complaints come here, and nobody else's datagrams.
+            opened.connect(where)  # So that complaints come here, and nobody else's datagrams.
         except OSError:
             opened.close()
             raise

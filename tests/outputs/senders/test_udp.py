@@ -7,7 +7,7 @@ import errno
 import socket
 import struct
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from output_peers import free_port, kept, make_health, until
@@ -18,7 +18,7 @@ from heaved.links import UdpLink
 from heaved.outputs.senders.udp import UdpSender
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
 
 @contextmanager
@@ -131,9 +131,12 @@ class Names:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.address = ""
+        self._addresses = socket.getaddrinfo
         monkeypatch.setattr(socket, "getaddrinfo", self.look_up)
 
-    def look_up(self, *_args: object, **_kwargs: object) -> list[tuple[object, ...]]:
+    def look_up(self, host: str, *args: Any, **kwargs: Any) -> Sequence[tuple[object, ...]]:
+        if host != "plc.ship":
+            return self._addresses(host, *args, **kwargs)
         if not self.address:
             raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
         return [(socket.AF_INET, socket.SOCK_STREAM, 6, "", (self.address, 0))]
