@@ -18,6 +18,8 @@ from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.hull import estimate as hull
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.outputs.influx import InfluxParams
+from heaved.outputs.mqtt import MqttParams
 
 Port = Annotated[int, msgspec.Meta(ge=0, le=65535)]
 
@@ -81,6 +83,8 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     compensation: CompensationParams = CompensationParams()
     stream: StreamParams = StreamParams()
     http: HttpParams = HttpParams()
+    mqtt: MqttParams = MqttParams()
+    influx: InfluxParams = InfluxParams()
     state: StateParams = StateParams()
     runtime: RuntimeParams = RuntimeParams()
 

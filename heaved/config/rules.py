@@ -11,7 +11,7 @@ from typing import Any, Final, get_args
 
 import msgspec
 
-from heaved.config import Config
+from heaved.config import Config, services
 from heaved.config.typed import sound_keys, table_of
 from heaved.devices.bandwidth import bandwidth_hz, folding, remedy
 from heaved.devices.link import bus_load_faults, buses, line_faults, most_rate_hz
@@ -79,6 +79,7 @@ def rule_faults(file: Written) -> list[str]:
     faults += _heave_faults(config)
     faults += _stage_params_faults(config)
     faults += _port_faults(devices)
+    faults += [fault for fault in services.faults(config) if fault.partition(":")[0] not in file.wrong]
     if not any(".link: " in fault for fault in faults):
         overload = overload_faults(tuple(devices.values()))  # Of the plan, not of the file: see rate_faults.
         faults += [fault for fault in line_faults(tuple(devices.values())) if fault not in overload]
@@ -114,7 +115,10 @@ def run_faults(file: Written) -> list[str]:
     ]
     return slow + [
         fault
-        for fault in _stage_faults(file.tables, carried, is_complete=is_complete)
+        for fault in (
+            *_stage_faults(file.tables, carried, is_complete=is_complete),
+            *services.run_faults(file.tables),
+        )
         if fault.partition(":")[0] not in file.wrong
     ]
 
@@ -154,7 +158,7 @@ def cautions(config: Config) -> list[str]:
                     f"device {device.name}: timeout_ms {device.timeout_ms:g} is longer than the period of {names} on "
                     "the same line: each answer that it loses costs them polls; lower it, or give each its own line"
                 )
-    return found
+    return found + services.cautions(config)
 
 
 def rate_faults(config: Config) -> list[str]:

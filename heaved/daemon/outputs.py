@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Final
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import structlog
 
 from heaved.daemon.supervise import cancelled, supervise
+from heaved.outputs.influx import InfluxOutput
+from heaved.outputs.mqtt import MqttOutput
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from heaved.config import Config
     from heaved.outputs.output import Output, OutputHealth
+    from heaved.outputs.records import StatusRecord
     from heaved.samples import MotionFrame
 
-TABLES: Final[tuple[str, ...]] = ()
+TABLES: Final[tuple[str, ...]] = ("mqtt", "influx")
 """Of the configuration, whose change makes outputs anew."""
 
 _log = structlog.get_logger(__name__)
@@ -25,9 +30,13 @@ _log = structlog.get_logger(__name__)
 class Outputs:
     """All of them. One that fails, which is a bug, is counted and said once, and costs the others nothing."""
 
-    def __init__(self, utc_s: Callable[[float], float], clock: Callable[[], float]) -> None:
-        """``utc_s``: UTC, seconds since 1970, of a time on ``clock``, the monotonic clock of the frames."""
-        self._utc_s, self._clock = utc_s, clock
+    def __init__(
+        self, utc_s: Callable[[float], float], clock: Callable[[], float], status: Callable[[], StatusRecord]
+    ) -> None:
+        """``utc_s``: UTC, seconds since 1970, of a time on ``clock``, the monotonic clock of the frames. ``status``:
+        makes the STATUS of now.
+        """
+        self._utc_s, self._clock, self._status = utc_s, clock, status
         self._running: dict[object, Output] = {}
         self._tasks: dict[object, asyncio.Task[None]] = {}
         self._bugs: set[str] = set()
@@ -67,8 +76,13 @@ class Outputs:
 
     def _wanted(self, config: Config) -> dict[object, Callable[[], Output]]:
         """By its table, how each output is made."""
-        del config
-        return {}
+        told: dict[str, Any] = {"status": self._status, "utc_s": self._utc_s, "clock": self._clock}
+        wanted: dict[object, Callable[[], Output]] = {}
+        if config.mqtt.enabled:
+            wanted["mqtt", msgspec.json.encode(config.mqtt)] = partial(MqttOutput, config.mqtt, **told)
+        if config.influx.enabled:
+            wanted["influx", msgspec.json.encode(config.influx)] = partial(InfluxOutput, config.influx, **told)
+        return wanted
 
     def _bug(self, health: OutputHealth, error: Exception) -> None:
         kind = f"{health.name}: {type(error).__name__}"
