@@ -13,6 +13,7 @@ import time
 from base64 import b64encode
 from collections import deque
 from contextlib import suppress
+from importlib import import_module
 from typing import TYPE_CHECKING, Annotated, Final
 
 import msgspec
@@ -163,6 +164,7 @@ class InfluxOutput:
             await asyncio.sleep(pause_s)
             pause_s = min(2.0 * pause_s, max(_LONGEST_PAUSE_S, self._params.batch_s))
             try:
+                await asyncio.to_thread(import_module, "aiohttp")  # It takes 90 ms.
                 context, headers = await asyncio.to_thread(self._read_files)
             except ValueError as error:
                 self.health.down(str(error))
