@@ -227,6 +227,8 @@ def explain_no_connection(host: str, error: BaseException, served: str) -> str:
         return "nobody answers the connection: check power, cable and address"
     if isinstance(error, ConnectionRefusedError):
         return f"connection refused: check that {served}"
+    if isinstance(error, PermissionError):
+        return f"not permitted to talk to {host}: name its network in IPAddressAllow of the unit, or ask the firewall"
     return f"no connection ({error}): check network and address"
 
 

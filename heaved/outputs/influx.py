@@ -14,6 +14,7 @@ from base64 import b64encode
 from collections import deque
 from contextlib import suppress
 from importlib import import_module
+from math import inf
 from typing import TYPE_CHECKING, Annotated, Final
 
 import msgspec
@@ -125,6 +126,7 @@ class InfluxOutput:
         self._lines = Lines(params.measurement, {"host": socket.gethostname(), **params.tags})
         self._waiting: deque[bytes] = deque()
         self._host = HostName(self._link.host)
+        self._status_s = -inf
         self._refused_with = 0
         self.health = OutputHealth("influx", "InfluxDB lines", str(self._link))
 
@@ -138,12 +140,7 @@ class InfluxOutput:
 
     async def run(self) -> None:
         """Send what waits, batch by batch, for ever; when cancelled, send what is left if that is soon done."""
-        telling = asyncio.create_task(self._tell_status(), name="influx status")
-        try:
-            await (self._run_udp() if self._link.scheme == "udp" else self._run_http())
-        finally:
-            telling.cancel()
-            await asyncio.gather(telling, return_exceptions=True)
+        await (self._run_udp() if self._link.scheme == "udp" else self._run_http())
 
     def _put(self, lines: list[bytes]) -> None:
         self._waiting += lines
@@ -151,10 +148,12 @@ class InfluxOutput:
             self._waiting.popleft()
             self.health.lost["full"] += 1
 
-    async def _tell_status(self) -> None:
-        while True:
-            self._put(self._lines.status(self._status(), self._utc_s(self._clock())))
-            await asyncio.sleep(_STATUS_PERIOD_S)
+    def _put_status(self) -> None:
+        """That of now, if it is time."""
+        now_s = self._clock()
+        if now_s >= self._status_s:
+            self._status_s = now_s + _STATUS_PERIOD_S
+            self._put(self._lines.status(self._status(), self._utc_s(now_s)))
 
     # ---- HTTP --------------------------------------------------------------------------------------------------------
 
@@ -217,12 +216,13 @@ class InfluxOutput:
             Refused: the database does not take it.
             aiohttp.ClientError, OSError: it cannot be reached.
         """
+        self._put_status()
         while self._waiting:
             count = min(len(self._waiting), _MOST_LINES)
-            batch = [self._waiting[i] for i in range(count)]
+            body = b"".join([self._waiting[i] for i in range(count)])
             lost = self.health.lost["full"]
             try:
-                await self._post(session, b"".join(batch))
+                await self._post_again(session, body)
             except Refused as refusal:
                 if refusal.is_lasting:
                     self._done(count, lost)
@@ -231,6 +231,15 @@ class InfluxOutput:
             self._done(count, lost)
             self.health.sent += count
             self.health.up()
+
+    async def _post_again(self, session: aiohttp.ClientSession, body: bytes) -> None:
+        import aiohttp
+
+        try:
+            await self._post(session, body)
+        except (aiohttp.ServerDisconnectedError, ConnectionResetError):
+            # It had closed the connection of the last batch just then. A point that comes twice is one.
+            await self._post(session, body)
 
     def _done(self, count: int, lost: int) -> None:
         """Forget the batch, but for those of it that have been dropped meanwhile, when ``lost`` had been."""
@@ -299,6 +308,7 @@ class InfluxOutput:
             connection.setblocking(False)
             connection.connect((address, self._link.port))
             while True:
+                self._put_status()
                 is_taken = bool(self._waiting) and self._send_all(connection)
                 try:
                     await asyncio.sleep(self._params.batch_s)

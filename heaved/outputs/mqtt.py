@@ -21,7 +21,7 @@ from collections import deque
 from contextlib import suppress
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NoReturn
 
 import msgspec
 
@@ -201,7 +201,6 @@ class MqttOutput:
             await self._serve(client)
         except library.MqttError as error:
             return self._why_disconnected(error)
-        raise AssertionError("what serves ends with an error")
 
     async def _made(self, library: Any) -> aiomqtt.Client:
         """A client that is not connected yet.
@@ -253,7 +252,7 @@ class MqttOutput:
             connecting.exception()
         _hang_up(client)
 
-    async def _serve(self, client: aiomqtt.Client) -> None:
+    async def _serve(self, client: aiomqtt.Client) -> NoReturn:
         """Send what there is until the connection ends, which raises MqttError."""
         gone = asyncio.create_task(_until_gone(client), name="mqtt connection")
         sending = asyncio.create_task(self._send(client), name="mqtt sending")
@@ -274,7 +273,6 @@ class MqttOutput:
 
     async def _send(self, client: aiomqtt.Client) -> None:
         await client.publish(self._availability, b"online", qos=1, retain=True)
-        self._waiting.clear()
         self._slower.tell_again()
         self._is_connected = True
         self.health.up()
@@ -286,11 +284,12 @@ class MqttOutput:
                 payload = wire.encode_record(self._status())[:-1]
                 await client.publish(f"{self._params.topic}/status", payload, qos=max(self._params.qos, 1), retain=True)
                 self.health.sent += 1
-            while self._waiting:
+            elif self._waiting:
                 await self._send_one(client, self._waiting.popleft())
-            self._wake.clear()
-            with suppress(TimeoutError):
-                await asyncio.wait_for(self._wake.wait(), status_s - loop.time())
+            else:
+                self._wake.clear()
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(self._wake.wait(), status_s - loop.time())
 
     async def _send_one(self, client: aiomqtt.Client, message: _Message) -> None:
         payload, dropped = message.payload, self._dropped
@@ -392,8 +391,9 @@ def _hang_up(client: aiomqtt.Client) -> None:
         return
     with suppress(OSError):
         connection.shutdown(socket.SHUT_RDWR)
-    # What was received before comes first; then it finds the end, and cleans up.
-    with suppress(Exception):  # Whatever a broken broker has sent.
+    # What was received before comes first; then it finds the end, and cleans up. Whatever a broken broker has sent is
+    # let go, and so is what the library makes of a wait for an answer that was cancelled.
+    with suppress(Exception, asyncio.CancelledError):
         for _ in range(_MOST_WAITING):
             if paho.socket() is None:
                 break

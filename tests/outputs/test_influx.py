@@ -326,6 +326,31 @@ async def test_what_is_dropped_while_it_is_under_way_takes_nothing_else_with_it(
         assert times == [1_700_000_100_500_000_000 + i * 10_000_000 for i in range(100)]
 
 
+async def test_a_connection_that_the_server_closes_between_batches_is_no_failure() -> None:
+    bodies: list[bytes] = []
+
+    async def once(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Takes one request, and goes when there is another."""
+        head = await reader.readuntil(b"\r\n\r\n")
+        length = next(line for line in head.lower().split(b"\r\n") if line.startswith(b"content-length:"))
+        bodies.append(await reader.readexactly(int(length.split(b":")[1])))
+        writer.write(b"HTTP/1.1 204 No Content\r\n\r\n")
+        await reader.read(1)
+        writer.close()
+
+    server = await asyncio.start_server(once, "127.0.0.1", 0)
+    async with server, output(f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}") as out:
+
+        async def taken(count: int) -> None:
+            await until(lambda: len(bodies) == count and not out._waiting, lambda: (bodies, out.health.detail))
+
+        for i in range(3):
+            await taken(i + 1)
+            out.publish(make_frame(100.0 + i))
+        await taken(4)
+        assert (out.health.connections, out.health.lost.total()) == (1, 0)
+
+
 async def test_a_server_that_never_answers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(influx, "_ANSWER_S", 0.2)
     with socket.create_server(("127.0.0.1", 0)) as silent:

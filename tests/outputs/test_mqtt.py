@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import json
+import signal
 import socket
 import sys
 import threading
@@ -296,6 +297,31 @@ async def test_while_the_broker_is_slow_what_waits_is_bounded() -> None:
     assert out._waiting[-1].t_s == pytest.approx(109.99)
 
 
+class EverMore:
+    """A broker for which there is another frame with each message that it has taken."""
+
+    def __init__(self, out: MqttOutput) -> None:
+        self._out = out
+        self.topics: list[str] = []
+
+    async def publish(self, topic: str, *arguments: Any, **options: Any) -> None:
+        self.topics.append(topic)
+        self._out.publish(make_frame(100.0 + len(self.topics)))
+        await asyncio.sleep(0)
+
+
+async def test_the_status_is_sent_however_much_else_waits() -> None:
+    params = MqttParams(enabled=True, rate_hz=100.0, status_period_s=0.02)
+    out = MqttOutput(params, status=make_status, utc_s=lambda t_s: t_s, clock=Clock())
+    client = EverMore(out)
+    sending = asyncio.create_task(out._send(client))  # type: ignore[arg-type]
+    await until_true(lambda: client.topics.count("heaved/status") > 2, lambda: client.topics[:20])
+    sending.cancel()
+    with suppress(asyncio.CancelledError):
+        await sending
+    assert client.topics.count("heaved/motion") > 2
+
+
 # ---- who may, and whom we believe ------------------------------------------------------------------------------------
 
 
@@ -447,6 +473,44 @@ async def test_stopped_while_it_connects_it_leaves_no_connection(silent: int, mo
     await asyncio.wait([task], timeout=TIMEOUT_S)
     await asyncio.sleep(0)
     assert out._leaving == set()
+
+
+async def test_stopped_while_it_waits_for_an_answer_it_hangs_up() -> None:
+    loop = asyncio.get_running_loop()
+    errors: list[dict[str, Any]] = []
+    loop.set_exception_handler(lambda _, context: errors.append(context))
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.setblocking(False)
+        async with output(f"mqtt://127.0.0.1:{server.getsockname()[1]}") as out:
+            connection, _ = await asyncio.wait_for(loop.sock_accept(server), TIMEOUT_S)
+            said = await asyncio.wait_for(loop.sock_recv(connection, 4096), TIMEOUT_S)
+            assert said[4:8] == b"MQTT"
+        (connecting,) = out._leaving
+        connecting.cancel()  # As the end of the loop does.
+        with connection:
+            assert await asyncio.wait_for(loop.sock_recv(connection, 4096), TIMEOUT_S) == b""
+        assert out._leaving == set()
+        assert errors == []
+
+
+@needs_mosquitto
+async def test_a_broker_that_hangs_is_left_and_found_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mqtt, "_ANSWER_S", 0.5)
+    port, file = free_port(), tmp_path / "mosquitto.conf"
+    file.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n")
+    async with (
+        running(port, str(MOSQUITTO), "-c", str(file)) as process,
+        output(f"mqtt://127.0.0.1:{port}", status_period_s=1.0) as out,
+    ):
+        await until(out, up=True)
+        process.send_signal(signal.SIGSTOP)
+        await until(out, up=False, detail="does not acknowledge what it is sent")
+        await until(out, up=False, detail="takes the connection and does not answer")
+        process.send_signal(signal.SIGCONT)
+        await until(out, up=True)
+        process.send_signal(signal.SIGSTOP)  # It is stopped while nobody answers.
+        out.publish(make_frame(100.0))
+        await asyncio.sleep(0)
 
 
 async def test_without_the_library_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
