@@ -7,6 +7,7 @@ import gc
 import json
 import signal
 import socket
+import subprocess
 import sys
 import threading
 from contextlib import asynccontextmanager, suppress
@@ -511,6 +512,13 @@ async def test_a_broker_that_hangs_is_left_and_found_again(tmp_path: Path, monke
         process.send_signal(signal.SIGSTOP)  # It is stopped while nobody answers.
         out.publish(make_frame(100.0))
         await asyncio.sleep(0)
+
+
+def test_a_daemon_without_it_loads_nothing_of_it() -> None:
+    code = "import sys, heaved.daemon.daemon; print([name for name in sys.modules if name in ('aiomqtt', 'paho')])"
+    environment = {"PYTHONPATH": ":".join(sys.path)}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, check=True, timeout=60)
+    assert done.stdout == b"[]\n"
 
 
 async def test_without_the_library_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
