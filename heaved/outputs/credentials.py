@@ -90,8 +90,9 @@ def _must_be_readable(file: str) -> None:
 
 
 def _said(error: OSError) -> str:
-    reason = error.reason if isinstance(error, ssl.SSLError) else error.strerror
-    return (reason or str(error)).lower().replace("_", " ")
+    if isinstance(error, ssl.SSLError):
+        return (error.reason or "it cannot be decoded").lower().replace("_", " ")
+    return error.strerror or str(error)
 
 
 _ACCESS: Final = "check the path, and that the daemon's user may read it"

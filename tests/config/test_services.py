@@ -87,7 +87,8 @@ def test_certificates_must_be_such(tmp_path: Path) -> None:
     for text, words in {
         f'ca_file = "{tmp_path}/none.pem"': "mqtt.ca_file: ",
         f'ca_file = "{tmp_path}/ca.key"': f"mqtt.ca_file: {tmp_path}/ca.key cannot be used",
-        f'certificate_file = "{tmp_path}/client.pem"\nkey_file = "{tmp_path}/server.key"': "and its own key",
+        f'certificate_file = "{tmp_path}/client.pem"\nkey_file = "{tmp_path}/server.key"': "(key values mismatch)",
+        f'certificate_file = "{tmp_path}/ca.pem"\nkey_file = "{tmp_path}/locked.key"': "the key without a password",
     }.items():
         (fault,) = faults_of(tls + text, to_run=True)
         assert words in fault

@@ -79,7 +79,7 @@ async def running(port: int, *command: str) -> AsyncIterator[asyncio.subprocess.
 
 def certificates(directory: Path) -> None:
     """``ca.pem``; ``server.pem`` for localhost and ``client.pem``, signed by it, each with its ``.key``; ``other.pem``,
-    a certificate of nobody's.
+    a certificate of nobody's; ``locked.key``, which has a password.
     """
     assert OPENSSL is not None
 
@@ -89,6 +89,7 @@ def certificates(directory: Path) -> None:
     key = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2")
     for name in ("ca", "other"):
         openssl("req", "-x509", *key, "-keyout", f"{name}.key", "-out", f"{name}.pem", "-subj", f"/CN=Test {name}")
+    openssl("pkey", "-in", "ca.key", "-out", "locked.key", "-aes128", "-passout", "pass:secret")
     for name in ("server", "client"):
         openssl("req", *key[:-2], "-keyout", f"{name}.key", "-out", f"{name}.csr", "-subj", f"/CN={name}")
         (directory / "names").write_text("subjectAltName=DNS:localhost")
