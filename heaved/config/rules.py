@@ -11,7 +11,7 @@ from typing import Any, Final, get_args
 
 import msgspec
 
-from heaved.config import Config
+from heaved.config import Config, services
 from heaved.config.outputs import output_cautions, output_faults
 from heaved.config.register_rules import register_faults
 from heaved.config.typed import sound_keys, table_of
@@ -94,6 +94,7 @@ def rule_faults(file: Written) -> list[str]:
     faults += _heave_faults(config)
     faults += _stage_params_faults(config)
     faults += _port_faults(devices)
+    faults += [fault for fault in services.faults(config) if fault.partition(":")[0] not in file.wrong]
     if not any(".link: " in fault for fault in faults):
         overload = overload_faults(tuple(devices.values()))  # Of the plan, not of the file: see rate_faults.
         faults += [fault for fault in line_faults(tuple(devices.values())) if fault not in overload]
@@ -132,7 +133,10 @@ def run_faults(file: Written) -> list[str]:
     ]
     return slow + [
         fault
-        for fault in _stage_faults(file.tables, carried, is_complete=is_complete)
+        for fault in (
+            *_stage_faults(file.tables, carried, is_complete=is_complete),
+            *services.run_faults(file.tables),
+        )
         if fault.partition(":")[0] not in file.wrong
     ]
 
@@ -172,7 +176,8 @@ def cautions(config: Config) -> list[str]:
                     f"device {device.name}: timeout_ms {device.timeout_ms:g} is longer than the period of {names} on "
                     "the same line: each answer that it loses costs them polls; lower it, or give each its own line"
                 )
-    return found + output_cautions(config.output, config.compensation.lead_s)
+    found += output_cautions(config.output, config.compensation.lead_s)
+    return found + services.cautions(config)
 
 
 def rate_faults(config: Config) -> list[str]:
