@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import ipaddress
-import os
-from contextlib import suppress
 from math import ceil, floor
 from typing import TYPE_CHECKING, Any, Final
 
 from heaved.devices.link import BAUD_RATES
-from heaved.links import AnyLink, SerialLink, TcpLink, TcpListenLink, character_s, parse_any_link, parse_link
+from heaved.links import AnyLink, SerialLink, TcpListenLink, character_s, parse_any_link
 from heaved.outputs.motion import Lead
 from heaved.outputs.telegram_output import SCHEMES
 from heaved.outputs.telegrams.formats import FORMATS
@@ -22,6 +20,7 @@ if TYPE_CHECKING:
 
 _OPTIONS: Final = ("talker", "settling", "ins_good", "transducers")
 """Keys that mean something to some formats alone."""
+_TAKEN: Final = ("registers", "mqtt", "influx")
 
 
 def output_faults(
@@ -29,11 +28,9 @@ def output_faults(
     known: Mapping[int, OutputSpec],
     devices: Mapping[int, DeviceSpec],
     points: Collection[object] | None,
-    servers: Mapping[str, tuple[str, int]],
 ) -> list[str]:
     """``listed``: the tables as they are written; ``known``: those of which the telegram is known, by index, with
-    defaults in place of what is wrong. ``points``: names of the points, None: not known. ``servers``: host and port of
-    whatever else listens, by its key.
+    defaults in place of what is wrong. ``points``: names of the points, None: not known.
     """
     faults: list[str] = []
     links: dict[int, AnyLink] = {}
@@ -44,6 +41,10 @@ def output_faults(
                 links[i] = parse_any_link(table["link"], SCHEMES)
             except ValueError as error:
                 faults.append(f"{path}.link: {error}")
+        if isinstance(table, dict) and table.get("name") in _TAKEN:
+            faults.append(
+                f"{path}.name: {table['name']!r} is that of the table [{table['name']}] in status and metrics"
+            )
         if i in known:
             form = FORMATS[known[i].telegram]
             faults += _option_faults(path, table, known[i].telegram)
@@ -52,7 +53,7 @@ def output_faults(
             if i in links:
                 faults += _line_faults(path, known[i], form, links[i])
                 faults += _allow_faults(path, known[i].allow, links[i])
-    return [*faults, *_serial_port_faults(links, devices), *_tcp_port_faults(links, devices, servers)]
+    return faults
 
 
 def output_cautions(outputs: Sequence[OutputSpec], compensation_lead_s: float) -> list[str]:
@@ -127,73 +128,10 @@ def _allow_faults(path: str, allow: Sequence[str], link: AnyLink) -> Iterator[st
             ipaddress.ip_network(network)
         except ValueError as error:
             yield f"{path}.allow[{i}]: {error}"
-    host = _address(link.host)
-    if host is None:
+    try:
+        host = ipaddress.ip_address("127.0.0.1" if link.host == "localhost" else link.host)
+    except ValueError:
         yield f"{path}.link: {link.host!r} is no IP address; give the address to listen on, e.g. 127.0.0.1"
-    elif not host.is_loopback and not allow:
+        return
+    if not host.is_loopback and not allow:
         yield f"{path}.link: {link} listens beyond this machine; name who may connect in {path}.allow"
-
-
-# ---- beside each other -----------------------------------------------------------------------------------------------
-
-
-def _serial_port_faults(links: Mapping[int, AnyLink], devices: Mapping[int, DeviceSpec]) -> Iterator[str]:
-    """A serial port has one user. It may go by two names, such as /dev/ttyUSB0 and its link under /dev/serial/by-id."""
-    users: dict[str, str] = {}
-    for i, device in devices.items():
-        with suppress(ValueError):
-            if isinstance(line := parse_link(device.link), SerialLink):
-                users.setdefault(os.path.realpath(line.path), f"device[{i}]")
-    for i, link in links.items():
-        if isinstance(link, SerialLink):
-            user = users.setdefault(os.path.realpath(link.path), f"output[{i}]")
-            if user != f"output[{i}]":
-                yield f"output[{i}].link: {link.path} is the port of {user} already: give each a port of its own"
-
-
-def _tcp_port_faults(
-    links: Mapping[int, AnyLink], devices: Mapping[int, DeviceSpec], servers: Mapping[str, tuple[str, int]]
-) -> Iterator[str]:
-    """A port at which two would listen, or at which something else is than who reads telegrams."""
-    taken = dict(servers)
-    for i, link in links.items():
-        if isinstance(link, TcpListenLink):
-            users = [key for key, (host, port) in taken.items() if port == link.port and _meet(host, link.host)]
-            if users:
-                yield f"output[{i}].link: port {link.port} is also that of {users[0]}: choose another"
-            taken[f"output[{i}].link"] = link.host, link.port
-    polled = {_tcp_link(device): i for i, device in devices.items()}
-    for i, link in links.items():
-        if not isinstance(link, TcpLink):
-            continue
-        if link in polled:
-            yield f"output[{i}].link: at {link} there is device[{polled[link]}], which speaks Modbus: correct one"
-        own = [key for key, (host, port) in taken.items() if port == link.port and _meet(host, link.host)]
-        if own and _is_here(link.host):
-            yield f"output[{i}].link: at {link} heaved itself listens ({own[0]}): correct it"
-
-
-def _tcp_link(device: DeviceSpec) -> TcpLink | None:
-    with suppress(ValueError):
-        link = parse_link(device.link)
-        return link if isinstance(link, TcpLink) else None
-    return None
-
-
-def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
-    with suppress(ValueError):
-        return ipaddress.ip_address("127.0.0.1" if host == "localhost" else host)
-    return None
-
-
-def _is_here(host: str) -> bool:
-    address = _address(host)
-    return address is not None and address.is_loopback
-
-
-def _meet(one: str, other: str) -> bool:
-    """Whether who listens on the one address has connections to the other."""
-    a, b = _address(one), _address(other)
-    if a is None or b is None or a.version != b.version:
-        return False
-    return a == b or a.is_unspecified or b.is_unspecified

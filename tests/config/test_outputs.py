@@ -114,6 +114,10 @@ FAULTS: dict[str, tuple[str, str]] = {
         output(link=SERIAL) + output(name="b", link=f"{SERIAL}?baudrate=19200"),
         "output[1].link: /dev/ttyUSB7 is the port of output[0] already",
     ),
+    "the name of another kind of output": (
+        output(name="mqtt"),
+        "output[0].name: 'mqtt' is that of the table [mqtt]",
+    ),
     "on the serial port of a device": (
         IMU.replace("tcp://10.0.0.7:502", "rtu:///dev/ttyUSB7?baudrate=115200") + output(link=SERIAL),
         "output[0].link: /dev/ttyUSB7 is the port of device[0] already",
