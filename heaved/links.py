@@ -46,6 +46,16 @@ class UdpLink(msgspec.Struct, frozen=True):
         return _shown("udp", self.host, self.port)
 
 
+class UdpListenLink(msgspec.Struct, frozen=True):
+    """A UDP port of ours, to which others send."""
+
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        return _shown("udp-listen", self.host, self.port)
+
+
 class SerialLink(msgspec.Struct, frozen=True):
     """A serial port."""
 
@@ -61,12 +71,13 @@ class SerialLink(msgspec.Struct, frozen=True):
 
 Link = TcpLink | SerialLink
 """To a device on Modbus."""
-AnyLink = TcpLink | TcpListenLink | UdpLink | SerialLink
+AnyLink = TcpLink | TcpListenLink | UdpLink | UdpListenLink | SerialLink
 
-_KINDS: Final[dict[str, type[TcpLink | TcpListenLink | UdpLink]]] = {
+_KINDS: Final[dict[str, type[TcpLink | TcpListenLink | UdpLink | UdpListenLink]]] = {
     "tcp": TcpLink,
     "tcp-listen": TcpListenLink,
     "udp": UdpLink,
+    "udp-listen": UdpListenLink,
 }
 _SERIAL: Final = ("rtu", "serial")
 _USAGE: Final = {scheme: f"{scheme}://host:port" for scheme in _KINDS} | {s: f"{s}:///dev/port" for s in _SERIAL}
@@ -89,7 +100,7 @@ def parse_link(text: str) -> Link:
 
 
 def parse_any_link(text: str, schemes: Sequence[str]) -> AnyLink:
-    """A link of one of the ``schemes`` tcp, tcp-listen, udp (``://host:port``), rtu and serial (``:///dev/port?...``).
+    """A link of one of the ``schemes`` tcp, tcp-listen, udp, udp-listen (``://host:port``), rtu and serial (``:///dev/port?...``).
 
     Raises:
         ValueError: names the part that is wrong, and what it should be.
@@ -111,7 +122,7 @@ def parse_any_link(text: str, schemes: Sequence[str]) -> AnyLink:
     return _parse_serial(text, url) if url.scheme in _SERIAL else _parse_address(text, url)
 
 
-def _parse_address(text: str, url: SplitResult) -> TcpLink | TcpListenLink | UdpLink:
+def _parse_address(text: str, url: SplitResult) -> TcpLink | TcpListenLink | UdpLink | UdpListenLink:
     scheme = url.scheme
     if url.netloc.count(":") > 1 and "[" not in url.netloc:
         raise ValueError(f"link {text!r}: an IPv6 address stands in brackets, e.g. {scheme}://[fd00::7]:502")

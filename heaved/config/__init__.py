@@ -18,6 +18,7 @@ from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.hull import estimate as hull
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.outputs.register_map import RegistersParams
 from heaved.outputs.telegrams.spec import OutputSpec
 
 Port = Annotated[int, msgspec.Meta(ge=0, le=65535)]
@@ -83,6 +84,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     output: tuple[OutputSpec, ...] = ()
     stream: StreamParams = StreamParams()
     http: HttpParams = HttpParams()
+    registers: RegistersParams = RegistersParams()
     state: StateParams = StateParams()
     runtime: RuntimeParams = RuntimeParams()
 

@@ -13,14 +13,16 @@ import msgspec
 
 from heaved.config import Config
 from heaved.config.outputs import output_cautions, output_faults
+from heaved.config.register_rules import register_faults
 from heaved.config.typed import sound_keys, table_of
 from heaved.devices.bandwidth import bandwidth_hz, folding, remedy
 from heaved.devices.link import bus_load_faults, buses, line_faults, most_rate_hz
-from heaved.devices.profile import DeviceSpec, Role, profile_faults, role_needs, role_quantities
+from heaved.devices.listening import SCHEMES
+from heaved.devices.profile import DeviceSpec, Role, profile_faults, role_needs, role_quantities, told_together
 from heaved.estimation.craft import fusion
 from heaved.estimation.heave.sea.whittle_fit import TUNING as FIT
 from heaved.estimation.hull import estimate as hull
-from heaved.links import SerialLink, parse_link
+from heaved.links import SerialLink, UdpListenLink, parse_any_link, parse_link
 from heaved.outputs.telegrams.spec import OutputSpec
 
 LEAST_IMU_RATE_HZ: Final = 2.0 * FIT.band_hz[1]
@@ -28,6 +30,8 @@ LEAST_IMU_RATE_HZ: Final = 2.0 * FIT.band_hz[1]
 GOOD_IMU_RATE_HZ: Final = 4.0
 """Two and a half times that: a whole octave above the waves, in which noise and vibration are seen for what they are,
 as far as they have not folded: see :mod:`heaved.devices.bandwidth`."""
+MODBUS: Final = ("tcp", "rtu")
+"""Links of devices that are asked."""
 LONG_TIMEOUT_S: Final = 1.0
 """Twice what a silent device is left alone for."""
 
@@ -83,7 +87,7 @@ def rule_faults(file: Written) -> list[str]:
     faults = [fault for i, device in devices.items() for fault in _device_faults(f"device[{i}]", device)]
     for i, device in enumerate(file.listed("device")):
         if i not in devices and isinstance(device, dict) and isinstance(device.get("link"), str):
-            faults += _link_faults(f"device[{i}]", device["link"])
+            faults += _link_faults(f"device[{i}]", device["link"], dict.fromkeys((*MODBUS, *SCHEMES)))
     for array, key in (("device", "name"), ("device", "role"), ("point", "name"), ("output", "name")):
         faults += _twice(file, array, key)
     faults += _point_faults(file)
@@ -100,7 +104,8 @@ def rule_faults(file: Written) -> list[str]:
     same = config.stream.port == config.http.port != 0 and config.stream.host == config.http.host
     if config.http.enabled and same and not {"stream.port", "http.port"} & file.wrong:
         faults.append(f"http.port: {config.http.port} is also stream.port")
-    return faults
+    points = [point.get("name", "") for point in file.listed("point") if isinstance(point, dict)]
+    return faults + register_faults(config, devices, points, file.wrong)
 
 
 def run_faults(file: Written) -> list[str]:
@@ -291,26 +296,43 @@ def overload_faults(devices: tuple[DeviceSpec, ...]) -> list[str]:
 
 
 def _port_faults(devices: Mapping[int, DeviceSpec]) -> list[str]:
-    """Serial ports that go by two names, such as /dev/ttyUSB0 and its link under /dev/serial/by-id: the second could
-    not be opened beside the first.
+    """Ports that cannot be opened twice: a serial port that goes by two names, such as /dev/ttyUSB0 and its link under
+    /dev/serial/by-id; a port, serial or UDP, of a device that speaks by itself, which has it alone.
     """
     faults = []
-    first: dict[str, tuple[int, str]] = {}
+    first: dict[object, tuple[int, str, DeviceSpec]] = {}
     for i, device in devices.items():
-        with suppress(ValueError):
-            link = parse_link(device.link)
-            if isinstance(link, SerialLink):
-                other, name = first.setdefault(os.path.realpath(link.path), (i, link.path))
-                if name != link.path:
-                    faults.append(
-                        f"device[{i}].link: {link.path} is the same port as {name} of device[{other}]: give both the "
-                        "same link; they share the line"
-                    )
+        try:
+            link = parse_any_link(device.link, MODBUS if device.is_asked else SCHEMES)
+        except ValueError:
+            continue
+        if isinstance(link, SerialLink):
+            port: object = os.path.realpath(link.path)
+            name = link.path
+        elif isinstance(link, UdpListenLink):
+            port, name = ("udp", link.port), str(link)
+        else:
+            continue
+        other, named, holder = first.setdefault(port, (i, name, device))
+        if other == i:
+            continue
+        if not (device.is_asked and holder.is_asked):
+            faults.append(
+                f"device[{i}].link: {name} is that of device[{other}] already: a device that speaks by itself has its "
+                "port alone; write what comes over one port into one profile"
+            )
+        elif named != name:
+            faults.append(
+                f"device[{i}].link: {name} is the same port as {named} of device[{other}]: give both the same link; "
+                "they share the line"
+            )
     return faults
 
 
 def _device_faults(path: str, device: DeviceSpec) -> list[str]:
-    faults = _link_faults(path, device.link)
+    faults = _link_faults(path, device.link, MODBUS if device.is_asked else SCHEMES)
+    if not faults:
+        faults += _allow_faults(path, device)
     if device.latency_ms > device.timeout_ms:
         faults.append(
             f"{path}.latency_ms: {device.latency_ms:g} is beyond timeout_ms ({device.timeout_ms:g}): no device "
@@ -329,18 +351,26 @@ def _device_faults(path: str, device: DeviceSpec) -> list[str]:
 
 
 def _quantities(device: DeviceSpec) -> set[str]:
-    return {field.quantity for block in device.profile.blocks for field in block.fields}
+    return {name for names in told_together(device.profile) for name in names}
 
 
-def _link_faults(path: str, link: str) -> list[str]:
+def _allow_faults(path: str, device: DeviceSpec) -> list[str]:
+    """Of who may send the sentences of a device that speaks by itself."""
+    link = parse_any_link(device.link, (*MODBUS, *SCHEMES))
+    if isinstance(link, UdpListenLink):
+        return _listen_faults(path, link.host, device.allow, key="link")
+    return [f"{path}.allow: is for a udp-listen link alone; nobody else can reach this one"] if device.allow else []
+
+
+def _link_faults(path: str, link: str, schemes: Collection[str]) -> list[str]:
     try:
-        parse_link(link)
+        parse_any_link(link, tuple(schemes))
     except ValueError as error:
         return [f"{path}.link: {error}"]
     return []
 
 
-def _listen_faults(table: str, host: str, allow: tuple[str, ...]) -> list[str]:
+def _listen_faults(table: str, host: str, allow: tuple[str, ...], key: str = "host") -> list[str]:
     faults = []
     for i, network in enumerate(allow):
         try:
@@ -352,7 +382,7 @@ def _listen_faults(table: str, host: str, allow: tuple[str, ...]) -> list[str]:
     except ValueError:
         loopback = host == "localhost"
         if not loopback:
-            return [*faults, f"{table}.host: {host!r} is no IP address; give the address to listen on, e.g. 127.0.0.1"]
+            return [*faults, f"{table}.{key}: {host!r} is no IP address; give the address to listen on, e.g. 127.0.0.1"]
     if not loopback and not allow:
-        faults.append(f"{table}.host: {host} listens beyond this machine; name who may connect in {table}.allow")
+        faults.append(f"{table}.{key}: {host} listens beyond this machine; name who may connect in {table}.allow")
     return faults

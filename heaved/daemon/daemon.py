@@ -39,6 +39,7 @@ from heaved.daemon.supervise import cancelled, in_time, supervise
 from heaved.daemon.utc_clock import UtcClock
 from heaved.devices.bus import Bus
 from heaved.devices.link import buses
+from heaved.devices.listening import Listening
 from heaved.devices.timer import Heartbeat
 from heaved.estimation.heave import saved_state
 from heaved.estimation.heave.saved_state import SavedState
@@ -188,7 +189,9 @@ class Daemon:
 
     async def _poll_devices(self) -> None:
         """Have the configured devices polled, and none else; a bus whose devices are as before is left alone."""
-        wanted = buses(self.config.device)
+        wanted = buses(self.config.device) | {
+            f"{device.name} {device.link}": (device,) for device in self.config.device if not device.is_asked
+        }
         changed = [key for key in self._buses if self._buses[key] != wanted.get(key)]
         await cancelled([self._tasks.pop(f"bus {key}") for key in changed], _CANCEL_S)
         self.acquisition.set_devices(self.config.device)
@@ -199,7 +202,8 @@ class Daemon:
         self._buses = wanted
 
     async def _poll(self, devices: tuple[DeviceSpec, ...]) -> None:
-        await Bus(devices, self.acquisition.on_poll, self._clock).run()
+        line = Bus if devices[0].is_asked else Listening
+        await line(devices, self.acquisition.on_poll, self._clock).run()
 
     def _supervise(self, name: str, run: Callable[[], Awaitable[None]]) -> None:
         self._tasks[name] = asyncio.create_task(supervise(name, run), name=name)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import structlog
 
 from heaved.daemon.supervise import cancelled, supervise
+from heaved.outputs.registers import register_output
 from heaved.outputs.telegram_output import TelegramOutput
 from heaved.outputs.telegrams.formats import FORMATS
 
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
     from heaved.outputs.telegrams.spec import OutputSpec
     from heaved.samples import MotionFrame
 
-TABLES: Final = ("output",)
+TABLES: Final = ("output", "registers", "point")
 """Of the configuration, whose change makes outputs anew."""
 
 _log = structlog.get_logger(__name__)
@@ -71,7 +73,11 @@ class Outputs:
 
     def _wanted(self, config: Config) -> dict[object, Callable[[], Output]]:
         """By its table, how each output is made."""
-        return {spec: self._telegrams(spec) for spec in config.output}
+        wanted: dict[object, Callable[[], Output]] = {spec: self._telegrams(spec) for spec in config.output}
+        registers, points = config.registers, tuple(point.name for point in config.point)
+        if registers.enabled:
+            wanted[registers, points] = partial(register_output, registers, points, self._utc_s, self._clock)
+        return wanted
 
     def _telegrams(self, spec: OutputSpec) -> Callable[[], Output]:
         return lambda: TelegramOutput(spec, FORMATS[spec.telegram], self._utc_s, self._clock)

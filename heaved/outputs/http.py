@@ -16,7 +16,8 @@ import structlog
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
-from heaved.outputs.listen import Listener, checked_networks, is_allowed
+from heaved.networks import checked_networks, is_allowed
+from heaved.outputs.listen import Listener
 from heaved.samples import HeaveState, MotionFrame
 from heaved.text import printable
 

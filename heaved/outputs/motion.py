@@ -13,13 +13,15 @@ from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from heaved.samples import DelayedHeave, HeaveForecast, HeaveState, MotionFrame, PointMotion
+from heaved.samples import DelayedHeave, HeaveForecast, HeaveState, MotionFrame, PointMotion, RockPrediction
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 LONGEST_S: Final = 0.5
 """Nothing is moved further on than that: a frame that is older says nothing of the moment."""
+_NEAR_S: Final = 0.02
+"""An angle that nothing is predicted of is that of its reading for so long: at 10 degrees/s it is 0.2 degrees off."""
 _WORTH: Final = (HeaveState.INVALID, HeaveState.SETTLING, HeaveState.DEGRADED, HeaveState.VALID)
 
 
@@ -151,17 +153,20 @@ def _angles(frame: MotionFrame, ahead_s: float) -> tuple[tuple[float, ...], tupl
     standard deviations: those of the next prediction.
     """
     now = (frame.roll_rad, frame.pitch_rad, frame.yaw_rad)
+    if ahead_s <= 0.0:
+        return now, _NO_ANGLES if not frame.rock else _stds(frame.rock[0])
     at_s, later = 0.0, now
     for prediction in frame.rock:
         before_s, before = at_s, later
         at_s, later = prediction.horizon_s, (prediction.roll_rad, prediction.pitch_rad, prediction.yaw_rad)
         if at_s >= ahead_s:
             share = (ahead_s - before_s) / (at_s - before_s)
-            stds = (prediction.roll_std_rad, prediction.pitch_std_rad, prediction.yaw_std_rad)
-            # Without a prediction, a moment as near as this is still that of the reading.
-            angles = [
-                angle if ahead_s == 0.0 else first + share * (second - first)
-                for angle, first, second in zip(now, before, later, strict=True)
-            ]
-            return tuple(angles), stds
-    return (now if ahead_s <= 0.0 else _NO_ANGLES), _NO_ANGLES
+            angles = [first + share * (second - first) for first, second in zip(before, later, strict=True)]
+            if ahead_s <= _NEAR_S:
+                angles = [angle if isfinite(angle) else first for angle, first in zip(angles, now, strict=True)]
+            return tuple(angles), _stds(prediction)
+    return now if ahead_s <= _NEAR_S else _NO_ANGLES, _NO_ANGLES
+
+
+def _stds(prediction: RockPrediction) -> tuple[float, float, float]:
+    return prediction.roll_std_rad, prediction.pitch_std_rad, prediction.yaw_std_rad

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import structlog
 
+from heaved.networks import checked_networks, is_allowed
 from heaved.outputs import wire
-from heaved.outputs.listen import Listener, checked_networks, is_allowed
+from heaved.outputs.listen import Listener
 from heaved.outputs.records import ErrorRecord, StatusRecord, VersionRecord
 from heaved.outputs.subscriber import Subscriber
 from heaved.samples import CraftMotion, DelayedHeave, HullAngles, MotionFrame, SeaState

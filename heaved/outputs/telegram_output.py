@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from heaved.links import AnyLink, SerialLink, TcpLink, TcpListenLink, parse_any_link
+from heaved.links import AnyLink, SerialLink, TcpLink, TcpListenLink, UdpLink, parse_any_link
 from heaved.outputs.due_times import DueTimes
 from heaved.outputs.motion import motion_at
 from heaved.outputs.output import OutputHealth
@@ -77,4 +77,5 @@ def _sender(link: AnyLink, spec: OutputSpec, health: OutputHealth) -> Sender:
         return TcpSender(link, health)
     if isinstance(link, TcpListenLink):
         return TcpListenSender(link, health, spec.allow)
+    assert isinstance(link, UdpLink)  # The scheme of nothing else.
     return UdpSender(link, health)

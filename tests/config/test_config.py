@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from heaved.config import Config
 from heaved.config.read import ConfigError, data_directory, load, parse
 from heaved.config.rules import cautions, rate_faults
-from heaved.devices.profile import Block, DeviceSpec, Field, Profile
+from heaved.devices.profile import Block, DeviceSpec, Field, Profile, Sentence, SentenceField
 from heaved.estimation.lever_arm import Point
 from heaved.outputs.telegrams.spec import OutputSpec
 
@@ -519,8 +519,8 @@ def test_the_default_file_documents_devices_and_profiles() -> None:
     for field in msgspec.structs.fields(DeviceSpec):
         assert field.name in device
         if not field.required and field.name != "device_id":
-            assert device[field.name] == field.default
-    for kind in (Profile, Block, Field):
+            assert msgspec.convert(device[field.name], field.type) == field.default
+    for kind in (Profile, Block, Field, Sentence, SentenceField):
         for field in msgspec.structs.fields(kind):
             assert re.search(rf"(?m)^#.*\b{field.name}\b", text), f"{field.name} of {kind.__name__} is not documented"
 

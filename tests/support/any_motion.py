@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import degrees, radians
+from math import degrees, inf, nan, pi, radians
 from typing import Any, Final
 
 import msgspec
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from heaved.outputs.motion import Lead, Motion
 from heaved.outputs.telegrams.spec import OutputSpec, Settling, Telegram
-from heaved.samples import HeaveState
+from heaved.samples import DelayedHeave, HeaveState
 
 NOON_UTC_S: Final = 19_675 * 86_400.0 + 43_200.0
 """Of the 14th of November 2023."""
@@ -52,13 +52,18 @@ def motions() -> st.SearchStrategy[Motion]:
         st.floats(-2.0, 2.0),
         st.floats(-200.0, 200.0),
         st.floats(-1e-2, 1e-2),
+        *(st.floats(0.99 * most, 1.01 * most) for most in (9.99, 32.77, 100.0, pi)),
         st.floats(),
+        st.sampled_from([nan, inf, -inf, 0.0, -0.0, 1e308, -1e308, 5e-324]),
     )
+    utc_s = st.one_of(st.floats(0.0, 4e9), st.floats())
     return st.builds(
         Motion,
-        utc_s=st.one_of(st.floats(0.0, 4e9), st.floats()),
+        utc_s=utc_s,
         age_s=st.one_of(st.floats(0.0, 0.5), st.floats()),
         state=st.sampled_from(HeaveState),
+        delayed=st.none() | st.builds(DelayedHeave, t_s=st.floats(0.0, 1e9), heave_m=number, std_m=number),
+        delayed_utc_s=utc_s,
         **dict.fromkeys(_NUMBERS, number),
     )
 
@@ -79,6 +84,13 @@ def spec_of(telegram: Telegram, **keys: Any) -> OutputSpec:
     """An output of that format as a configuration gives it."""
     table = {"name": "test", "telegram": telegram, "link": "udp://127.0.0.1:5600"} | keys
     return msgspec.convert(table, OutputSpec)
+
+
+def says(told: float | None, value: float, most: float, half: float) -> bool:
+    """Whether the value is told to ``half`` a unit, or is told to be unknown, and is that or beyond ``most``."""
+    if told is None:
+        return not abs(value) <= most
+    return abs(told - value) <= half * (1.0 + 1e-9)
 
 
 def is_told(motion: Motion, spec: OutputSpec) -> bool:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from typing import Any, Final
 
-import pynmea2  # type: ignore[import-untyped]  # It comes without types.
+import pynmea2
 
 _FRAME: Final = re.compile(rb"\$([A-Z][A-Z0-9]*)((?:,[ -)+-~]*)?)\*([0-9A-F]{2})\r\n")
 

@@ -3,11 +3,7 @@
 No write ever waits: the descriptor does not block, and what a line has not taken of a telegram is finished when it
 takes more. The system would take some seconds' worth of telegrams ahead for a slow line, and each would come that much
 too late; so the next one is given to it when the one before must have left, by the bits that the line carries in a
-second. What is worked around beside, all of it true of pyserial 3.5 and Linux:
-
-* ``close`` waits for what is not sent yet, up to half a minute: so that is thrown away first;
-* a port that has been unplugged has something to read for ever, which is nothing: the first such read is the end of it;
-* a port that refuses its settings raises ``termios.error``, which is no ``OSError``, or ``ValueError``.
+second. A port that has been unplugged has something to read for ever, which is nothing: the first such read is its end.
 """
 
 from __future__ import annotations
@@ -15,19 +11,18 @@ from __future__ import annotations
 import asyncio
 import errno
 import os
-import termios
 import time
-from contextlib import suppress
 from math import inf
 from typing import TYPE_CHECKING, Final
 
-import serial
-
 from heaved.links import character_s
 from heaved.outputs.senders.sender import DOWN, FIRST_PAUSE_S, SLOW, STUCK_S, explain, longer
+from heaved.serial_port import close_serial, open_serial
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    import serial
 
     from heaved.links import SerialLink
     from heaved.outputs.output import OutputHealth
@@ -81,7 +76,7 @@ class SerialSender:
                 opened_s = self._clock()
                 try:
                     self._open()
-                except (OSError, ValueError, termios.error) as error:
+                except OSError as error:
                     self._health.down(explain(self._link, error))
                 else:
                     await self._lost.wait()
@@ -93,17 +88,7 @@ class SerialSender:
             self._close()
 
     def _open(self) -> None:
-        link = self._link
-        self._port = serial.Serial(
-            link.path,
-            baudrate=link.baudrate,
-            bytesize=link.bytesize,
-            parity=link.parity,
-            stopbits=link.stopbits,
-            timeout=0,
-            write_timeout=0,
-            exclusive=True,
-        )
+        self._port = open_serial(self._link)
         self._lost.clear()
         self._moved_s, self._free_s = self._clock(), -inf
         asyncio.get_running_loop().add_reader(self._port.fileno(), self._hear)
@@ -119,9 +104,7 @@ class SerialSender:
             self._timer.cancel()
             self._timer = None
         self._begun = self._next = b""
-        with suppress(OSError, termios.error):  # It may be gone.
-            termios.tcflush(port.fileno(), termios.TCOFLUSH)
-        port.close()
+        close_serial(port)
 
     def _fail(self, error: OSError) -> None:
         reason = error.strerror or str(error)

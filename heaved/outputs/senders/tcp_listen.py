@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Final
 
 import structlog
 
-from heaved.outputs.listen import Listener, ListenError, is_allowed, parse_networks
+from heaved.networks import is_allowed, parse_networks
+from heaved.outputs.listen import Listener, ListenError
 from heaved.outputs.senders.sender import FIRST_PAUSE_S, longer
 from heaved.outputs.senders.tcp_peer import TcpPeer
 

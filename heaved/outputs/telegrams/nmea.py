@@ -8,30 +8,20 @@ given a motion that is turned already to those of its reader.
 from __future__ import annotations
 
 from functools import reduce
-from math import pi
+from math import isfinite
 from operator import xor
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from heaved.outputs.telegrams.spec import Settling
-from heaved.samples import HeaveState
-
-if TYPE_CHECKING:
-    from heaved.outputs.motion import Motion
-    from heaved.outputs.telegrams.spec import OutputSpec
+from heaved.outputs.telegrams.known import heading_deg
 
 LONGEST_BYTES: Final = 82
 """Of a sentence, from ``$`` to the line feed (NMEA 0183, section 5.3)."""
-DEGREES: Final = 180.0 / pi
-"""Per radian."""
 ROLL_DEG: Final = 180.0
 """Largest angle of its kind, here and below; what is beyond is no angle of a vessel."""
 PITCH_DEG: Final = 90.0
 HEAVE_M: Final = 99.0
 """Largest heave and, in m/s, velocity of it that is told: two digits before the point."""
 RATE_DEGPS: Final = 999.0
-_TURN_DEG: Final = 360.0
-_MOST_TURNS: Final = 1e6
-"""Of a heading: with more of them, a double does not hold what is left of the last one."""
 _DAY_MS: Final = 86_400_000
 LAST_UTC_S: Final = 253_402_300_800.0
 """End of the year 9999."""
@@ -57,10 +47,10 @@ def number(value: float, form: str, largest: float) -> str:
 
 def heading(yaw_rad: float, form: str) -> str:
     """A compass angle in degrees, from 0 up to but not including 360, as ``form`` writes it; empty: not known."""
-    yaw_deg = yaw_rad * DEGREES
-    if not abs(yaw_deg) <= _MOST_TURNS * _TURN_DEG:
+    yaw_deg = heading_deg(yaw_rad)
+    if not isfinite(yaw_deg):
         return ""
-    text = format(yaw_deg % _TURN_DEG, form)
+    text = format(yaw_deg, form)
     return format(0.0, form) if text.startswith("360") else text  # Rounded up, it has come full circle.
 
 
@@ -72,12 +62,3 @@ def time_of_day(utc_s: float) -> str:
     minutes, second = divmod(seconds, 60)
     hour, minute = divmod(minutes, 60)
     return f"{hour:02d}{minute:02d}{second:02d}.{ms:03d}"
-
-
-def tells_heave(motion: Motion, spec: OutputSpec) -> bool:
-    """Whether heave, its velocity and its acceleration are told: not while they are invalid, nor while they settle and
-    the reader is to take that for an error.
-    """
-    if motion.state is HeaveState.SETTLING:
-        return spec.settling is not Settling.ERROR
-    return motion.state is not HeaveState.INVALID

@@ -29,17 +29,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from heaved.outputs.motion import Lead
-from heaved.outputs.telegrams.nmea import (
-    DEGREES,
-    HEAVE_M,
-    PITCH_DEG,
-    ROLL_DEG,
-    heading,
-    number,
-    sentence,
-    tells_heave,
-    time_of_day,
-)
+from heaved.outputs.telegrams.known import DEGREES, tells_heave
+from heaved.outputs.telegrams.nmea import HEAVE_M, PITCH_DEG, ROLL_DEG, heading, number, sentence, time_of_day
 from heaved.outputs.telegrams.spec import Format
 from heaved.samples import HeaveState
 

@@ -36,8 +36,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from heaved.outputs.motion import Lead
+from heaved.outputs.telegrams.known import DEGREES, tells_heave
 from heaved.outputs.telegrams.nmea import (
-    DEGREES,
     HEAVE_M,
     LAST_UTC_S,
     PITCH_DEG,
@@ -46,7 +46,6 @@ from heaved.outputs.telegrams.nmea import (
     heading,
     number,
     sentence,
-    tells_heave,
 )
 from heaved.outputs.telegrams.spec import Format, HeavePositive, Signs
 from heaved.samples import HeaveState

@@ -18,7 +18,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from heaved.outputs.motion import Lead
-from heaved.outputs.telegrams.nmea import DEGREES, PITCH_DEG, ROLL_DEG, heading, number, sentence
+from heaved.outputs.telegrams.known import DEGREES
+from heaved.outputs.telegrams.nmea import PITCH_DEG, ROLL_DEG, heading, number, sentence
 from heaved.outputs.telegrams.spec import Format
 
 if TYPE_CHECKING:

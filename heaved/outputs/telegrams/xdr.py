@@ -19,16 +19,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from heaved.outputs.motion import Lead
-from heaved.outputs.telegrams.nmea import (
-    DEGREES,
-    HEAVE_M,
-    LONGEST_BYTES,
-    PITCH_DEG,
-    ROLL_DEG,
-    number,
-    sentence,
-    tells_heave,
-)
+from heaved.outputs.telegrams.known import DEGREES, tells_heave
+from heaved.outputs.telegrams.nmea import HEAVE_M, LONGEST_BYTES, PITCH_DEG, ROLL_DEG, number, sentence
 from heaved.outputs.telegrams.spec import TRANSDUCER_LETTERS, Format
 
 if TYPE_CHECKING:

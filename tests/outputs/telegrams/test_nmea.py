@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from sentence_parsers import by_pynmea2
 
 from heaved.outputs.telegrams import pashr, prdid, psxn, xdr
-from heaved.outputs.telegrams.nmea import checksum, heading, number, sentence, tells_heave, time_of_day
+from heaved.outputs.telegrams.known import tells_heave
+from heaved.outputs.telegrams.nmea import checksum, heading, number, sentence, time_of_day
 from heaved.outputs.telegrams.spec import Format, Telegram
 from heaved.samples import HeaveState
 
