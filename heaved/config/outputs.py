@@ -9,15 +9,23 @@ from math import ceil, floor
 from typing import TYPE_CHECKING, Any, Final
 
 from heaved.devices.link import BAUD_RATES
-from heaved.links import AnyLink, SerialLink, TcpLink, TcpListenLink, character_s, parse_any_link, parse_link
+from heaved.links import (
+    AnyLink,
+    SerialLink,
+    TcpLink,
+    TcpListenLink,
+    UdpLink,
+    UdpListenLink,
+    character_s,
+    parse_any_link,
+)
 from heaved.outputs.motion import Lead
 from heaved.outputs.telegram_output import SCHEMES
 from heaved.outputs.telegrams.formats import FORMATS
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
 
-    from heaved.devices.profile import DeviceSpec
     from heaved.outputs.telegrams.spec import Format, OutputSpec, Telegram
 
 _OPTIONS: Final = ("talker", "settling", "ins_good", "transducers")
@@ -27,13 +35,15 @@ _OPTIONS: Final = ("talker", "settling", "ins_good", "transducers")
 def output_faults(
     listed: Sequence[Any],
     known: Mapping[int, OutputSpec],
-    devices: Mapping[int, DeviceSpec],
+    *,
+    imu_hz: float | None,
     points: Collection[object] | None,
     servers: Mapping[str, tuple[str, int]],
+    others: Mapping[str, AnyLink],
 ) -> list[str]:
     """``listed``: the tables as they are written; ``known``: those of which the telegram is known, by index, with
-    defaults in place of what is wrong. ``points``: names of the points, None: not known. ``servers``: host and port of
-    whatever else listens, by its key.
+    defaults in place of what is wrong. ``imu_hz``: its rate; ``points``: names of the points; None: not known.
+    ``servers``: host and port of whatever else listens on TCP, ``others``: links of whatever else there is, by key.
     """
     faults: list[str] = []
     links: dict[int, AnyLink] = {}
@@ -48,11 +58,11 @@ def output_faults(
             form = FORMATS[known[i].telegram]
             faults += _option_faults(path, table, known[i].telegram)
             faults += _point_faults(path, known[i].point, points)
-            faults += _rate_faults(path, known[i], form, devices.values())
+            faults += _rate_faults(path, known[i], form, imu_hz)
             if i in links:
                 faults += _line_faults(path, known[i], form, links[i])
                 faults += _allow_faults(path, known[i].allow, links[i])
-    return [*faults, *_serial_port_faults(links, devices), *_tcp_port_faults(links, devices, servers)]
+    return [*faults, *_serial_port_faults(links, others), *_far_end_faults(links, others, servers)]
 
 
 def output_cautions(outputs: Sequence[OutputSpec], compensation_lead_s: float) -> list[str]:
@@ -84,8 +94,7 @@ def _point_faults(path: str, point: str, points: Collection[object] | None) -> I
         yield f"{path}.point: no [[point]] is named {point!r}"
 
 
-def _rate_faults(path: str, spec: OutputSpec, form: Format, devices: Iterable[DeviceSpec]) -> Iterator[str]:
-    imu_hz = next((device.rate_hz for device in devices if device.role == "imu"), None)
+def _rate_faults(path: str, spec: OutputSpec, form: Format, imu_hz: float | None) -> Iterator[str]:
     if imu_hz is not None and spec.rate_hz > imu_hz:
         yield (
             f"{path}.rate_hz: {spec.rate_hz:g} Hz, but the IMU is polled at {imu_hz:g}, and each sample gives one "
@@ -137,22 +146,18 @@ def _allow_faults(path: str, allow: Sequence[str], link: AnyLink) -> Iterator[st
 # ---- beside each other -----------------------------------------------------------------------------------------------
 
 
-def _serial_port_faults(links: Mapping[int, AnyLink], devices: Mapping[int, DeviceSpec]) -> Iterator[str]:
+def _serial_port_faults(links: Mapping[int, AnyLink], others: Mapping[str, AnyLink]) -> Iterator[str]:
     """A serial port has one user. It may go by two names, such as /dev/ttyUSB0 and its link under /dev/serial/by-id."""
     users: dict[str, str] = {}
-    for i, device in devices.items():
-        with suppress(ValueError):
-            if isinstance(line := parse_link(device.link), SerialLink):
-                users.setdefault(os.path.realpath(line.path), f"device[{i}]")
-    for i, link in links.items():
+    for key, link in {**others, **{f"output[{i}]": link for i, link in links.items()}}.items():
         if isinstance(link, SerialLink):
-            user = users.setdefault(os.path.realpath(link.path), f"output[{i}]")
-            if user != f"output[{i}]":
-                yield f"output[{i}].link: {link.path} is the port of {user} already: give each a port of its own"
+            user = users.setdefault(os.path.realpath(link.path), key)
+            if user != key and key not in others:
+                yield f"{key}.link: {link.path} is the port of {user} already: give each a port of its own"
 
 
-def _tcp_port_faults(
-    links: Mapping[int, AnyLink], devices: Mapping[int, DeviceSpec], servers: Mapping[str, tuple[str, int]]
+def _far_end_faults(
+    links: Mapping[int, AnyLink], others: Mapping[str, AnyLink], servers: Mapping[str, tuple[str, int]]
 ) -> Iterator[str]:
     """A port at which two would listen, or at which something else is than who reads telegrams."""
     taken = dict(servers)
@@ -162,22 +167,16 @@ def _tcp_port_faults(
             if users:
                 yield f"output[{i}].link: port {link.port} is also that of {users[0]}: choose another"
             taken[f"output[{i}].link"] = link.host, link.port
-    polled = {_tcp_link(device): i for i, device in devices.items()}
+    hearing = {key: (at.host, at.port) for key, at in others.items() if isinstance(at, UdpListenLink)}
     for i, link in links.items():
-        if not isinstance(link, TcpLink):
-            continue
-        if link in polled:
-            yield f"output[{i}].link: at {link} there is device[{polled[link]}], which speaks Modbus: correct one"
-        own = [key for key, (host, port) in taken.items() if port == link.port and _meet(host, link.host)]
-        if own and _is_here(link.host):
-            yield f"output[{i}].link: at {link} heaved itself listens ({own[0]}): correct it"
-
-
-def _tcp_link(device: DeviceSpec) -> TcpLink | None:
-    with suppress(ValueError):
-        link = parse_link(device.link)
-        return link if isinstance(link, TcpLink) else None
-    return None
+        if isinstance(link, TcpLink | UdpLink):
+            there = next((key for key, other in others.items() if other == link), "")
+            if there:
+                yield f"output[{i}].link: at {link} there is already what {there} talks to: correct one of them"
+            ours = taken if isinstance(link, TcpLink) else hearing
+            own = [key for key, (host, port) in ours.items() if port == link.port and _meet(host, link.host)]
+            if own and _is_here(link.host):
+                yield f"output[{i}].link: at {link} heaved itself listens ({own[0]}): correct it"
 
 
 def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:

@@ -22,7 +22,8 @@ from heaved.devices.profile import DeviceSpec, Role, profile_faults, role_needs,
 from heaved.estimation.craft import fusion
 from heaved.estimation.heave.sea.whittle_fit import TUNING as FIT
 from heaved.estimation.hull import estimate as hull
-from heaved.links import SerialLink, UdpListenLink, parse_any_link, parse_link
+from heaved.links import AnyLink, SerialLink, TcpLink, UdpListenLink, parse_any_link, parse_link
+from heaved.outputs.register_map import Mode
 from heaved.outputs.telegrams.spec import OutputSpec
 
 LEAST_IMU_RATE_HZ: Final = 2.0 * FIT.band_hz[1]
@@ -99,8 +100,7 @@ def rule_faults(file: Written) -> list[str]:
         faults += [fault for fault in line_faults(tuple(devices.values())) if fault not in overload]
     for name, table in (("stream", config.stream), ("http", config.http)):
         faults += _listen_faults(name, table.host, table.allow)
-    found = output_faults(file.listed("output"), file.outputs, devices, _points(file), _servers(file))
-    faults += [fault for fault in found if fault.partition(":")[0] not in file.wrong]
+    faults += _output_faults(file)
     same = config.stream.port == config.http.port != 0 and config.stream.host == config.http.host
     if config.http.enabled and same and not {"stream.port", "http.port"} & file.wrong:
         faults.append(f"http.port: {config.http.port} is also stream.port")
@@ -245,13 +245,32 @@ def _points(file: Written) -> Collection[object] | None:
     return [point.get("name") for point in file.listed("point") if isinstance(point, dict)]
 
 
-def _servers(file: Written) -> dict[str, tuple[str, int]]:
-    """Where heaved listens, by the key that says so, as far as that is sound."""
+def _output_faults(file: Written) -> list[str]:
+    """Of the outputs, by themselves and beside whatever else has a link or listens, as far as that is sound."""
     config = file.tables
     servers = {"stream.port": (config.stream.host, config.stream.port)}
     if config.http.enabled:
         servers["http.port"] = (config.http.host, config.http.port)
-    return {key: where for key, where in servers.items() if not {key, key.replace("port", "host")} & file.wrong}
+    servers = {key: at for key, at in servers.items() if not {key, key.replace("port", "host")} & file.wrong}
+    others: dict[str, AnyLink] = {}
+    for i, device in file.devices.items():
+        with suppress(ValueError):
+            others[f"device[{i}]"] = parse_any_link(device.link, MODBUS if device.is_asked else SCHEMES)
+    with suppress(ValueError):
+        link = parse_link(config.registers.link)
+        if config.registers.enabled and config.registers.mode is Mode.SERVE and isinstance(link, TcpLink):
+            servers["registers.link"] = link.host, link.port
+        elif config.registers.enabled:
+            others["registers"] = link
+    found = output_faults(
+        file.listed("output"),
+        file.outputs,
+        imu_hz=next((device.rate_hz for device in file.devices.values() if device.role == "imu"), None),
+        points=_points(file),
+        servers=servers,
+        others=others,
+    )
+    return [fault for fault in found if fault.partition(":")[0] not in file.wrong]
 
 
 def _heave_faults(config: Config) -> list[str]:
