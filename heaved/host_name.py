@@ -1,6 +1,6 @@
 """Host names of links to addresses, without holding anything up: a name server that is away takes the C library up to
-half a minute, and each look-up a thread. So they have threads of their own: files and servers need those of the event
-loop.
+half a minute, and each look-up a thread. So each has one of its own: files and servers need those of the event loop,
+and the end of the process waits for those.
 """
 
 from __future__ import annotations
@@ -8,14 +8,12 @@ from __future__ import annotations
 import asyncio
 import ipaddress
 import socket
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+import threading
+from contextlib import suppress
 from typing import Final
 
 MOST_ADDRESSES: Final = 4
 """Tried for one name."""
-
-_THREADS: Final = ThreadPoolExecutor(16, "look up")
 
 
 class HostName:
@@ -23,7 +21,7 @@ class HostName:
 
     def __init__(self, host: str) -> None:
         self._host = host
-        self._looking: asyncio.Task[list[str]] | None = None
+        self._looking: asyncio.Task[list[str] | OSError] | None = None
 
     async def addresses(self, timeout_s: float) -> list[str]:
         """IP addresses, the best first. The host may be one itself.
@@ -42,11 +40,34 @@ class HostName:
         done, _ = await asyncio.wait([self._looking], timeout=timeout_s)
         if not done:
             raise socket.gaierror(socket.EAI_AGAIN, f"no answer within {timeout_s:g} s")
-        found, self._looking = self._looking, None
-        return found.result()
+        found, self._looking = self._looking.result(), None
+        if isinstance(found, OSError):
+            raise found
+        return found
 
 
-async def _look_up(host: str) -> list[str]:
-    ask = partial(socket.getaddrinfo, host, None, type=socket.SOCK_STREAM)
-    found = await asyncio.get_running_loop().run_in_executor(_THREADS, ask)
+async def _look_up(host: str) -> list[str] | OSError:
+    loop = asyncio.get_running_loop()
+    answer: asyncio.Future[list[str] | OSError] = loop.create_future()
+
+    def tell(found: list[str] | OSError) -> None:
+        if not answer.done():
+            answer.set_result(found)
+
+    def ask() -> None:
+        found = _addresses(host)
+        with suppress(RuntimeError):  # The loop has ended.
+            loop.call_soon_threadsafe(tell, found)
+
+    threading.Thread(target=ask, name=f"look up {host}", daemon=True).start()
+    return await answer
+
+
+def _addresses(host: str) -> list[str] | OSError:
+    try:
+        found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+    except OSError as error:
+        return error
+    except UnicodeError as error:  # What no host can be called.
+        return socket.gaierror(socket.EAI_NONAME, str(error))
     return list(dict.fromkeys(str(entry[4][0]) for entry in found))[:MOST_ADDRESSES]

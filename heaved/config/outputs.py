@@ -13,9 +13,8 @@ from heaved.outputs.telegram_output import SCHEMES
 from heaved.outputs.telegrams.formats import FORMATS
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
 
-    from heaved.devices.profile import DeviceSpec
     from heaved.outputs.telegrams.spec import Format, OutputSpec, Telegram
 
 _OPTIONS: Final = ("talker", "settling", "ins_good", "transducers")
@@ -26,11 +25,12 @@ _TAKEN: Final = ("registers", "mqtt", "influx")
 def output_faults(
     listed: Sequence[Any],
     known: Mapping[int, OutputSpec],
-    devices: Mapping[int, DeviceSpec],
+    *,
+    imu_hz: float | None,
     points: Collection[object] | None,
 ) -> list[str]:
     """``listed``: the tables as they are written; ``known``: those of which the telegram is known, by index, with
-    defaults in place of what is wrong. ``points``: names of the points, None: not known.
+    defaults in place of what is wrong. ``imu_hz``: its rate; ``points``: names of the points; None: not known.
     """
     faults: list[str] = []
     links: dict[int, AnyLink] = {}
@@ -49,7 +49,7 @@ def output_faults(
             form = FORMATS[known[i].telegram]
             faults += _option_faults(path, table, known[i].telegram)
             faults += _point_faults(path, known[i].point, points)
-            faults += _rate_faults(path, known[i], form, devices.values())
+            faults += _rate_faults(path, known[i], form, imu_hz)
             if i in links:
                 faults += _line_faults(path, known[i], form, links[i])
                 faults += _allow_faults(path, known[i].allow, links[i])
@@ -85,8 +85,7 @@ def _point_faults(path: str, point: str, points: Collection[object] | None) -> I
         yield f"{path}.point: no [[point]] is named {point!r}"
 
 
-def _rate_faults(path: str, spec: OutputSpec, form: Format, devices: Iterable[DeviceSpec]) -> Iterator[str]:
-    imu_hz = next((device.rate_hz for device in devices if device.role == "imu"), None)
+def _rate_faults(path: str, spec: OutputSpec, form: Format, imu_hz: float | None) -> Iterator[str]:
     if imu_hz is not None and spec.rate_hz > imu_hz:
         yield (
             f"{path}.rate_hz: {spec.rate_hz:g} Hz, but the IMU is polled at {imu_hz:g}, and each sample gives one "

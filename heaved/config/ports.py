@@ -6,7 +6,7 @@ import ipaddress
 import os
 from typing import TYPE_CHECKING, NamedTuple
 
-from heaved.links import AnyLink, SerialLink, TcpLink, TcpListenLink, UdpListenLink
+from heaved.links import AnyLink, SerialLink, TcpLink, TcpListenLink, UdpLink, UdpListenLink
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -19,25 +19,26 @@ class Use(NamedTuple):
     """The key that says so."""
     link: AnyLink
     is_master: bool = False
-    """It is a master on Modbus: several may share a serial line, and talk to one slave."""
+    """It is a master on Modbus: several may share a serial line, or talk to one slave."""
 
 
 def port_faults(uses: Sequence[Use]) -> Iterator[str]:
     """A fault for each that wants what an earlier one has, or would talk to ourselves."""
     yield from _serial_faults([use for use in uses if isinstance(use.link, SerialLink)])
     tcp = [use for use in uses if isinstance(use.link, TcpListenLink)]
+    udp = [use for use in uses if isinstance(use.link, UdpListenLink)]
     yield from _listening_faults(tcp)
-    yield from _listening_faults([use for use in uses if isinstance(use.link, UdpListenLink)])
-    asked = [use for use in uses if isinstance(use.link, TcpLink)]
-    for use in asked:
-        link = use.link
-        assert isinstance(link, TcpLink)
-        own = next((other for other in tcp if _is_here(link.host) and _clash(other.link, link)), None)
-        slave = next((other for other in asked if other.is_master and other.link == link), None)
+    yield from _listening_faults(udp)
+    far = [use for use in uses if isinstance(use.link, TcpLink | UdpLink)]
+    for i, use in enumerate(far):
+        ours = tcp if isinstance(use.link, TcpLink) else udp
+        own = next((other for other in ours if _is_here(use.link) and _clash(other.link, use.link)), None)
+        # Several masters may talk to one slave, and any number of outputs to one reader.
+        there = next((other for other in far[:i] if other.link == use.link and other.is_master), None)
         if own is not None:
-            yield f"{use.path}: at {link} heaved itself listens ({own.path}): correct it"
-        elif slave is not None and not use.is_master:
-            yield f"{use.path}: at {link} there is {_table(slave.path)}, which speaks Modbus: correct one"
+            yield f"{use.path}: at {use.link} heaved itself listens ({own.path}): correct it"
+        elif there is not None and not use.is_master:
+            yield f"{use.path}: at {use.link} there is already what {_table(there.path)} talks to: correct one of them"
 
 
 def _serial_faults(uses: Sequence[Use]) -> Iterator[str]:
@@ -77,8 +78,9 @@ def _clash(listening: AnyLink, other: AnyLink) -> bool:
     return a == b or a.is_unspecified or b.is_unspecified
 
 
-def _is_here(host: str) -> bool:
-    address = _address(host)
+def _is_here(link: AnyLink) -> bool:
+    assert not isinstance(link, SerialLink)
+    address = _address(link.host)
     return address is not None and address.is_loopback
 
 

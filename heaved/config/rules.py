@@ -102,7 +102,12 @@ def rule_faults(file: Written) -> list[str]:
         faults += [fault for fault in line_faults(tuple(devices.values())) if fault not in overload]
     for name, table in (("stream", config.stream), ("http", config.http)):
         faults += _listen_faults(name, table.host, table.allow)
-    found = output_faults(file.listed("output"), file.outputs, devices, _points(file))
+    found = output_faults(
+        file.listed("output"),
+        file.outputs,
+        imu_hz=next((device.rate_hz for device in devices.values() if device.role == "imu"), None),
+        points=_points(file),
+    )
     faults += [fault for fault in found if fault.partition(":")[0] not in file.wrong]
     points = [point.get("name", "") for point in file.listed("point") if isinstance(point, dict)]
     return faults + register_faults(config, points, file.wrong)

@@ -31,6 +31,19 @@ start = 0
 fields = [{ quantity = "az_mps2", offset = 0, type = "float32", unit = "m/s2" }]
 """
 
+SPEAKING = """
+[[device]]
+name = "box"
+role = "craft"
+link = "serial:///dev/ttyUSB7"
+rate_hz = 10
+[device.profile]
+name = "box"
+[[device.profile.sentences]]
+header = "$--XDR"
+fields = [{ quantity = "pitch_rad", transducer = "PTCH", unit = "deg" }]
+"""
+
 
 def output(**keys: object) -> str:
     """A table that is well, but for ``keys``; None: left out."""
@@ -124,7 +137,27 @@ FAULTS: dict[str, tuple[str, str]] = {
     ),
     "to a device": (
         IMU + output(link="tcp://10.0.0.7:502"),
-        "output[0].link: at tcp://10.0.0.7:502 there is device[0], which speaks Modbus",
+        "output[0].link: at tcp://10.0.0.7:502 there is already what device[0] talks to: correct one of them",
+    ),
+    "to a PLC that is written to": (
+        '[registers]\nenabled = true\nmode = "push"\nlink = "tcp://10.0.0.8:502"' + output(link="tcp://10.0.0.8:502"),
+        "output[0].link: at tcp://10.0.0.8:502 there is already what registers talks to",
+    ),
+    "on the serial port of the registers": (
+        '[registers]\nenabled = true\nlink = "rtu:///dev/ttyUSB7?baudrate=19200"' + output(link=SERIAL),
+        "output[0].link: /dev/ttyUSB7 is the port of registers already",
+    ),
+    "at the port of the registers": (
+        '[registers]\nenabled = true\nlink = "tcp://127.0.0.1:5502"' + output(link="tcp-listen://127.0.0.1:5502"),
+        "output[0].link: port 5502 is also that of registers.link: choose another",
+    ),
+    "on the serial port of a device that speaks": (
+        SPEAKING + output(link=SERIAL),
+        "output[0].link: /dev/ttyUSB7 is the port of device[0] already",
+    ),
+    "into our own ear": (
+        SPEAKING.replace("serial:///dev/ttyUSB7", "udp-listen://127.0.0.1:5000") + output(link="udp://127.0.0.1:5000"),
+        "output[0].link: at udp://127.0.0.1:5000 heaved itself listens (device[0].link): correct it",
     ),
     "two that listen at one port": (
         OTHER + output(link="tcp-listen://127.0.0.1:10110"),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import socket
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -73,3 +75,27 @@ async def test_names_that_nobody_knows_leave_the_others_their_threads(monkeypatc
     server.answers.set()
     assert await names[-1].addresses(PATIENCE_S) == ["10.0.0.7"]
     await asyncio.gather(*(name.addresses(PATIENCE_S) for name in names))
+
+
+@pytest.mark.parametrize("host", ["a" * 64, "a..b", "." * 300])
+async def test_what_no_host_can_be_called_is_unknown(host: str) -> None:
+    with pytest.raises(socket.gaierror):
+        await HostName(host).addresses(PATIENCE_S)
+
+
+ENDS = """
+import asyncio, socket, time
+from heaved.host_name import HostName
+socket.getaddrinfo = lambda *_, **__: time.sleep(3600)
+async def main():
+    try:
+        await HostName("plc.ship").addresses(0.1)
+    except socket.gaierror:
+        print("not known")
+asyncio.run(main())
+"""
+
+
+def test_a_name_server_that_is_away_does_not_hold_the_end_of_the_process() -> None:
+    ended = subprocess.run([sys.executable, "-c", ENDS], capture_output=True, timeout=60, check=True)
+    assert ended.stdout == b"not known\n"
