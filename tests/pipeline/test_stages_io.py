@@ -38,6 +38,7 @@ from heaved.samples import (
     CorrectionState,
     CraftMotion,
     CraftSample,
+    CraneSample,
     Fault,
     HeaveState,
     HullAngles,
@@ -233,7 +234,14 @@ def test_each_fault_is_named_with_its_path(name: str) -> None:
     assert expected in fault
 
 
-@pytest.mark.parametrize(("name", "roles"), [("hull.toml", ["imu", "laser", "imu2"]), ("hydrofoil.toml", ["craft"])])
+@pytest.mark.parametrize(
+    ("name", "roles"),
+    [
+        ("hull.toml", ["imu", "laser", "imu2"]),
+        ("hydrofoil.toml", ["craft"]),
+        ("crane.toml", ["imu", "laser", "crane"]),
+    ],
+)
 def test_packaged_files_are_sound(name: str, roles: list[str]) -> None:
     config = load_to_run(data_directory() / name)
     assert [spec.role for spec in config.device] == roles
@@ -255,6 +263,8 @@ def test_packaged_files_are_sound(name: str, roles: list[str]) -> None:
         (device("craft", one("speed_mps", "kn")), {"speed_mps": 10.0 * 1852.0 / 3600.0}, {"speed_mps": 5.144444}),
         (device("heave_sensor", one("heave_m", "cm")), {"heave_m": 0.5}, {"heave_m": 0.5}),
         (device("pitch_sensor", one("pitch_rad", "deg")), {"pitch_rad": -0.1}, {"pitch_rad": -0.1}),
+        (device("crane", one("boom_rad", "deg")), {"boom_rad": math.pi / 4}, {"boom_rad": math.pi / 4}),
+        (device("crane", one("line_out_m", "cm")), {"line_out_m": 12.5}, {"line_out_m": 12.5}),
     ],
 )
 def test_a_role_makes_samples_of_its_own_kind(
@@ -266,7 +276,7 @@ def test_a_role_makes_samples_of_its_own_kind(
     decoded = station.codecs[0].decode(encode(spec.profile.blocks[0], values))
     result = station.result(Reading(5.0, decoded.values), 5.0, 5.0, 5.001, 1)
     sample = result.sample
-    assert isinstance(sample, RatesSample if spec.role == "imu2" else CraftSample)
+    assert isinstance(sample, {"imu2": RatesSample, "crane": CraneSample}.get(spec.role, CraftSample))
     assert sample.t_s == 5.0
     found = {name: value for name, value in msgspec.structs.asdict(sample).items() if name in expected}
     assert found == pytest.approx(expected, rel=1e-6)
@@ -289,19 +299,23 @@ def instants(tmp_path: Path, text: str) -> list[Any]:
 
 def test_the_columns_of_the_stages_become_their_samples(tmp_path: Path) -> None:
     header = ",".join(("t_s", "az_mps2", "gx_radps", *STAGE_COLUMNS))
-    (row, bare) = instants(tmp_path, f"{header}\n1,9.8,7,1,2,3,4,5,6,0.5,90,18,-45,30\n2,9.8,7,,,,4,,6,,,,,\n")
-    imu, laser, rates, craft = row
+    cells = "1,9.8,7,1,2,3,4,5,6,0.5,90,18,-45,30,350,60,,12.5"
+    (row, bare) = instants(tmp_path, f"{header}\n{cells}\n2,9.8,7,,,,4,,6,,,,,,,,,\n")
+    imu, laser, rates, craft, crane = row
     assert (imu.gx_radps, imu.gy_radps, imu.gz_radps) == (1.0, 2.0, 3.0)
     assert laser is None
     assert rates == RatesSample(t_s=1.0, gx_radps=4.0, gy_radps=5.0, gz_radps=6.0)
     assert (craft.t_s, craft.heave_m, craft.pitch_rad, craft.speed_mps) == (1.0, 0.5, math.pi / 2, 18.0)
     assert (craft.flap_fore_rad, craft.flap_aft_rad) == pytest.approx((-math.pi / 4, math.pi / 6))
-    assert bare[1:] == (None, None, None)
+    assert (crane.t_s, crane.slew_rad, crane.boom_rad) == (1.0, math.radians(350.0), math.radians(60.0))
+    assert math.isnan(crane.jib_rad)
+    assert crane.line_out_m == 12.5
+    assert bare[1:] == (None, None, None, None)
     assert math.isnan(bare[0].gx_radps)
 
 
 def test_without_midships_columns_the_rates_of_the_imu_are_those(tmp_path: Path) -> None:
-    ((imu, _, rates, _),) = instants(tmp_path, "t_s,az_mps2,gx_radps,gx2_radps,gy2_radps,gz2_radps\n1,9.8,7,4,5,6\n")
+    ((imu, _, rates, *_),) = instants(tmp_path, "t_s,az_mps2,gx_radps,gx2_radps,gy2_radps,gz2_radps\n1,9.8,7,4,5,6\n")
     assert imu.gx_radps == 7.0
     assert rates.gz_radps == 6.0
 
