@@ -72,6 +72,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
 
 
 TUNING: Final = Tuning()
+ORDER: Final = 3
+"""Coefficients of a parabola."""
 
 
 class MotionFrames:
@@ -100,6 +102,7 @@ class MotionFrames:
         # Between two predictions: the noise of the measured attitude, over 50 ms, would be most of the rate.
         self._rate_between = tuple(rock_horizons_s.index(h) for h in STANDARD_HORIZONS_S[:2])
         self._bend = _Bend.of(rock_horizons_s)
+        self._parabola = _Parabola.of(rock_horizons_s, heave.lead_s)
 
     def at(
         self,
@@ -247,7 +250,11 @@ class MotionFrames:
             factor = TUNING.carried * (1.0 + TUNING.line_per_s * line_s)
             roll_std, pitch_std = factor * roll_std, factor * pitch_std
         if lead_s > 0.0:
-            roll, pitch = roll + lead_s * roll_rate, pitch + lead_s * pitch_rate
+            if self._parabola is None:
+                return AttitudeMotion(nan, nan, nan, nan)
+            roll, roll_rate = self._parabola.at([p.roll_rad for p in predictions])
+            pitch, pitch_rate = self._parabola.at([p.pitch_rad for p in predictions])
+            return AttitudeMotion(roll, pitch, roll_rate, pitch_rate, roll_std, pitch_std)
         return AttitudeMotion(
             roll,
             pitch,
@@ -408,6 +415,41 @@ class _Bend(msgspec.Struct, frozen=True):
     def alone(self, angles_rad: Sequence[float]) -> float:
         """Of a sensor without rates."""
         return sum(weight * angles_rad[i] for i, weight in zip(self.nodes, self.weights, strict=True))
+
+
+class _Parabola(msgspec.Struct, frozen=True):
+    """An angle and its rate between the horizons of predictions: on the parabola through three of them."""
+
+    nodes: tuple[int, ...]
+    """Of the predictions, by index."""
+    values: tuple[float, ...]
+    """Weights of the angle,"""
+    slopes: tuple[float, ...]
+    """and of its rate."""
+
+    @classmethod
+    def of(cls, horizons_s: tuple[float, ...], at_s: float) -> _Parabola | None:
+        """None: no horizon is as long."""
+        # The middle one of the three that there always are is too near the others: their noise would be the rate.
+        spread = [h for h in horizons_s if h not in STANDARD_HORIZONS_S[1:-1]]
+        if len(spread) < ORDER:
+            spread = list(horizons_s)
+        first = next((i for i in range(len(spread) - ORDER + 1) if spread[i + ORDER - 1] >= at_s), None)
+        if first is None:
+            return None
+        nodes_s = spread[first : first + ORDER]
+        # Weights w with w . (1, t, t^2) at the nodes = (1, t, t^2) here, and its derivative.
+        wanted = np.array([[1.0, 0.0], [at_s, 1.0], [at_s * at_s, 2.0 * at_s]])
+        values, slopes = np.linalg.solve(np.vander(nodes_s, increasing=True).T, wanted).T.tolist()
+        return cls(tuple(map(horizons_s.index, nodes_s)), tuple(values), tuple(slopes))
+
+    def at(self, angles_rad: Sequence[float]) -> tuple[float, float]:
+        """Angle and rate."""
+        found = [angles_rad[i] for i in self.nodes]
+        return (
+            sum(weight * angle for weight, angle in zip(self.values, found, strict=True)),
+            sum(weight * angle for weight, angle in zip(self.slopes, found, strict=True)),
+        )
 
 
 def _stds(predictions: Sequence[RockPrediction], ahead_s: float) -> tuple[float, float]:

@@ -61,6 +61,14 @@ RATES = """fields = [
 ]"""
 
 
+ENCODERS = """fields = [
+  { quantity = "slew_rad", offset = 0, unit = "deg", scale = 0.1 },
+  { quantity = "boom_rad", offset = 1, unit = "deg", scale = 0.1 },
+]"""
+ON_BOOM = '[crane]\nboom_length_m = 40\n[[point]]\nname = "tip"\nframe = "boom"\n'
+ON_HOOK = ON_BOOM.replace('"boom"', '"hook"')
+
+
 def device(role: str, fields: str) -> str:
     return f"""
 [[device]]
@@ -111,6 +119,16 @@ LACKS: dict[str, tuple[str, str]] = {
         "[attitude]\nenabled = true\n" + device("craft", one("speed_mps", "kn")),
         "attitude.source",
     ),
+    "no crane": (ON_BOOM, "point[0].frame: 'boom' needs the readings of a device of role \"crane\""),
+    "a crane of nothing but a slew": (
+        ON_BOOM + device("crane", one("slew_rad", "deg")),
+        "has no boom_rad; if that joint is fixed, set crane.boom_fixed_deg",
+    ),
+    "a jib that nobody reads": (
+        ON_BOOM.replace("= 40", "= 40\njib_length_m = 9") + device("crane", ENCODERS),
+        "has no jib_rad; if that joint is fixed, set crane.jib_fixed_deg",
+    ),
+    "a hook without its line": (ON_HOOK + device("crane", ENCODERS), "has no line_out_m"),
     "own without an IMU": ('[attitude]\nenabled = true\nsource = "own"', "attitude.source"),
 }
 
@@ -200,6 +218,9 @@ def test_with_their_devices_there_is_no_fault() -> None:
     assert stage_faults(both) == []
     own = read('[attitude]\nenabled = true\nsource = "own"\n' + device("imu", RATES))
     assert stage_faults(own) == []
+    assert stage_faults(read(ON_BOOM + device("crane", ENCODERS))) == []
+    pinned = ON_BOOM.replace("= 40", "= 40\njib_length_m = 9\njib_fixed_deg = 0")
+    assert stage_faults(read(pinned + device("crane", ENCODERS))) == []
 
 
 FAULTS: dict[str, tuple[str, str]] = {
@@ -213,6 +234,19 @@ FAULTS: dict[str, tuple[str, str]] = {
     "so3 from zero": ('[hull]\nstart = "zero"', "hull.start: "),
     "no such method": ('[hull]\nmethod = "ekf"', "hull.method: must be 'so3', 'ckf' or 'ukf'"),
     "a point on a crane that is not known": ('[[point]]\nname = "tip"\nframe = "crane"', "point[0].frame: "),
+    "a point on a moving crane that is not described": (
+        '[[point]]\nname = "tip"\nframe = "boom"',
+        "point[0].frame: 'boom' needs [crane]: its boom_length_m is not given",
+    ),
+    "a hook that is pushed aside": (ON_HOOK + "port_m = 2", "point[0].port_m: the hook hangs plumb"),
+    "a crane on a base that is not known": (
+        '[crane]\nframe = "crane"\nboom_length_m = 9',
+        'crane.frame: "crane" needs [hull] enabled',
+    ),
+    "a crane of no falls": ("[crane]\nfalls = 0", "crane.falls: Expected `int` >= 1 (got 0)"),
+    "a crane that is measured in millimetres": ("[crane]\nboom_length_m = 40000", "crane.boom_length_m: Expected"),
+    "a crane of no use": (device("crane", one("signal", "1")), "of no use in role 'crane'"),
+    "a line in degrees": (device("crane", one("line_out_m", "deg")), "measures angle, not length"),
     "two angles of three": ("[hull]\nmount_deg = [1.0, 2.0]", "hull.mount_deg: "),
     "a wave that does not oscillate": (
         "[attitude.wave]\nheave_peak_radps = 1.0\nheave_decay_radps = 2.0",
