@@ -13,6 +13,7 @@ import msgspec
 from heaved.devices.profile import DeviceSpec
 from heaved.estimation import quiescence
 from heaved.estimation.craft import fusion
+from heaved.estimation.crane import geometry as crane
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.hull import estimate as hull
@@ -80,6 +81,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     rock: rock.Params = rock.Params()
     hull: hull.Params = hull.Params()
     attitude: fusion.Params = fusion.Params()
+    crane: crane.Params = crane.Params()
     quiet: quiescence.Params = quiescence.Params()
     point: tuple[Point, ...] = ()
     compensation: CompensationParams = CompensationParams()

@@ -20,6 +20,7 @@ from heaved.devices.link import bus_load_faults, buses, line_faults, most_rate_h
 from heaved.devices.listening import SCHEMES
 from heaved.devices.profile import DeviceSpec, Role, profile_faults, role_needs, role_quantities, told_together
 from heaved.estimation.craft import fusion
+from heaved.estimation.crane.geometry import JOINTS, needed
 from heaved.estimation.heave.sea.whittle_fit import TUNING as FIT
 from heaved.estimation.hull import estimate as hull
 from heaved.links import AnyLink, TcpLink, TcpListenLink, UdpListenLink, parse_any_link, parse_link
@@ -34,6 +35,8 @@ GOOD_IMU_RATE_HZ: Final = 4.0
 as far as they have not folded: see :mod:`heaved.devices.bandwidth`."""
 MODBUS: Final = ("tcp", "rtu")
 """Links of devices that are asked."""
+_QUANTITY_OF: Final = dict(zip(JOINTS, role_quantities("crane"), strict=True))
+"""What shows a joint of the crane."""
 LONG_TIMEOUT_S: Final = 1.0
 """Twice what a silent device is left alone for."""
 
@@ -205,6 +208,7 @@ def _stage_faults(config: Config, carried: Mapping[str, Collection[str]], *, is_
             faults.append('hull.enabled: needs the body rates of a device of role "imu"')
         elif lacking := rates.difference(carried.get("imu", rates)):
             faults.append(f'hull.enabled: the profile of the device of role "imu" has no {", ".join(sorted(lacking))}')
+    faults += _crane_faults(config, carried, is_complete=is_complete)
     if config.attitude.enabled and config.attitude.source == fusion.Source.SENSORS and is_complete:
         sensors: set[str] = set().union(*(carried.get(role, ()) for role in ("craft", "heave_sensor", "pitch_sensor")))
         if sensors.isdisjoint(("heave_m", "pitch_rad")):
@@ -214,6 +218,27 @@ def _stage_faults(config: Config, carried: Mapping[str, Collection[str]], *, is_
             )
     if config.attitude.enabled and config.attitude.source == fusion.Source.OWN and "imu" not in carried and is_complete:
         faults.append('attitude.source: "own" needs a device of role "imu"')
+    return faults
+
+
+def _crane_faults(config: Config, carried: Mapping[str, Collection[str]], *, is_complete: bool) -> list[str]:
+    """Points on a moving crane that nobody says how it stands."""
+    faults = []
+    for i, point in enumerate(config.point):
+        if not point.rides or not config.crane.is_there:
+            continue
+        where = f"point[{i}].frame: {point.frame!r}"
+        if "crane" not in carried:
+            if is_complete:
+                faults.append(f'{where} needs the readings of a device of role "crane"')
+            continue
+        quantities = [_QUANTITY_OF[JOINTS[j]] for j in needed(config.crane, hook=point.frame == "hook")]
+        if lacking := [quantity for quantity in quantities if quantity not in carried["crane"]]:
+            fixed = ", ".join(
+                f"crane.{quantity.removesuffix('_rad')}_fixed_deg" for quantity in lacking if quantity.endswith("_rad")
+            )
+            hint = f"; if that joint is fixed, set {fixed}" if fixed else ""
+            faults.append(f'{where}: the profile of the device of role "crane" has no {", ".join(lacking)}{hint}')
     return faults
 
 
@@ -241,6 +266,21 @@ def _point_faults(file: Written) -> list[str]:
         faults += [
             f'point[{i}].frame: "crane" needs [hull] enabled' for i, p in points.items() if p.get("frame") == "crane"
         ]
+        if file.tables.crane.frame == "crane":
+            faults.append('crane.frame: "crane" needs [hull] enabled')
+    crane = file.tables.crane
+    if not crane.is_there and not any(path.startswith("crane") for path in file.wrong):
+        faults += [
+            f"point[{i}].frame: {p['frame']!r} needs [crane]: its boom_length_m is not given"
+            for i, p in points.items()
+            if p.get("frame") in ("boom", "hook")
+        ]
+    faults += [
+        f"point[{i}].{key}: the hook hangs plumb and turns as it likes: only up_m changes its height"
+        for i, p in points.items()
+        for key in ("forward_m", "port_m")
+        if p.get("frame") == "hook" and p.get(key)
+    ]
     wanted = file.tables.quiet.point
     if wanted and wanted not in [point.get("name") for point in points.values()]:
         faults.append(f"quiet.point: no [[point]] is named {wanted!r}")

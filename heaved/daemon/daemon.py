@@ -240,6 +240,8 @@ class Daemon:
             await self.workers.have(self.config)
         if new.attitude != old.attitude:
             self.acquisition.pipeline.stages.configure_attitude(new.attitude)
+        if new.crane != old.crane:
+            self.acquisition.pipeline.stages.configure_crane(new.crane)
         if any(getattr(new, table) != getattr(old, table) for table in TABLES):
             await self._outputs.have(self.config, _CANCEL_S)
         if new.device != old.device:
@@ -397,7 +399,7 @@ def make_pipeline(config: Config, stages: Stages | None = None) -> Pipeline:
         has_laser=config.has_laser,
         point=config.point,
         lead_s=config.compensation.lead_s,
-        stages=stages or Stages(config.hull, config.attitude, refit_inline=False),
+        stages=stages or Stages(config.hull, config.attitude, config.crane, refit_inline=False),
         quiet=config.quiet,
     )
 

@@ -28,9 +28,10 @@ Quantity = Literal[
     "gx_radps", "gy_radps", "gz_radps",
     "laser_m",
     "heave_m", "speed_mps", "flap_fore_rad", "flap_aft_rad",
+    "slew_rad", "boom_rad", "jib_rad", "line_out_m",
     "temperature_c", "signal", "device_time_s",
 ]  # fmt: skip
-Role = Literal["imu", "laser", "imu2", "craft", "heave_sensor", "pitch_sensor"]
+Role = Literal["imu", "laser", "imu2", "craft", "heave_sensor", "pitch_sensor", "crane"]
 Name = Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9_.-]{1,64}$")]
 
 
@@ -132,7 +133,8 @@ class DeviceSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     latency_ms: Annotated[float, msgspec.Meta(ge=-1000, le=1000)] = 0.0
     """Sample time minus the time at which the request was sent; negative for a device that answers old values."""
     stuck_after_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] = 2.0
-    """Identical registers for longer than this are a fault (0: never)."""
+    """Identical registers for longer than this are a fault (0: never). In role "crane" they are not: a crane stands
+    still, and its encoders with it."""
     bandwidth_hz: Annotated[float, msgspec.Meta(ge=0, le=10_000)] = 0.0
     """To which the sensor's low-pass is set; 0: as its profile says."""
     allow: tuple[str, ...] = ()
@@ -173,9 +175,9 @@ _KIND: dict[str, str] = {
     **dict.fromkeys(("ax_mps2", "ay_mps2", "az_mps2"), "acceleration"),
     **dict.fromkeys(("roll_rad", "pitch_rad", "yaw_rad"), "angle"),
     **dict.fromkeys(("gx_radps", "gy_radps", "gz_radps"), "angular rate"),
-    **dict.fromkeys(("laser_m", "heave_m"), "length"),
+    **dict.fromkeys(("laser_m", "heave_m", "line_out_m"), "length"),
     "speed_mps": "speed",
-    **dict.fromkeys(("flap_fore_rad", "flap_aft_rad"), "angle"),
+    **dict.fromkeys(("flap_fore_rad", "flap_aft_rad", "slew_rad", "boom_rad", "jib_rad"), "angle"),
     "temperature_c": "temperature",
     "signal": "number",
     "device_time_s": "time",
@@ -198,6 +200,7 @@ _ROLE_QUANTITIES: dict[Role, tuple[Quantity, ...]] = {
     "craft": ("heave_m", "pitch_rad", "speed_mps", "flap_fore_rad", "flap_aft_rad"),
     "heave_sensor": ("heave_m",),
     "pitch_sensor": ("pitch_rad",),
+    "crane": ("slew_rad", "boom_rad", "jib_rad", "line_out_m"),
 }
 _ROLE_NEEDS: dict[Role, tuple[Quantity, ...]] = {
     "imu": ("az_mps2",),
@@ -206,6 +209,7 @@ _ROLE_NEEDS: dict[Role, tuple[Quantity, ...]] = {
     "craft": (),
     "heave_sensor": ("heave_m",),
     "pitch_sensor": ("pitch_rad",),
+    "crane": (),
 }
 
 

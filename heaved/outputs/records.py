@@ -11,7 +11,7 @@ from typing import Final
 
 import msgspec
 
-from heaved.samples import CorrectionState, Quality, Vibration
+from heaved.samples import CorrectionState, HeaveState, Quality, Vibration
 
 PROTO_MAJOR: Final = 1
 PROTO_MINOR: Final = 4
@@ -65,6 +65,14 @@ class PointRecord(msgspec.Struct, frozen=True, gc=False, omit_defaults=True):
     heave_m: float | None = None
     heave_std_m: float | None = None
     heave_velocity_mps: float | None = None
+    heave_acceleration_mps2: float | None = None
+    own_height_m: float | None = None
+    """Over the IMU on the level ship, and how fast the crane changes that; it is not in the heave."""
+    own_velocity_mps: float | None = None
+    forecast: tuple[ForecastRecord, ...] = ()
+    state: HeaveState | None = None
+    """Absent: that of the heave."""
+    reasons: tuple[str, ...] = ()
 
 
 class MotionRecord(
@@ -89,6 +97,12 @@ class MotionRecord(
     roll_deg: float | None = None
     pitch_deg: float | None = None
     yaw_deg: float | None = None
+    roll_rate_degps: float | None = None
+    pitch_rate_degps: float | None = None
+    yaw_rate_degps: float | None = None
+    surge_acceleration_mps2: float | None = None
+    """Forward and to port, in the level frame that turns with the heading."""
+    sway_acceleration_mps2: float | None = None
     crane_roll_deg: float | None = None
     """Attitude of the crane base, once the hull's deformation has converged."""
     crane_pitch_deg: float | None = None

@@ -93,7 +93,7 @@ FAULTS: dict[str, tuple[str, str]] = {
     "wrong type": ('[stream]\nport = "5570"', "stream.port: Expected `int`, got `str` (got '5570')"),
     "out of range": ("[stream]\nport = 70000", "stream.port: Expected `int` <= 65535 (got 70000)"),
     "no such choice": ('[heave]\nobserver = "kalman"', "heave.observer: must be 'harmonic' or 'sea' (got 'kalman')"),
-    "no such role": (LASER.replace('role = "laser"', 'role = "gps"'), "'heave_sensor' or 'pitch_sensor' (got 'gps')"),
+    "no such role": (LASER.replace('role = "laser"', 'role = "gps"'), "'pitch_sensor' or 'crane' (got 'gps')"),
     "neither sign": ("[laser]\nsign = 2", "laser.sign: must be 1 or -1 (got 2)"),
     "nan": ("[heave]\nmax_gap_s = nan", "heave.max_gap_s: "),
     "nan in a list": ("[heave]\nband_hz = [nan, 0.6]", "heave.band_hz: must be finite"),
@@ -343,7 +343,7 @@ def test_the_bandwidth_of_the_device_comes_before_that_of_its_profile() -> None:
     assert cautions(read(text)) == []
 
 
-@pytest.mark.parametrize("name", ["heaved.toml", "demo.toml", "hull.toml", "hydrofoil.toml"])
+@pytest.mark.parametrize("name", ["heaved.toml", "demo.toml", "hull.toml", "hydrofoil.toml", "crane.toml"])
 def test_packaged_files_need_no_caution(name: str) -> None:
     assert cautions(load(data_directory() / name)) == []
 
