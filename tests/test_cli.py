@@ -115,7 +115,7 @@ def test_light_commands_import_nothing_heavy(closed_port: str) -> None:
 
 
 def test_check_config_says_what_it_found(capsys: pytest.CaptureFixture[str]) -> None:
-    file = data_directory() / "demo.toml"
+    file = data_directory() / "sensors.toml"
     assert main(["check-config", str(file)]) == 0
     out = capsys.readouterr().out.splitlines()
     assert out[0] == f"{file}: well"
@@ -181,7 +181,7 @@ def test_every_fault_of_a_configuration_is_named(
 def test_check_config_refuses_rates_that_the_line_cannot_carry(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    text = (data_directory() / "demo.toml").read_text().replace("tcp://127.0.0.1:15020", "rtu:///dev/ttyUSB0")
+    text = (data_directory() / "sensors.toml").read_text().replace("tcp://127.0.0.1:15020", "rtu:///dev/ttyUSB0")
     (tmp_path / "slow.toml").write_text(text)
     assert main(["check-config", str(tmp_path / "slow.toml")]) == 78
     assert "slow.toml: line /dev/ttyUSB0 (9600 8N1): imu at 100 Hz needs" in capsys.readouterr().err
@@ -322,7 +322,7 @@ def test_what_cannot_be_simulated(arguments: list[str], message: str, capsys: py
 def test_sim_on_a_port_that_is_taken_says_what_to_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         config = tmp_path / "sim.toml"
-        demo = (data_directory() / "demo.toml").read_text()
+        demo = (data_directory() / "sensors.toml").read_text()
         config.write_text(demo.replace(":15020", f":{taken.getsockname()[1]}"))
         assert main(["sim", "--config", str(config)]) == 1
     error = capsys.readouterr().err

@@ -75,7 +75,7 @@ def test_the_installed_command_finds_its_data_inside_the_package(installed: Path
     assert data == str(Path(module).parents[1] / "_config")
     helped = run(installed, heaved, "--help")
     assert (helped.returncode, helped.stderr) == (0, "")
-    for name in ("heaved.toml", "demo.toml"):
+    for name in ("heaved.toml", "demo.toml", "sensors.toml"):
         checked = run(installed, heaved, "check-config", f"{data}/{name}")
         assert checked.returncode == 0, checked.stderr
         assert checked.stdout.startswith(f"{data}/{name}: well\n")

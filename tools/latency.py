@@ -107,7 +107,7 @@ class Row(msgspec.Struct):
 
 def serve_plant(sea: str, pipe: Connection) -> None:
     async def run() -> None:
-        devices = load(data_directory() / "demo.toml").device
+        devices = load(data_directory() / "sensors.toml").device
         plant = SimulatedPlant(devices, Instruments(seaway(sea, 1), seed=1), any_port=True)
         await plant.start()
         pipe.send([device.link for device in plant.devices])
@@ -325,7 +325,7 @@ async def measure(
         consumers = stack.enter_context(child(consume))
         ports, registers = consumers.recv(), free_port()
         broker = stack.enter_context(mosquitto(Path(directory))) if kind is not Outputs.NONE else 0
-        demo = load(data_directory() / "demo.toml").device
+        demo = load(data_directory() / "sensors.toml").device
         devices = [msgspec.structs.replace(device, link=link) for device, link in zip(demo, plant.recv(), strict=True)]
         tables = settings(training=training, fifo=arguments.fifo) + outputs(kind, ports, registers, broker)
         started_s = time.monotonic()

@@ -343,7 +343,7 @@ def test_the_bandwidth_of_the_device_comes_before_that_of_its_profile() -> None:
     assert cautions(read(text)) == []
 
 
-@pytest.mark.parametrize("name", ["heaved.toml", "demo.toml", "hull.toml", "hydrofoil.toml", "crane.toml"])
+@pytest.mark.parametrize("name", ["heaved.toml", "demo.toml", "sensors.toml", "hull.toml", "hydrofoil.toml"])
 def test_packaged_files_need_no_caution(name: str) -> None:
     assert cautions(load(data_directory() / name)) == []
 
@@ -525,7 +525,7 @@ def test_the_default_file_documents_devices_and_profiles() -> None:
             assert re.search(rf"(?m)^#.*\b{field.name}\b", text), f"{field.name} of {kind.__name__} is not documented"
 
 
-@pytest.mark.parametrize("name", ["heaved.toml", "demo.toml"])
+@pytest.mark.parametrize("name", ["heaved.toml", "sensors.toml"])
 def test_packaged_files_are_sound(name: str) -> None:
     config = load(data_directory() / name)
     assert [device.role for device in config.device] == ["imu", "laser"]

@@ -181,7 +181,7 @@ async def test_a_reload_switches_a_stage_without_touching_the_heave(tmp_path: Pa
 
     def write(text: str) -> None:
         listens = f'[stream]\nport = 0\n[http]\nport = 0\n[state]\ndirectory = "{tmp_path}"\n'
-        path.write_text(listens + (data_directory() / "demo.toml").read_text() + text)
+        path.write_text(listens + (data_directory() / "sensors.toml").read_text() + text)
 
     write("")
     async with running(load(path), path) as daemon:
@@ -209,8 +209,8 @@ async def test_a_reload_switches_a_stage_without_touching_the_heave(tmp_path: Pa
 async def test_the_tip_of_a_simulated_crane_is_on_the_stream_and_a_reload_moves_it(tmp_path: Path) -> None:
     path = tmp_path / "heaved.toml"
     listens = f'[stream]\nport = 0\n[http]\nport = 0\n[state]\ndirectory = "{tmp_path}"\n'
-    packaged = listens + (data_directory() / "crane.toml").read_text()
-    config = load(data_directory() / "crane.toml")
+    packaged = listens + (data_directory() / "demo.toml").read_text()
+    config = load(data_directory() / "demo.toml")
     instruments = Instruments(Rolling(), seed=1)
     plant = SimulatedPlant(config.device, instruments, any_port=True)
     await plant.start()

@@ -25,7 +25,7 @@ from heaved.samples import (
     Vibration,
 )
 
-CONFIG = load(data_directory() / "demo.toml")
+CONFIG = load(data_directory() / "sensors.toml")
 QUALITY = Quality(heave=HeaveState.VALID, laser=LaserState.VALID, correction=CorrectionState.OFF)
 
 

@@ -273,7 +273,7 @@ def test_each_fault_is_named_with_its_path(name: str) -> None:
     [
         ("hull.toml", ["imu", "laser", "imu2"]),
         ("hydrofoil.toml", ["craft"]),
-        ("crane.toml", ["imu", "laser", "crane"]),
+        ("demo.toml", ["imu", "laser", "crane"]),
     ],
 )
 def test_packaged_files_are_sound(name: str, roles: list[str]) -> None:

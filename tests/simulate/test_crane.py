@@ -72,7 +72,7 @@ def test_the_chain_of_matrices_ends_where_plain_geometry_does() -> None:
 
 
 def test_the_packaged_crane_is_served_by_its_profile() -> None:
-    device = next(one for one in load(data_directory() / "crane.toml").device if one.role == "crane")
+    device = next(one for one in load(data_directory() / "demo.toml").device if one.role == "crane")
     instruments = Instruments(seaway("S5", 1), seed=1)
     sample = instruments.read(device, 12.3)
     assert isinstance(sample, CraneSample)
