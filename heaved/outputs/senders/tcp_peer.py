@@ -80,8 +80,9 @@ class TcpPeer(asyncio.Protocol):
     def connection_lost(self, error: Exception | None) -> None:
         """It is gone."""
         self._transport = None
-        self._health.lost[DOWN] += len(self._queue)
-        self._queue.clear()
+        if self._queue:
+            self._health.lost[DOWN] += len(self._queue)
+            self._queue.clear()
         if not self.closed.done():
             self.closed.set_result(self._why or explain(self._link, error or ConnectionResetError("closed")))
 
