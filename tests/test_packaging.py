@@ -61,7 +61,7 @@ def test_the_wheel_holds_the_package_and_its_data_and_nothing_else(wheel: Path) 
     assert wheel.name == f"heaved-{__version__}-py3-none-any.whl"
     names = zipfile.ZipFile(wheel).namelist()
     assert {name.split("/")[0] for name in names} == {"heaved", f"heaved-{__version__}.dist-info"}
-    for path in (ROOT / "config").rglob("*.toml"):
+    for path in (path for path in (ROOT / "config").rglob("*") if path.is_file()):
         assert f"heaved/_config/{path.relative_to(ROOT / 'config')}" in names
     modules = {str(path.relative_to(ROOT)) for path in (ROOT / "heaved").rglob("*.py")}
     assert {name for name in names if name.endswith(".py")} == modules

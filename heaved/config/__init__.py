@@ -18,6 +18,8 @@ from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.hull import estimate as hull
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.outputs.influx import InfluxParams
+from heaved.outputs.mqtt import MqttParams
 from heaved.outputs.register_map import RegistersParams
 from heaved.outputs.telegrams.spec import OutputSpec
 
@@ -85,6 +87,8 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     stream: StreamParams = StreamParams()
     http: HttpParams = HttpParams()
     registers: RegistersParams = RegistersParams()
+    mqtt: MqttParams = MqttParams()
+    influx: InfluxParams = InfluxParams()
     state: StateParams = StateParams()
     runtime: RuntimeParams = RuntimeParams()
 

@@ -3,23 +3,12 @@
 from __future__ import annotations
 
 import ipaddress
-import os
-from contextlib import suppress
 from math import ceil, floor
 from typing import TYPE_CHECKING, Any, Final
 
 from heaved.config import Config
 from heaved.devices.link import BAUD_RATES
-from heaved.links import (
-    AnyLink,
-    SerialLink,
-    TcpLink,
-    TcpListenLink,
-    UdpLink,
-    UdpListenLink,
-    character_s,
-    parse_any_link,
-)
+from heaved.links import AnyLink, SerialLink, TcpListenLink, character_s, parse_any_link
 from heaved.outputs.motion import Lead
 from heaved.outputs.telegram_output import SCHEMES
 from heaved.outputs.telegrams.formats import FORMATS
@@ -31,6 +20,7 @@ if TYPE_CHECKING:
 
 _OPTIONS: Final = ("talker", "settling", "ins_good", "transducers")
 """Keys that mean something to some formats alone."""
+_TAKEN: Final = ("registers", "mqtt", "influx")
 
 
 def output_faults(
@@ -39,12 +29,9 @@ def output_faults(
     *,
     imu_hz: float | None,
     points: Collection[object] | None,
-    servers: Mapping[str, tuple[str, int]],
-    others: Mapping[str, AnyLink],
 ) -> list[str]:
     """``listed``: the tables as they are written; ``known``: those of which the telegram is known, by index, with
     defaults in place of what is wrong. ``imu_hz``: its rate; ``points``: names of the points; None: not known.
-    ``servers``: host and port of whatever else listens on TCP, ``others``: links of whatever else there is, by key.
     """
     faults: list[str] = []
     links: dict[int, AnyLink] = {}
@@ -55,6 +42,10 @@ def output_faults(
                 links[i] = parse_any_link(table["link"], SCHEMES)
             except ValueError as error:
                 faults.append(f"{path}.link: {error}")
+        if isinstance(table, dict) and table.get("name") in _TAKEN:
+            faults.append(
+                f"{path}.name: {table['name']!r} is that of the table [{table['name']}] in status and metrics"
+            )
         if i in known:
             form = FORMATS[known[i].telegram]
             faults += _name_faults(path, known[i].name)
@@ -64,7 +55,7 @@ def output_faults(
             if i in links:
                 faults += _line_faults(path, known[i], form, links[i])
                 faults += _allow_faults(path, known[i].allow, links[i])
-    return [*faults, *_serial_port_faults(links, others), *_far_end_faults(links, others, servers)]
+    return faults
 
 
 def output_cautions(outputs: Sequence[OutputSpec], compensation_lead_s: float) -> list[str]:
@@ -144,63 +135,10 @@ def _allow_faults(path: str, allow: Sequence[str], link: AnyLink) -> Iterator[st
             ipaddress.ip_network(network)
         except ValueError as error:
             yield f"{path}.allow[{i}]: {error}"
-    host = _address(link.host)
-    if host is None:
+    try:
+        host = ipaddress.ip_address("127.0.0.1" if link.host == "localhost" else link.host)
+    except ValueError:
         yield f"{path}.link: {link.host!r} is no IP address; give the address to listen on, e.g. 127.0.0.1"
-    elif not host.is_loopback and not allow:
+        return
+    if not host.is_loopback and not allow:
         yield f"{path}.link: {link} listens beyond this machine; name who may connect in {path}.allow"
-
-
-# ---- beside each other -----------------------------------------------------------------------------------------------
-
-
-def _serial_port_faults(links: Mapping[int, AnyLink], others: Mapping[str, AnyLink]) -> Iterator[str]:
-    """A serial port has one user. It may go by two names, such as /dev/ttyUSB0 and its link under /dev/serial/by-id."""
-    users: dict[str, str] = {}
-    for key, link in {**others, **{f"output[{i}]": link for i, link in links.items()}}.items():
-        if isinstance(link, SerialLink):
-            user = users.setdefault(os.path.realpath(link.path), key)
-            if user != key and key not in others:
-                yield f"{key}.link: {link.path} is the port of {user} already: give each a port of its own"
-
-
-def _far_end_faults(
-    links: Mapping[int, AnyLink], others: Mapping[str, AnyLink], servers: Mapping[str, tuple[str, int]]
-) -> Iterator[str]:
-    """A port at which two would listen, or at which something else is than who reads telegrams."""
-    taken = dict(servers)
-    for i, link in links.items():
-        if isinstance(link, TcpListenLink):
-            users = [key for key, (host, port) in taken.items() if port == link.port and _meet(host, link.host)]
-            if users:
-                yield f"output[{i}].link: port {link.port} is also that of {users[0]}: choose another"
-            taken[f"output[{i}].link"] = link.host, link.port
-    hearing = {key: (at.host, at.port) for key, at in others.items() if isinstance(at, UdpListenLink)}
-    for i, link in links.items():
-        if isinstance(link, TcpLink | UdpLink):
-            there = next((key for key, other in others.items() if other == link), "")
-            if there:
-                yield f"output[{i}].link: at {link} there is already what {there} talks to: correct one of them"
-            ours = taken if isinstance(link, TcpLink) else hearing
-            own = [key for key, (host, port) in ours.items() if port == link.port and _meet(host, link.host)]
-            if own and _is_here(link.host):
-                yield f"output[{i}].link: at {link} heaved itself listens ({own[0]}): correct it"
-
-
-def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
-    with suppress(ValueError):
-        return ipaddress.ip_address("127.0.0.1" if host == "localhost" else host)
-    return None
-
-
-def _is_here(host: str) -> bool:
-    address = _address(host)
-    return address is not None and address.is_loopback
-
-
-def _meet(one: str, other: str) -> bool:
-    """Whether who listens on the one address has connections to the other."""
-    a, b = _address(one), _address(other)
-    if a is None or b is None or a.version != b.version:
-        return False
-    return a == b or a.is_unspecified or b.is_unspecified

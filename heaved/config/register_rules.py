@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import ipaddress
-import os
-from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from heaved.links import SerialLink, TcpLink, parse_link
@@ -12,23 +10,17 @@ from heaved.networks import is_loopback_host, parse_networks
 from heaved.outputs.register_map import Mode, RegistersParams, table, write_time_s
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Sequence
 
     from heaved.config import Config
-    from heaved.devices.profile import DeviceSpec
-    from heaved.links import Link
 
 _REGISTERS = 65536
 _ALWAYS_S = (0.05, 0.1, 0.15)
 """Horizons at which roll and pitch are predicted whatever the configuration says."""
 
 
-def register_faults(
-    config: Config, devices: Mapping[int, DeviceSpec], points: Sequence[str], wrong: Collection[str]
-) -> list[str]:
-    """``devices``: the sound ones by their index; ``points``: names of all monitoring points; ``wrong``: paths of keys
-    that have a fault already.
-    """
+def register_faults(config: Config, points: Sequence[str], wrong: Collection[str]) -> list[str]:
+    """``points``: names of all monitoring points; ``wrong``: paths of keys that have a fault already."""
     params = config.registers
     try:
         link = parse_link(params.link)
@@ -38,9 +30,9 @@ def register_faults(
         return []
     faults = [*_content_faults(config, points), *_size_faults(params, points)]
     if params.mode is Mode.SERVE and isinstance(link, TcpLink):
-        faults += [*_listen_faults(params, link), *_port_faults(config, link), *_own_faults(link, devices)]
+        faults += _listen_faults(params, link)
     if isinstance(link, SerialLink):
-        faults += [*_line_faults(params, link), *_shared_faults(link, devices)]
+        faults += _line_faults(params, link)
     return [fault for fault in faults if fault.partition(":")[0] not in wrong]
 
 
@@ -94,25 +86,6 @@ def _listen_faults(params: RegistersParams, link: TcpLink) -> Iterable[str]:
         )
 
 
-def _port_faults(config: Config, link: TcpLink) -> Iterable[str]:
-    servers = (("stream", True, config.stream), ("http", config.http.enabled, config.http))
-    for name, is_enabled, server in servers:
-        if is_enabled and server.port == link.port and _meet(server.host, link.host):
-            yield f"registers.link: port {link.port} is also {name}.port"
-
-
-def _meet(one: str, other: str) -> bool:
-    """Whether two addresses to listen on are in each other's way."""
-    hosts = {"127.0.0.1" if host == "localhost" else host for host in (one, other)}
-    return len(hosts) == 1 or bool(hosts & {"0.0.0.0", "::"})  # noqa: S104  # Compared, not listened on.
-
-
-def _own_faults(link: TcpLink, devices: Mapping[int, DeviceSpec]) -> Iterable[str]:
-    for i, device in devices.items():
-        if _parsed(device.link) == link:
-            yield f"registers.link: {link} is the link of device[{i}]: it would be asked what it is told"
-
-
 def _line_faults(params: RegistersParams, link: SerialLink) -> Iterable[str]:
     if not 1 <= params.device_id <= 247:
         yield f"registers.device_id: {params.device_id} is no address on a serial line: 1 to 247"
@@ -123,19 +96,3 @@ def _line_faults(params: RegistersParams, link: SerialLink) -> Iterable[str]:
             f"{write_s * 1e3:.1f} ms there, so {int(10.0 / write_s) / 10.0:g} Hz at most: lower it, or raise the "
             "baudrate on both sides"
         )
-
-
-def _shared_faults(link: SerialLink, devices: Mapping[int, DeviceSpec]) -> Iterable[str]:
-    for i, device in devices.items():
-        other = _parsed(device.link)
-        if isinstance(other, SerialLink) and os.path.realpath(other.path) == os.path.realpath(link.path):
-            yield (
-                f"registers.link: {link.path} is the port of device[{i}], where heaved is the master: give the PLC a "
-                "line of its own"
-            )
-
-
-def _parsed(text: str) -> Link | None:
-    with suppress(ValueError):
-        return parse_link(text)
-    return None

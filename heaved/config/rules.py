@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import ipaddress
-import os
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from math import isfinite
 from typing import Any, Final, get_args
 
 import msgspec
 
-from heaved.config import Config
+from heaved.config import Config, services
 from heaved.config.outputs import output_cautions, output_faults
+from heaved.config.ports import Use, port_faults
 from heaved.config.register_rules import register_faults
 from heaved.config.typed import sound_keys, table_of
 from heaved.devices.bandwidth import bandwidth_hz, folding, remedy
@@ -22,8 +22,9 @@ from heaved.devices.profile import DeviceSpec, Role, profile_faults, role_needs,
 from heaved.estimation.craft import fusion
 from heaved.estimation.heave.sea.whittle_fit import TUNING as FIT
 from heaved.estimation.hull import estimate as hull
-from heaved.links import AnyLink, SerialLink, TcpLink, UdpListenLink, parse_any_link, parse_link
+from heaved.links import AnyLink, TcpLink, TcpListenLink, UdpListenLink, parse_any_link, parse_link
 from heaved.outputs.register_map import Mode
+from heaved.outputs.telegram_output import SCHEMES as OUTPUT_SCHEMES
 from heaved.outputs.telegrams.spec import OutputSpec
 
 LEAST_IMU_RATE_HZ: Final = 2.0 * FIT.band_hz[1]
@@ -94,18 +95,22 @@ def rule_faults(file: Written) -> list[str]:
     faults += _point_faults(file)
     faults += _heave_faults(config)
     faults += _stage_params_faults(config)
-    faults += _port_faults(devices)
+    faults += [fault for fault in port_faults(tuple(_uses(file))) if fault.partition(":")[0] not in file.wrong]
+    faults += [fault for fault in services.faults(config) if fault.partition(":")[0] not in file.wrong]
     if not any(".link: " in fault for fault in faults):
         overload = overload_faults(tuple(devices.values()))  # Of the plan, not of the file: see rate_faults.
         faults += [fault for fault in line_faults(tuple(devices.values())) if fault not in overload]
     for name, table in (("stream", config.stream), ("http", config.http)):
         faults += _listen_faults(name, table.host, table.allow)
-    faults += _output_faults(file)
-    same = config.stream.port == config.http.port != 0 and config.stream.host == config.http.host
-    if config.http.enabled and same and not {"stream.port", "http.port"} & file.wrong:
-        faults.append(f"http.port: {config.http.port} is also stream.port")
+    found = output_faults(
+        file.listed("output"),
+        file.outputs,
+        imu_hz=next((device.rate_hz for device in devices.values() if device.role == "imu"), None),
+        points=_points(file),
+    )
+    faults += [fault for fault in found if fault.partition(":")[0] not in file.wrong]
     points = [point.get("name", "") for point in file.listed("point") if isinstance(point, dict)]
-    return faults + register_faults(config, devices, points, file.wrong)
+    return faults + register_faults(config, points, file.wrong)
 
 
 def run_faults(file: Written) -> list[str]:
@@ -132,7 +137,10 @@ def run_faults(file: Written) -> list[str]:
     ]
     return slow + [
         fault
-        for fault in _stage_faults(file.tables, carried, is_complete=is_complete)
+        for fault in (
+            *_stage_faults(file.tables, carried, is_complete=is_complete),
+            *services.run_faults(file.tables),
+        )
         if fault.partition(":")[0] not in file.wrong
     ]
 
@@ -172,7 +180,8 @@ def cautions(config: Config) -> list[str]:
                     f"device {device.name}: timeout_ms {device.timeout_ms:g} is longer than the period of {names} on "
                     "the same line: each answer that it loses costs them polls; lower it, or give each its own line"
                 )
-    return found + output_cautions(config.output, config.compensation.lead_s)
+    found += output_cautions(config.output, config.compensation.lead_s)
+    return found + services.cautions(config)
 
 
 def rate_faults(config: Config) -> list[str]:
@@ -245,32 +254,31 @@ def _points(file: Written) -> Collection[object] | None:
     return [point.get("name") for point in file.listed("point") if isinstance(point, dict)]
 
 
-def _output_faults(file: Written) -> list[str]:
-    """Of the outputs, by themselves and beside whatever else has a link or listens, as far as that is sound."""
+def _uses(file: Written) -> Iterator[Use]:
+    """Who wants which port, as far as that is sound."""
     config = file.tables
-    servers = {"stream.port": (config.stream.host, config.stream.port)}
-    if config.http.enabled:
-        servers["http.port"] = (config.http.host, config.http.port)
-    servers = {key: at for key, at in servers.items() if not {key, key.replace("port", "host")} & file.wrong}
-    others: dict[str, AnyLink] = {}
+    for name, server in (("stream", config.stream), ("http", config.http)):
+        is_on = name == "stream" or config.http.enabled
+        if is_on and not {f"{name}.port", f"{name}.host"} & file.wrong:
+            yield Use(f"{name}.port", TcpListenLink(server.host, server.port))
     for i, device in file.devices.items():
-        with suppress(ValueError):
-            others[f"device[{i}]"] = parse_any_link(device.link, MODBUS if device.is_asked else SCHEMES)
+        if (link := _parsed(device.link, MODBUS if device.is_asked else SCHEMES)) is not None:
+            yield Use(f"device[{i}].link", link, is_master=device.is_asked)
+    registers, mode = config.registers, config.registers.mode
+    if registers.enabled and (link := _parsed(registers.link, MODBUS)) is not None:
+        if mode is Mode.SERVE and isinstance(link, TcpLink):
+            link = TcpListenLink(link.host, link.port)
+        yield Use("registers.link", link, is_master=isinstance(link, TcpLink))
+    for i, output in enumerate(file.listed("output")):
+        link = _parsed(output.get("link"), OUTPUT_SCHEMES) if isinstance(output, dict) else None
+        if link is not None:
+            yield Use(f"output[{i}].link", link)
+
+
+def _parsed(text: object, schemes: Sequence[str]) -> AnyLink | None:
     with suppress(ValueError):
-        link = parse_link(config.registers.link)
-        if config.registers.enabled and config.registers.mode is Mode.SERVE and isinstance(link, TcpLink):
-            servers["registers.link"] = link.host, link.port
-        elif config.registers.enabled:
-            others["registers"] = link
-    found = output_faults(
-        file.listed("output"),
-        file.outputs,
-        imu_hz=next((device.rate_hz for device in file.devices.values() if device.role == "imu"), None),
-        points=_points(file),
-        servers=servers,
-        others=others,
-    )
-    return [fault for fault in found if fault.partition(":")[0] not in file.wrong]
+        return parse_any_link(text, schemes) if isinstance(text, str) else None
+    return None
 
 
 def _heave_faults(config: Config) -> list[str]:
@@ -312,40 +320,6 @@ def overload_faults(devices: tuple[DeviceSpec, ...]) -> list[str]:
         return bus_load_faults(devices)
     except ValueError:
         return []
-
-
-def _port_faults(devices: Mapping[int, DeviceSpec]) -> list[str]:
-    """Ports that cannot be opened twice: a serial port that goes by two names, such as /dev/ttyUSB0 and its link under
-    /dev/serial/by-id; a port, serial or UDP, of a device that speaks by itself, which has it alone.
-    """
-    faults = []
-    first: dict[object, tuple[int, str, DeviceSpec]] = {}
-    for i, device in devices.items():
-        try:
-            link = parse_any_link(device.link, MODBUS if device.is_asked else SCHEMES)
-        except ValueError:
-            continue
-        if isinstance(link, SerialLink):
-            port: object = os.path.realpath(link.path)
-            name = link.path
-        elif isinstance(link, UdpListenLink):
-            port, name = ("udp", link.port), str(link)
-        else:
-            continue
-        other, named, holder = first.setdefault(port, (i, name, device))
-        if other == i:
-            continue
-        if not (device.is_asked and holder.is_asked):
-            faults.append(
-                f"device[{i}].link: {name} is that of device[{other}] already: a device that speaks by itself has its "
-                "port alone; write what comes over one port into one profile"
-            )
-        elif named != name:
-            faults.append(
-                f"device[{i}].link: {name} is the same port as {named} of device[{other}]: give both the same link; "
-                "they share the line"
-            )
-    return faults
 
 
 def _device_faults(path: str, device: DeviceSpec) -> list[str]:

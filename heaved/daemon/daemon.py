@@ -134,7 +134,7 @@ class Daemon:
         self._fed_s = -1.0
         self._fed_frames = 0
         self._publisher = self._make_publisher()
-        self._outputs = Outputs(self.utc.utc_s, clock)
+        self._outputs = Outputs(self.utc.utc_s, clock, self.status)
         self.metrics.have_outputs(lambda: self._outputs.health)
         self._http = self._make_http() if config.http.enabled else None
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import asyncio
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import structlog
 
 from heaved.daemon.supervise import cancelled, supervise
+from heaved.outputs.influx import InfluxOutput
+from heaved.outputs.mqtt import MqttOutput
 from heaved.outputs.registers import register_output
 from heaved.outputs.telegram_output import TelegramOutput
 from heaved.outputs.telegrams.formats import FORMATS
@@ -18,10 +21,11 @@ if TYPE_CHECKING:
 
     from heaved.config import Config
     from heaved.outputs.output import Output, OutputHealth
+    from heaved.outputs.records import StatusRecord
     from heaved.outputs.telegrams.spec import OutputSpec
     from heaved.samples import MotionFrame
 
-TABLES: Final = ("output", "registers", "point")
+TABLES: Final = ("output", "registers", "point", "mqtt", "influx")
 """Of the configuration, whose change makes outputs anew."""
 
 _log = structlog.get_logger(__name__)
@@ -30,9 +34,13 @@ _log = structlog.get_logger(__name__)
 class Outputs:
     """All of them. One that fails, which is a bug, is counted and said once, and costs the others nothing."""
 
-    def __init__(self, utc_s: Callable[[float], float], clock: Callable[[], float]) -> None:
-        """``utc_s``: UTC, seconds since 1970, of a time on ``clock``, the monotonic clock of the frames."""
-        self._utc_s, self._clock = utc_s, clock
+    def __init__(
+        self, utc_s: Callable[[float], float], clock: Callable[[], float], status: Callable[[], StatusRecord]
+    ) -> None:
+        """``utc_s``: UTC, seconds since 1970, of a time on ``clock``, the monotonic clock of the frames. ``status``:
+        makes the STATUS of now.
+        """
+        self._utc_s, self._clock, self._status = utc_s, clock, status
         self._running: dict[object, Output] = {}
         self._tasks: dict[object, asyncio.Task[None]] = {}
         self._bugs: set[str] = set()
@@ -73,10 +81,15 @@ class Outputs:
 
     def _wanted(self, config: Config) -> dict[object, Callable[[], Output]]:
         """By its table, how each output is made."""
+        told: dict[str, Any] = {"status": self._status, "utc_s": self._utc_s, "clock": self._clock}
         wanted: dict[object, Callable[[], Output]] = {spec: self._telegrams(spec) for spec in config.output}
         registers, points = config.registers, tuple(point.name for point in config.point)
         if registers.enabled:
             wanted[registers, points] = partial(register_output, registers, points, self._utc_s, self._clock)
+        if config.mqtt.enabled:
+            wanted["mqtt", msgspec.json.encode(config.mqtt)] = partial(MqttOutput, config.mqtt, **told)
+        if config.influx.enabled:
+            wanted["influx", msgspec.json.encode(config.influx)] = partial(InfluxOutput, config.influx, **told)
         return wanted
 
     def _telegrams(self, spec: OutputSpec) -> Callable[[], Output]:

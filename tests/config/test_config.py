@@ -175,7 +175,7 @@ FAULTS: dict[str, tuple[str, str]] = {
     "http off-host": ('[http]\nhost = "::"', "http.host: :: listens beyond this machine"),
     "host is a name": ('[stream]\nhost = "ship.example"', "stream.host: 'ship.example' is no IP address"),
     "allow is no network": ('[stream]\nallow = ["10.0.0.1/8"]', "stream.allow[0]: 10.0.0.1/8 has host bits set"),
-    "one port twice": ("[http]\nport = 5570", "http.port: 5570 is also stream.port"),
+    "one port twice": ("[http]\nport = 5570", "http.port: port 5570 is also that of stream.port"),
 }
 
 

@@ -131,6 +131,10 @@ FAULTS: dict[str, tuple[str, str]] = {
         output(link=SERIAL) + output(name="b", link=f"{SERIAL}?baudrate=19200"),
         "output[1].link: /dev/ttyUSB7 is the port of output[0] already",
     ),
+    "the name of another kind of output": (
+        output(name="mqtt"),
+        "output[0].name: 'mqtt' is that of the table [mqtt]",
+    ),
     "on the serial port of a device": (
         IMU.replace("tcp://10.0.0.7:502", "rtu:///dev/ttyUSB7?baudrate=115200") + output(link=SERIAL),
         "output[0].link: /dev/ttyUSB7 is the port of device[0] already",
@@ -157,7 +161,7 @@ FAULTS: dict[str, tuple[str, str]] = {
     ),
     "into our own ear": (
         SPEAKING.replace("serial:///dev/ttyUSB7", "udp-listen://127.0.0.1:5000") + output(link="udp://127.0.0.1:5000"),
-        "output[0].link: at udp://127.0.0.1:5000 heaved itself listens (device[0]): correct it",
+        "output[0].link: at udp://127.0.0.1:5000 heaved itself listens (device[0].link): correct it",
     ),
     "two that listen at one port": (
         OTHER + output(link="tcp-listen://127.0.0.1:10110"),

@@ -55,7 +55,7 @@ def faults_of(text: str) -> list[str]:
         ON + 'link = "tcp://127.0.0.2:5570"',
         ON + "horizons_s = []",
         ON + "horizons_s = [3.0]\n[heave]\nforecast_horizons_s = [3.0]\n[rock]\nhorizons_s = [3.0]",
-        PUSH.replace("10.0.0.5:502", "127.0.0.1:5570"),
+        PUSH.replace("10.0.0.5:502", "127.0.0.1:502"),
         SERIAL + DEVICE.format("rtu:///dev/ttyS2?baudrate=9600"),
         PUSH + DEVICE.format("tcp://10.0.0.5:502"),
         SERIAL + 'mode = "push"\nrate_hz = 26',
@@ -100,11 +100,14 @@ FAULTS: dict[str, tuple[str, str]] = {
     "beyond, by a point": (ON + "start = 65470\n" + POINT, "start: 65470 and the 70 registers of the map end beyond"),
     "written beyond": (PUSH + "start = 65531", "registers.start: 65531 and the 6 registers of the map end beyond"),
     "more than there are": (PUSH + "count = 67", "registers.count: the map has 66 registers, not 67"),
-    "the stream's port": (ON + 'link = "tcp://127.0.0.1:5570"', "registers.link: port 5570 is also stream.port"),
-    "the port of http": (ON + 'link = "tcp://localhost:9570"', "registers.link: port 9570 is also http.port"),
+    "the stream's port": (
+        ON + 'link = "tcp://127.0.0.1:5570"',
+        "registers.link: port 5570 is also that of stream.port",
+    ),
+    "the port of http": (ON + 'link = "tcp://localhost:9570"', "registers.link: port 9570 is also that of http.port"),
     "a port on all addresses": (
         ON + 'link = "tcp://0.0.0.0:5570"\nallow = ["10.0.0.0/8"]',
-        "registers.link: port 5570 is also stream.port",
+        "registers.link: port 5570 is also that of stream.port",
     ),
     "for all": (
         ON + 'link = "tcp://0.0.0.0:5502"',
@@ -114,11 +117,11 @@ FAULTS: dict[str, tuple[str, str]] = {
     "no network": (ON + 'allow = ["10.0.0.1/8"]', "registers.allow[0]: '10.0.0.1/8' is not a network such as"),
     "a device's address": (
         ON + 'link = "tcp://127.0.0.1:502"' + DEVICE.format("tcp://127.0.0.1:502"),
-        "registers.link: tcp://127.0.0.1:502 is the link of device[0]",
+        "device[0].link: at tcp://127.0.0.1:502 heaved itself listens (registers.link)",
     ),
     "a device's line": (
         SERIAL + DEVICE.format("rtu:///dev/ttyS1?baudrate=115200"),
-        "registers.link: /dev/ttyS1 is the port of device[0], where heaved is the master: give the PLC a line of its",
+        "registers.link: /dev/ttyS1 is the port of device[0] already: give each a port of its own",
     ),
     "a device's line to push": (
         SERIAL + 'mode = "push"\n' + DEVICE.format("rtu:///dev/../dev/ttyS1"),

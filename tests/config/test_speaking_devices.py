@@ -86,12 +86,12 @@ FAULTS = {
         .replace('"box"', '"other"')
         .replace("craft", "pitch_sensor"),
         "device[1].link: ",
-        "is that of device[0] already",
+        "port 5601 is also that of device[0].link",
     ),
     "a line for one that speaks and one that is asked": (
         SLAVE.replace("LINK", "rtu:///dev/ttyUSB9") + box("serial:///dev/./ttyUSB9"),
         "device[1].link: ",
-        "has its port alone",
+        "give each a port of its own",
     ),
     "blocks beside sentences": (
         box("udp-listen://127.0.0.1:5601")

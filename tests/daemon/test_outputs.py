@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
-from output_peers import SerialPort, free_port
+from output_peers import SerialPort, free_port, nobody_asks
 from output_peers import until as until_so
 from running import PATIENCE_S, demo_config, get, metric, plant_of, running
 from stream_peers import Clock, make_frame
@@ -187,7 +187,7 @@ async def test_a_reload_makes_what_has_changed_anew_and_leaves_the_others(tmp_pa
 
 async def test_a_port_that_is_listened_at_is_free_for_its_successor(tmp_path: Path, places: Places) -> None:
     link = f"tcp-listen://127.0.0.1:{free_port()}"
-    outputs = Outputs(lambda t_s: t_s, Clock())
+    outputs = Outputs(lambda t_s: t_s, Clock(), nobody_asks)
     await outputs.have(Config(output=(telegrams("a", link),)), STOP_S)
     await until_so(lambda: outputs.health[0].is_up)
     places.connect(link)
@@ -203,7 +203,7 @@ async def test_a_bug_in_one_is_counted_said_once_and_costs_the_others_nothing(
 ) -> None:
     links = places.udp(), places.udp()
     clock = Clock()
-    outputs = Outputs(lambda t_s: t_s, clock)
+    outputs = Outputs(lambda t_s: t_s, clock, nobody_asks)
     await outputs.have(Config(output=tuple(telegrams(f"o{i}", link) for i, link in enumerate(links))), STOP_S)
     broken, well = outputs._running.values()
     await until_so(lambda: well._sender.has_reader)  # type: ignore[attr-defined]

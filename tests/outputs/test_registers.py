@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from modbus_slaves import mbap_answer, pdu_answer, rtu
+from output_peers import nobody_asks
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from running_outputs import PATIENCE_S, golden_frame, output_running, until
 from serial_lines import NullModem
@@ -516,7 +517,7 @@ def test_beyond_this_machine_it_needs_networks() -> None:
 async def test_the_daemon_runs_it_when_it_is_enabled() -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    outputs = Outputs(float, Clock())
+    outputs = Outputs(float, Clock(), nobody_asks)
     enabled = Config(registers=RegistersParams(enabled=True, link=f"tcp://127.0.0.1:{port}"))
     await outputs.have(Config(), PATIENCE_S)
     assert outputs.health == []

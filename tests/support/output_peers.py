@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from heaved.outputs.output import Output
+    from heaved.outputs.records import StatusRecord
     from heaved.outputs.senders.sender import Sender
 
 LINE = b"%06d" + b"." * 92 + b"\r\n"
@@ -114,3 +115,8 @@ async def heard(connection: socket.socket, size: int) -> bytes:
             assert data, f"ended after {found!r}"
             found += data
     return found
+
+
+def nobody_asks() -> StatusRecord:
+    """The status of a daemon none of whose outputs tells it."""
+    raise AssertionError
