@@ -6,7 +6,6 @@ import ipaddress
 from math import ceil, floor
 from typing import TYPE_CHECKING, Any, Final
 
-from heaved.config import Config
 from heaved.devices.link import BAUD_RATES
 from heaved.links import AnyLink, SerialLink, TcpListenLink, character_s, parse_any_link
 from heaved.outputs.motion import Lead
@@ -48,7 +47,6 @@ def output_faults(
             )
         if i in known:
             form = FORMATS[known[i].telegram]
-            faults += _name_faults(path, known[i].name)
             faults += _option_faults(path, table, known[i].telegram)
             faults += _point_faults(path, known[i].point, points)
             faults += _rate_faults(path, known[i], form, imu_hz)
@@ -73,12 +71,6 @@ def output_cautions(outputs: Sequence[OutputSpec], compensation_lead_s: float) -
 
 
 # ---- each by itself --------------------------------------------------------------------------------------------------
-
-
-def _name_faults(path: str, name: str) -> Iterator[str]:
-    """Outputs that have a table of their own, such as ``[registers]``, are called as that in status and metrics."""
-    if name in Config.__struct_fields__:
-        yield f"{path}.name: {name!r} is what heaved calls [{name}]: choose another"
 
 
 def _option_faults(path: str, table: Mapping[str, Any], telegram: Telegram) -> Iterator[str]:

@@ -73,10 +73,6 @@ FAULTS: dict[str, tuple[str, str]] = {
     "no such sign": (output(heave_positive="yes"), "output[0].heave_positive: must be 'up' or 'down' (got 'yes')"),
     "unknown key": (output(baudrate=9600), "output[0].baudrate: unknown key; known here: name, telegram, link"),
     "a name with a space": (output(name="the plc"), "output[0].name: Expected `str` matching regex"),
-    "the name of another output": (
-        output(name="registers"),
-        "output[0].name: 'registers' is what heaved calls [registers]",
-    ),
     "one name twice": (output() + output(telegram="em3000"), "output[1].name: 'plc' is already the name of output[0]"),
     "no such scheme": (
         output(link="rtu:///dev/ttyS0"),
