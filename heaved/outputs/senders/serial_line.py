@@ -108,7 +108,7 @@ class SerialSender:
 
     def _fail(self, error: OSError) -> None:
         reason = error.strerror or str(error)
-        self._health.lost[DOWN] += bool(self._begun) + bool(self._next)
+        self._health.lost.update(DOWN for telegram in (self._begun, self._next) if telegram)
         self._health.down(f"{self._link.path} has gone ({reason}): plug the adapter in, or look at its cable")
         self._close()
         self._lost.set()

@@ -1,10 +1,13 @@
-"""One peer on TCP that reads telegrams: what waits for it, and when it is given up."""
+"""One peer on TCP that reads telegrams: what waits for it, what is too late for it, and when it is given up."""
 
 from __future__ import annotations
 
 import asyncio
 import socket
+import sys
+import termios
 from collections import deque
+from fcntl import ioctl
 from math import inf
 from typing import TYPE_CHECKING, Final, cast
 
@@ -23,6 +26,9 @@ _SEND_BUFFER_BYTES: Final = 16 * 1024
 _UNSENT_BYTES: Final = 512
 """Of the system, for what cannot be on its way yet, since who reads does not keep up: it would come seconds too late,
 and many formats tell no time."""
+_MOST_BEHIND_S: Final = 1.0
+"""With a telegram that has been under way for so long, none is sent after it: when a cable is in again, or a radio link
+has emptied its buffers, all would come at once. More than the way over a satellite and back."""
 _UNACKNOWLEDGED_MS: Final = 5000
 """A peer that is not there any more (cable, power) does not acknowledge what is sent."""
 _IDLE_S: Final = 10
@@ -53,6 +59,9 @@ class TcpPeer(asyncio.Protocol):
         self._link, self._health, self._clock = link, health, clock
         self._transport: asyncio.Transport | None = None
         self._queue: deque[bytes] = deque()
+        self._given_bytes = 0
+        self._under_way: deque[tuple[int, float]] = deque()
+        """Telegrams that are not acknowledged: where each ends in what was given to the system, and when that was."""
         self._is_paused = False
         self._full_since_s = inf
         self._admit = admit
@@ -80,8 +89,9 @@ class TcpPeer(asyncio.Protocol):
     def connection_lost(self, error: Exception | None) -> None:
         """It is gone."""
         self._transport = None
-        self._health.lost[DOWN] += len(self._queue)
-        self._queue.clear()
+        if self._queue:
+            self._health.lost[DOWN] += len(self._queue)
+            self._queue.clear()
         if not self.closed.done():
             self.closed.set_result(self._why or explain(self._link, error or ConnectionResetError("closed")))
 
@@ -101,11 +111,8 @@ class TcpPeer(asyncio.Protocol):
         if self._transport is None:
             self._health.lost[DOWN] += 1
             return
-        if not self._is_paused:
-            self._transport.write(data)
-            self._health.sent += 1
-            return
         self._queue.append(data)
+        self._go_on(self._transport)
         if len(self._queue) <= _MOST_WAITING:
             return
         self._queue.popleft()
@@ -115,15 +122,34 @@ class TcpPeer(asyncio.Protocol):
         if now_s - self._full_since_s > STUCK_S:
             self.close(f"{self._link} has taken nothing for {STUCK_S:g} s: look at the program that reads there")
 
+    def _go_on(self, transport: asyncio.Transport) -> None:
+        while self._queue and not self._is_paused and not self._is_behind(transport):
+            telegram = self._queue.popleft()
+            transport.write(telegram)
+            self._given_bytes += len(telegram)
+            self._under_way.append((self._given_bytes, self._clock()))
+            self._full_since_s = inf
+            self._health.sent += 1
+
+    def _is_behind(self, transport: asyncio.Transport) -> bool:
+        """Whether the oldest telegram that the peer's system has not acknowledged is too old to send more after it."""
+        if not self._under_way:
+            return False
+        waiting = ioctl(transport.get_extra_info("socket").fileno(), termios.TIOCOUTQ, bytes(4))
+        taken_bytes = self._given_bytes - transport.get_write_buffer_size() - int.from_bytes(waiting, sys.byteorder)
+        while self._under_way and self._under_way[0][0] <= taken_bytes:
+            self._under_way.popleft()
+        return bool(self._under_way) and self._clock() - self._under_way[0][1] > _MOST_BEHIND_S
+
     def pause_writing(self) -> None:
         """It does not keep up."""
         self._is_paused = True
 
     def resume_writing(self) -> None:
         """It does again."""
-        self._is_paused, self._full_since_s = False, inf
-        while self._queue and not self._is_paused:
-            self.send(self._queue.popleft())
+        self._is_paused = False
+        if self._transport is not None:
+            self._go_on(self._transport)
 
     def data_received(self, data: bytes) -> None:
         """Throw away what it says."""

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 _UNHEARD: Final = (errno.ECONNREFUSED, errno.EHOSTUNREACH)
 """What is told of an earlier datagram; the socket is as good as before."""
 _FULL: Final = (errno.EAGAIN, errno.ENOBUFS)
+_SEND_BUFFER_BYTES: Final = 4096
+"""Of the system, which doubles it: some ten datagrams. Its own would hold those of minutes for a slow radio link."""
 _BELIEVED_S: Final = 10.0
 """After so long without a complaint it is well again: the system complains at most once a second, of a machine that is
 not there every three."""
@@ -112,6 +114,7 @@ class UdpSender:
         opened = socket.socket(family, kind)
         try:
             opened.setblocking(False)
+            opened.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
             opened.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
             opened.connect(where)  # So that complaints come here, and nobody else's datagrams.
         except OSError:

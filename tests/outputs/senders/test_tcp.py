@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 import struct
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from typing import TYPE_CHECKING
 
 import pytest
@@ -144,14 +144,18 @@ async def test_one_that_never_reads_loses_the_oldest_then_its_connection() -> No
                 sender.send(LINE % count)
                 assert sender.has_reader
                 # It reads on: whole telegrams, a gap of exactly what was counted, the newest at the end.
-                kept_numbers: list[int] = []
-                while not kept_numbers or kept_numbers[-1] < count:
-                    line = await heard(connection, 100)
-                    assert line == LINE % int(line[:6])
-                    kept_numbers.append(int(line[:6]))
-                assert kept_numbers == sorted(kept_numbers)
-                assert count + 1 - len(kept_numbers) == health.lost["slow"]
-                assert health.sent == len(kept_numbers)
+                found = b""
+                while not found.endswith(LINE % count):
+                    count += 1
+                    sender.send(LINE % count)
+                    await asyncio.sleep(0)
+                    with suppress(BlockingIOError):
+                        found += connection.recv(1 << 20)
+                numbers = [int(found[i : i + 6]) for i in range(0, len(found), 100)]
+                assert found == b"".join(LINE % number for number in numbers)
+                assert numbers == sorted(set(numbers))
+                assert count + 1 - len(numbers) == health.lost["slow"]
+                assert health.sent == len(numbers)
                 # It stops again, for good.
                 before = health.lost["slow"]
                 while health.lost["slow"] == before:
@@ -164,6 +168,36 @@ async def test_one_that_never_reads_loses_the_oldest_then_its_connection() -> No
                 assert "has taken nothing for 10 s" in health.detail
             with await machine.accept():
                 await until(lambda: health.is_up)
+
+
+async def test_nothing_is_sent_after_what_has_been_under_way_for_long() -> None:
+    """As while a cable is out: when it is in again, a burst of old telegrams would be taken for the present."""
+    health, clock = make_health(), Clock()
+    async with reader() as machine:
+        sender = TcpSender(machine.link, health, clock)
+        async with kept(sender):
+            with await machine.accept() as connection:
+                await until(lambda: sender.has_reader)
+                assert sender._peer is not None
+                while not sender._peer._under_way:  # Until its system takes no more.
+                    for _ in range(10):
+                        sender.send(LINE % 0)
+                    await asyncio.sleep(0)
+                    sender._peer._is_behind(sender._peer._transport)  # type: ignore[arg-type]
+                taken = health.sent
+                clock.now_s += 1.1
+                for i in range(1, 20):
+                    sender.send(LINE % i)
+                assert health.sent == taken
+                assert health.lost["slow"] == 11  # Eight wait.
+                await heard(connection, 100 * taken)
+
+                def goes_on() -> bool:
+                    sender.send(LINE % 99)
+                    return health.sent > taken
+
+                await until(goes_on)
+                assert await heard(connection, 100) > LINE % 11
 
 
 async def test_a_black_hole_is_given_up_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
