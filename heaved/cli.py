@@ -359,6 +359,8 @@ def demo(
             _say(f"sea {sea}, simulated {_device_line(device)}")
         port = "" if config.stream.port == PORT else f" --port {config.stream.port}"
         _say(f"look at it: heaved watch{port}, heaved status{port}, nc {config.stream.host} {config.stream.port}")
+        for line in demonstration.how_to_look(config):
+            _say(line)
 
     try:
         code = demonstration.run(
