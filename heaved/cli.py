@@ -235,7 +235,7 @@ def watch(host: Host = HOST, port: Port = PORT) -> None:
     """Show the motion live in the terminal, until Ctrl-C."""
     from heaved.client.screen import watch
 
-    if not sys.stdout.isatty():
+    if not sys.stdout.isatty() or os.environ.get("TERM") in ("dumb", "unknown"):
         _fail(f"watch draws on a terminal, and this is none; for the data itself read the stream: nc {host} {port}", 1)
     try:
         watch(host, port, sys.stdout)
