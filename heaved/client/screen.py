@@ -44,7 +44,11 @@ _SCALES_M: Final = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 _WIDE: Final = 150
 """Columns from which two tables stand side by side."""
 _HORIZONS: Final = 4
-"""Most predictions that a table shows: as many as 80 columns hold."""
+"""Most predictions that a table shows ..."""
+_COLUMN: Final = 15
+"""... each so wide, beside ..."""
+_FIRST_COLUMNS: Final = 15
+"""... what stands before them: a number that is cut short would be another number."""
 
 
 class _Look(msgspec.Struct, frozen=True):
@@ -116,7 +120,8 @@ class View:
         if status is not None:
             parts += _troubles(status)
         if motion is not None:
-            tables = [_attitude_table(motion, fresh), *_forecast_tables(motion, fresh)]
+            horizons = max(0, min(_HORIZONS, (width - _FIRST_COLUMNS) // _COLUMN))
+            tables = [_attitude_table(motion, fresh, horizons), *_forecast_tables(motion, fresh, horizons)]
             parts += [_side_by_side(tables)] if width >= _WIDE else tables
             if motion.points:
                 parts.append(_points_table(motion.points, is_known=_is_usable(fresh)))
@@ -159,7 +164,7 @@ class View:
                 heave,
                 _Bar(_of(shown, "heave_m"), scale_m),
                 *(_text(reason, look.style) for reason in reasons),
-                _text(f"{correction}age {duration(age_s)}   {motion.time}"),
+                _told(f"age {duration(age_s)}   {correction}{motion.time}"),
             ),
             title=_text(f" {look.mark} {title} ", f"{look.style} reverse"),
             title_align="left",
@@ -208,8 +213,8 @@ def _told(text: str, style: str = "") -> Text:
     return Text(printable(text), style=style, overflow="fold")
 
 
-def _table(*heads: str, rows: Iterable[Sequence[str | Text]]) -> Table:
-    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim", pad_edge=False)
+def _table(*heads: str, rows: Iterable[Sequence[str | Text]], apart: int = 2) -> Table:
+    table = Table(box=None, padding=(0, apart, 0, 0), header_style="dim", pad_edge=False)
     for index, head in enumerate(heads):
         table.add_column(_text(head), no_wrap=True, justify="left" if index == 0 else "right", overflow="ellipsis")
     for row in rows:
@@ -227,9 +232,9 @@ def _in(horizon_s: float) -> str:
     return f"in {horizon_s * 1e3:g} ms" if horizon_s < 1.0 else f"in {horizon_s:g} s"
 
 
-def _attitude_table(motion: MotionRecord, fresh: MotionRecord | None) -> Table:
+def _attitude_table(motion: MotionRecord, fresh: MotionRecord | None, horizons: int) -> Table:
     """Each axis now and as it is predicted, with the half-width of the 95 % interval."""
-    rock = motion.rock[-_HORIZONS:]
+    rock = motion.rock[-_HORIZONS:][:horizons]
 
     def cells(axis: str) -> Iterator[str]:
         yield axis
@@ -238,19 +243,19 @@ def _attitude_table(motion: MotionRecord, fresh: MotionRecord | None) -> Table:
             value, width = getattr(one, f"{axis}_deg"), getattr(one, f"{axis}_interval_deg")
             yield f"{signed(value, '°', 2)} {spread(width, '', 2)}".rstrip() if fresh else "-"
 
-    heads = ("attitude ±95 %", "now", *(_in(one.horizon_s) for one in rock))
-    return _table(*heads, rows=[tuple(cells(axis)) for axis in ("roll", "pitch", "yaw")])
+    heads = ("±95 %", "now", *(_in(one.horizon_s) for one in rock))
+    return _table(*heads, rows=[tuple(cells(axis)) for axis in ("roll", "pitch", "yaw")], apart=1)
 
 
-def _forecast_tables(motion: MotionRecord, fresh: MotionRecord | None) -> list[RenderableType]:
-    forecast = motion.forecast[-_HORIZONS:]
+def _forecast_tables(motion: MotionRecord, fresh: MotionRecord | None, horizons: int) -> list[RenderableType]:
+    forecast = motion.forecast[-_HORIZONS:][:horizons]
     if not forecast:
         return []
     is_known = _is_usable(fresh)
     cells = [
         f"{signed(one.heave_m, ' m', 2)} {spread(one.std_m, '', 2)}".rstrip() if is_known else "-" for one in forecast
     ]
-    return [_table("forecast ±1σ", *(_in(one.horizon_s) for one in forecast), rows=[("heave", *cells)])]
+    return [_table("±1σ", *(_in(one.horizon_s) for one in forecast), rows=[("heave", *cells)], apart=1)]
 
 
 def _points_table(points: tuple[PointRecord, ...], *, is_known: bool) -> Table:

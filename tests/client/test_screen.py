@@ -173,12 +173,19 @@ def test_all_of_a_usual_ship_fits_on_80_by_24() -> None:
     view = View("127.0.0.1:5570")
     view.connected("1.2.3", 0.0)
     points = tuple(PointRecord(name=name, heave_m=-1.0, heave_std_m=0.1) for name in ("crane-tip", "moon-pool"))
-    view.push(motion(points=points), 0.0)
+    turned = motion(points=points, heave_m=-12.34)
+    rock = tuple(
+        msgspec.structs.replace(one, yaw_deg=-179.99, roll_deg=-12.34, roll_interval_deg=12.34, yaw_interval_deg=0.12)
+        for one in turned.rock
+    )
+    view.push(msgspec.structs.replace(turned, rock=rock, yaw_deg=-179.99), 0.0)
     imu = make_status().devices[0]
     view.push(make_status(devices=(imu, msgspec.structs.replace(imu, name="laser", role="laser"))), 0.0)
+    for width in (60, 80, 120, 160):
+        assert "…" not in drawn(view, 0.1, width)
     text = drawn(view, 0.1, 80)
     assert len(text.splitlines()) <= 24
-    assert "…" not in text
+    assert text.count("-179.99° ±0.12") == 4
 
 
 def test_without_colours_nothing_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
