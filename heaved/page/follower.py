@@ -138,9 +138,9 @@ class Follower:
             raise UnreachableError(Trouble.NO_ADDRESS, f"{self._where}: no such host: {error}") from error
         failure: OSError = TimeoutError()
         for address in addresses:
-            connecting = asyncio.open_connection(address, self._port, limit=_MAX_LINE_BYTES)
             try:
-                return await asyncio.wait_for(connecting, _CONNECT_S)
+                async with asyncio.timeout(_CONNECT_S):
+                    return await asyncio.open_connection(address, self._port, limit=_MAX_LINE_BYTES)
             except OSError as error:
                 failure = error
         if isinstance(failure, TimeoutError):
@@ -179,7 +179,8 @@ class Follower:
             UnreachableError: there is none, or it is not of the stream.
         """
         try:
-            line = await asyncio.wait_for(reader.readline(), SILENCE_S)
+            async with asyncio.timeout(SILENCE_S):
+                line = await reader.readline()
         except TimeoutError as error:
             message = f"{self._where}: nothing said for {SILENCE_S:g} s: the daemon hangs, or the network is gone"
             raise UnreachableError(Trouble.SILENT, message) from error

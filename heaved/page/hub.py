@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
+from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -65,10 +66,9 @@ class Viewer:
 
     async def wait(self, timeout_s: float) -> None:
         """Until there is something to send, or in any case for so long."""
-        try:
-            await asyncio.wait_for(self._news.wait(), timeout_s)
-        except TimeoutError:
-            return
+        with suppress(TimeoutError):
+            async with asyncio.timeout(timeout_s):
+                await self._news.wait()
 
     def take(self, now_s: float) -> bytes:
         """All that waits, as events, and at first the time."""

@@ -63,6 +63,7 @@ _HEADERS: Final = {
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cross-Origin-Opener-Policy": "same-origin",
+    "Server": "heaved",
     "Permissions-Policy": "camera=(), microphone=(), geolocation=()",
 }
 
@@ -261,7 +262,8 @@ class PageServer:
                 now_s = self._clock()
                 if transport.get_write_buffer_size() == 0:  # What was sent before, it has taken.
                     taken_s = now_s
-                    await asyncio.wait_for(response.write(viewer.take(now_s)), STUCK_S)
+                    async with asyncio.timeout(STUCK_S):
+                        await response.write(viewer.take(now_s))
                 elif now_s - taken_s > STUCK_S:
                     raise TimeoutError
                 await asyncio.sleep(_BATCH_S)

@@ -227,6 +227,17 @@ async def test_frames_that_flow_but_were_held_up_on_the_way_are_old() -> None:
         flowing.cancel()
 
 
+async def test_a_fault_of_the_page_itself_leaves_no_number(serve: Serve) -> None:
+    served = await serve(clock=time.monotonic)
+    async with page(served.port) as (tab, server):
+        with publishing(served.publisher, with_points):
+            await until_text(tab, "heave-m", "+1.25")
+            server.hub.hear(make_status(), b'{"class":"STATUS","devices":[null]}', time.monotonic())
+            await until_text(tab, "title", "PAGE FAULT")
+            assert await shown(tab, "heave-m", "roll", "hs", "point-rows") == ["–", "–", "–", "–"]
+            await until_text(tab, "title", "HEAVE VALID")  # Once that STATUS is too old to be shown.
+
+
 async def test_choices_are_remembered_and_have_their_keys(serve: Serve) -> None:
     served = await serve(clock=time.monotonic)
     theme = "document.documentElement.dataset.theme"

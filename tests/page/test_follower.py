@@ -163,6 +163,19 @@ async def test_where_nobody_is_it_says_so_once(host: str, said: str, monkeypatch
         assert len(ear.links) == 2
 
 
+async def test_it_ends_when_it_is_told_to_at_whatever_moment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In Python 3.11 ``asyncio.wait_for`` forgets that it was cancelled when what it waits for ends just then."""
+    monkeypatch.setattr(follower, "_RETRY_S", 0.0)
+    for turns in [*range(40)] * 5:
+        task = asyncio.create_task(Follower("127.0.0.1", 1, Ear()).run())
+        for _ in range(turns):
+            await asyncio.sleep(0.0)
+        task.cancel()
+        done, _ = await asyncio.wait([task], timeout=20.0)
+        assert task in done
+        assert task.cancelled()
+
+
 async def test_a_class_of_a_newer_daemon_is_passed_over_and_a_line_stays_one_line() -> None:
     status = (
         b'{"class":"STATUS",\r"release":"9","uptime_s":1.0,"frames":1,"heave":{},"devices":[],"clients":1,"dropped":0,'

@@ -116,6 +116,39 @@ def test_the_page_needs_nothing_from_elsewhere_and_names_what_is_there() -> None
     assert used <= ids
 
 
+def _luminance(colour: str) -> float:
+    """Relative luminance (WCAG 2.2)."""
+    digits = colour.removeprefix("#")
+    digits = digits if len(digits) >= 6 else "".join(2 * digit for digit in digits)
+    levels = [int(digits[k : k + 2], 16) / 255.0 for k in (0, 2, 4)]
+    red, green, blue = (x / 12.92 if x <= 0.04045 else ((x + 0.055) / 1.055) ** 2.4 for x in levels)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+def _contrast(one: str, other: str) -> float:
+    darker, lighter = sorted((_luminance(one), _luminance(other)))
+    return (lighter + 0.05) / (darker + 0.05)
+
+
+@pytest.mark.parametrize(
+    ("theme", "least"), [("", 4.5), ('[data-theme="night"]', 4.5), ('[data-theme="contrast"]', 7.0)]
+)
+def test_every_text_stands_out_from_what_is_behind_it(theme: str, least: float) -> None:
+    css = static_files()["/page.css"][0].decode()
+    found = re.search(rf":root{re.escape(theme)} {{(.*?)}}", css, re.DOTALL)
+    assert found
+    colours = dict(re.findall(r"--([\w-]+): (#\w+);", found[1]))
+    pairs = [("fg", "panel"), ("fg", "bg"), ("dim", "panel"), ("dim", "bg"), ("up", "panel"), ("bg", "fg")]
+    pairs += [(f"{level}-fg", f"{level}-bg") for level in ("good", "caution", "settling", "alarm")]
+    ratios = {pair: _contrast(*(colours[name] for name in pair)) for pair in pairs}
+    assert not {pair: round(ratio, 1) for pair, ratio in ratios.items() if ratio < least}
+    # Lines: 3 is what WCAG asks of what is not text.
+    lines = {
+        name: _contrast(colours[name], colours["panel"]) for name in ("heave", "forecast", "laser", "roll", "pitch")
+    }
+    assert not {name: round(ratio, 1) for name, ratio in lines.items() if ratio < 3.0}
+
+
 @pytest.mark.parametrize(
     ("request_", "status", "said"),
     [

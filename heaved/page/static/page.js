@@ -242,6 +242,21 @@ document.addEventListener("keydown", (event) => {
   if (!event.ctrlKey && !event.altKey && !event.metaKey && Object.hasOwn(KEYS, event.key)) { KEYS[event.key](); event.preventDefault(); }
 });
 const feed = new Feed();
-// Before the browser paints what it may have kept from before it slept.
-document.addEventListener("visibilitychange", show);
-setInterval(() => { feed.tick(); show(); }, TICK_MS);
+// What we did not foresee must not leave numbers standing that look alive.
+function beat() {
+  try {
+    feed.tick();
+    show();
+  } catch (error) {
+    document.body.classList.add("withheld", "no-heave");
+    showBand({ level: "alarm", mark: "✖", title: "PAGE FAULT", reason: `please report it: ${error}`, also: [] });
+    for (const output of document.querySelectorAll("main output, main tbody, main ul, footer output")) {
+      output.replaceChildren(NOT_KNOWN);
+      delete output.dataset.words;
+    }
+  }
+}
+
+// Also before the browser paints what it may have kept from before it slept.
+document.addEventListener("visibilitychange", beat);
+setInterval(beat, TICK_MS);
