@@ -341,6 +341,16 @@ def test_sim_serves_until_it_is_told_to_stop() -> None:
     assert not os.path.lexists(path)
 
 
+@pytest.mark.parametrize("term", ["dumb", "unknown"])
+def test_watch_says_that_a_terminal_cannot_draw(
+    term: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("TERM", term)
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    assert main(["watch"]) == 1
+    assert "read the stream: nc 127.0.0.1 5570" in capsys.readouterr().err
+
+
 # ---- the page --------------------------------------------------------------------------------------------------------
 
 

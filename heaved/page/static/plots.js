@@ -172,8 +172,8 @@ export class AttitudePlot extends TimePlot {
       for (const k of [6, 7, 8]) data[k][at_s.length - 1] = pitch.at(-1);
     }
     // The intervals of the longest predictions may be wide: they shall not make the motion itself small.
-    const motionScale = scaleOf([roll, pitch], 0.5);
-    this.draw(now_s, span_s, data, Math.max(motionScale, Math.min(scaleOf(data.slice(3), 0.5), 2 * motionScale)));
+    const least = scaleOf([roll, pitch], 0.5), next = HEIGHTS[HEIGHTS.indexOf(least) + 1] ?? least;
+    this.draw(now_s, span_s, data, Math.max(least, Math.min(scaleOf(data.slice(3), 0.5), next)));
   }
 }
 
