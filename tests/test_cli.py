@@ -22,7 +22,7 @@ from heaved.config.read import data_directory
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-COMMANDS = ("run", "demo", "status", "watch", "wait", "check-config", "probe", "replay", "sim")
+COMMANDS = ("run", "demo", "status", "watch", "page", "wait", "check-config", "probe", "replay", "sim")
 
 
 @pytest.fixture
@@ -339,3 +339,41 @@ def test_sim_serves_until_it_is_told_to_stop() -> None:
     assert sim.returncode == 0, errors
     assert errors == ""
     assert not os.path.lexists(path)
+
+
+@pytest.mark.parametrize("term", ["dumb", "unknown"])
+def test_watch_says_that_a_terminal_cannot_draw(
+    term: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("TERM", term)
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    assert main(["watch"]) == 1
+    assert "read the stream: nc 127.0.0.1 5570" in capsys.readouterr().err
+
+
+# ---- the page --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--host", "0.0.0.0"], "--host 0.0.0.0 can be reached from other machines: name the networks"),
+        (["--allow", "everybody"], "--allow: 'everybody' is not a network such as 192.168.10.0/24"),
+        (["--host", "192.0.2.1", "--allow", "192.0.2.0/24"], "cannot listen on 192.0.2.1:8570: "),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_a_page_that_cannot_be_served_says_why(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["page", *arguments]) == 1
+    assert capsys.readouterr().err.startswith(said)
+
+
+def test_a_page_is_served_until_it_is_ended(closed_port: str) -> None:
+    with running("page", "--port", closed_port) as process:
+        assert lines_until(process, "page ") == [f"page http://127.0.0.1:{closed_port}/"]
+        process.send_signal(signal.SIGTERM)
+        out, err = process.communicate()
+        assert (process.returncode, out) == (0, "")
+        assert "Traceback" not in err
