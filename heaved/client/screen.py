@@ -260,7 +260,7 @@ def _forecast_tables(motion: MotionRecord, fresh: MotionRecord | None, horizons:
 
 def _points_table(points: tuple[PointRecord, ...], *, is_known: bool) -> Table:
     def cells(point: PointRecord) -> tuple[str, ...]:
-        state: HeaveState | None = getattr(point, "state", None)
+        state: HeaveState | None = point.state
         if not is_known or state is HeaveState.INVALID:
             return point.name, "-", "", "-", state.value if state and is_known else ""
         return (
@@ -286,7 +286,7 @@ def _troubles(status: StatusRecord) -> Iterator[Text]:
 
 def _outputs(status: StatusRecord) -> tuple[Any, ...]:
     """Those beside the stream."""
-    return tuple(getattr(status, "outputs", ()))
+    return tuple(status.outputs)
 
 
 def _state(is_up: bool) -> Text:

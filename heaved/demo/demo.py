@@ -29,6 +29,8 @@ from heaved.devices.profile import DeviceSpec
 from heaved.estimation.craft.dynamics import Vessel
 from heaved.networks import is_loopback_host
 from heaved.outputs.telegrams.formats import FORMATS
+from heaved.page.server import PageServer
+from heaved.page.server import serve as serve_page
 from heaved.simulate.hydrofoil import Passage
 from heaved.simulate.instruments import Instruments
 from heaved.simulate.plant import SimulatedPlant
@@ -48,6 +50,8 @@ SERIAL_BAUDRATE: Final = 230_400
 SEED: Final = 1
 """Of the sea and of the sensors' errors."""
 _MQTT_PORT: Final = 1883
+_PAGE_HOST: Final = "127.0.0.1"
+_PAGE_PORT: Final = 8570
 _CHILD_STOPS_S: Final = 2.0
 
 
@@ -156,8 +160,9 @@ def run(
     """Serve the sensors of ``config``, by default ``demo.toml``, in a process of their own and run the daemon on them;
     returns its exit code. ``shake`` names what shakes them.
 
-    A third process is the consumer: a simulated winch on the stream, which says on standard output now and then how the
-    hook below it moves. Without a ``config``, and where there is a mosquitto on this machine, a fourth is its broker.
+    A third process serves the page, and a fourth is a consumer: a simulated winch on the stream, which says on standard
+    output now and then how the hook below it moves. Without a ``config``, and where there is a mosquitto on this
+    machine, another is its broker.
 
     What is learned goes to a temporary directory. Ports of the default configuration that are taken are replaced by
     free ones; ``announce`` is told the configuration just before the daemon starts.
@@ -190,8 +195,10 @@ def run(
                 end.start()
             try:
                 heaves = any(device.role == "imu" for device in config.device)
-                winch = _child(_winch_process, config.stream.host, config.stream.port, sea, served.epoch_s)
-                with winch if heaves else contextlib.nullcontext():
+                stream = config.stream.host, config.stream.port
+                winch = _child(_winch_process, *stream, sea, served.epoch_s)
+                page = _child(_page_process, *stream, _free_port(_PAGE_HOST, _PAGE_PORT))
+                with winch if heaves else contextlib.nullcontext(), page:
                     return daemon.run(config, None, log_format=log_format)
             finally:
                 end.cancel()
@@ -254,6 +261,19 @@ def _winch_process(connection: Connection, host: str, port: int, sea: str, epoch
     # Whoever reads the demo's output may have gone: no reason to say more, nor to complain.
     with contextlib.suppress(BrokenPipeError):
         hook.follow(host, port, seaway(sea, SEED), epoch_s, _say, connection.poll)
+
+
+def _page_process(connection: Connection, host: str, port: int, page_port: int) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    async def run() -> None:
+        ended = asyncio.Event()
+        asyncio.get_running_loop().add_reader(connection.fileno(), ended.set)
+        page = PageServer(host=_PAGE_HOST, port=page_port, allow=(), stream_host=host, stream_port=port)
+        await serve_page(page, lambda url: _say(f"in a browser: {url}"), ended)
+
+    with contextlib.suppress(BrokenPipeError):
+        asyncio.run(run())
 
 
 def _say(line: str) -> None:

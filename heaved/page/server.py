@@ -21,8 +21,9 @@ import structlog
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
+from heaved.networks import is_allowed, is_loopback_host, parse_networks
 from heaved.outputs.http import BoundedServer, Refusal, forbidden
-from heaved.outputs.listen import Listener, ListenError, is_allowed, is_loopback_host, parse_networks
+from heaved.outputs.listen import Listener, ListenError
 from heaved.page.follower import Follower
 from heaved.page.hub import Hub
 from heaved.text import printable
