@@ -197,7 +197,7 @@ def run(
                 heaves = any(device.role == "imu" for device in config.device)
                 stream = config.stream.host, config.stream.port
                 winch = _child(_winch_process, *stream, sea, served.epoch_s)
-                page = _child(_page_process, *stream, _free_port(_PAGE_HOST, _PAGE_PORT))
+                page = _child(_page_process, *stream, _free_port(_PAGE_HOST, _PAGE_PORT), log_format)
                 with winch if heaves else contextlib.nullcontext(), page:
                     return daemon.run(config, None, log_format=log_format)
             finally:
@@ -263,8 +263,9 @@ def _winch_process(connection: Connection, host: str, port: int, sea: str, epoch
         hook.follow(host, port, seaway(sea, SEED), epoch_s, _say, connection.poll)
 
 
-def _page_process(connection: Connection, host: str, port: int, page_port: int) -> None:
+def _page_process(connection: Connection, host: str, port: int, page_port: int, log_format: str) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    daemon.configure_logging(log_format)
 
     async def run() -> None:
         ended = asyncio.Event()
