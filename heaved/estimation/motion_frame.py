@@ -278,6 +278,7 @@ class MotionFrames:
             present, roll_acceleration_radps2=roll_bend, pitch_acceleration_radps2=pitch_bend
         )
         ahead = Ahead(heave.acceleration_mps2, bent, heave.forecast, upright)
+        foretold = self._points.foretold(t_s, ahead)
         points = self._points.at(
             Moment(
                 from_s=t_s,
@@ -288,6 +289,7 @@ class MotionFrames:
                 attitude=led,
             ),
             ahead,
+            foretold,
         )
         if now is None:
             return points, ()
@@ -301,6 +303,7 @@ class MotionFrames:
                 attitude=present,
             ),
             ahead,
+            foretold,
         )
 
     def _upright(self, attitude: AttitudeMotion, t_s: float) -> AttitudeMotion:
@@ -314,7 +317,7 @@ class MotionFrames:
         return msgspec.structs.replace(attitude, roll_rad=roll, pitch_rad=pitch)
 
     def _upright_ahead(self, t_s: float, predictions: tuple[RockPrediction, ...]) -> tuple[RockPrediction, ...]:
-        """The same of what is predicted of the measured angles."""
+        """The same of what is predicted of the measured roll and pitch."""
         omega_radps, late_s = self._heave.observer.omega_radps, self._vertical.late_s
         found = []
         for number, one in enumerate(predictions):
@@ -323,8 +326,8 @@ class MotionFrames:
             soon, later = predictions[number : number + 2] if one is not predictions[-1] else predictions[-2:]
             share = late_s / (later.horizon_s - soon.horizon_s)
             found.append(
-                msgspec.structs.replace(
-                    one,
+                RockPrediction(
+                    horizon_s=one.horizon_s,
                     roll_rad=one.roll_rad - lean.roll_rad + share * (later.roll_rad - soon.roll_rad),
                     pitch_rad=one.pitch_rad - lean.pitch_rad + share * (later.pitch_rad - soon.pitch_rad),
                     roll_std_rad=hypot(one.roll_std_rad, lean.roll_std_rad),

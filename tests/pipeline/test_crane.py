@@ -299,8 +299,10 @@ def test_what_an_attitude_sensor_leans_and_is_late_is_taken_out_of_the_tip() -> 
     assert np.mean(np.abs(errors) < 2.0 * of(frames, "heave_std_m", 0)[late]) > 0.85
     acceleration = np.gradient(np.gradient(heave_m, made.t_s), made.t_s)[late]
     assert rms(of(frames, "heave_acceleration_mps2", 0)[late] - acceleration) < 0.2 * rms(acceleration)
-    foretold = np.array([(f.points[0].forecast[3].heave_m, f.points[0].forecast[3].std_m) for f in frames])[late][:-10]
-    off = foretold[:, 0] - heave_m[late][10:]
+    later = round(0.5 * RATE_HZ)
+    ahead = [frame.points[0].forecast[3] for frame in frames if frame.t_s > 150.0]
+    foretold = np.array([(one.heave_m, one.std_m) for one in ahead])[:-later]
+    off = foretold[:, 0] - heave_m[late][later:]
     assert rms(off) < 0.4 * leaning
     assert np.mean(np.abs(off) < 2.0 * foretold[:, 1]) > 0.85
 

@@ -81,7 +81,7 @@ makes of the integrals is no straight line."""
 SETTLED: Final = 4.0
 """So many times as long it takes to know that; before, it is known less by as much as is lacking."""
 SHOWN: Final = 2.0
-"""Standard deviations from which the record has shown a lean or a lateness of angles, for whoever uses them elsewhere."""
+"""Standard deviations from which the record has shown a lean, or a lateness, to whoever wants the angles themselves."""
 COHERENT: Final = 3.0
 """Radians of the waves over which they have lost most of what they have in common with now."""
 
@@ -186,6 +186,8 @@ class AttitudeError:
         k = self.lean_per_s if self.lean_per_s > SHOWN * std else 0.0
         settling = max(SETTLED * MEAN_S / max(self._followed_s, MEAN_S), 1.0)
         doubt = hypot(std, OF_LEAN * k * settling)
+        if k == 0.0:
+            return Lean(0.0, 0.0, std * sqrt(self._square_across), std * sqrt(self._square_along))
         turned = omega_radps * max(since_s, 0.0)
         left = exp(-((turned / COHERENT) ** 2))
         c, s = left * cos(turned), left * (sin(turned) / omega_radps if omega_radps > 0.0 else since_s)
