@@ -63,7 +63,7 @@ RECORDED: tuple[tuple[str, str], ...] = (
     ("accuracy.py hull --shake --runs 16", "15 min"),
     ("accuracy.py attitude", "20 min"),
     ("accuracy.py attitude --shake --runs 16", "10 min"),
-    ("accuracy.py crane", "5 min"),
+    ("accuracy.py crane --seeds 1", "4 min"),
     ("accuracy.py faults --seas S6 --rates 20", "15 min"),
     ("accuracy.py closed-loop --duration 120", "14 min, in real time: on a quiet machine"),
     ("accuracy.py closed-loop S6 --replay --shake line-3.1 --duration 120", "3 min"),

@@ -164,6 +164,8 @@ def cautions(config: Config) -> list[str]:
             most_hz = most_rate_hz(parse_link(device.link), device.profile)
             advice = remedy(device.rate_hz, bandwidth, device.profile.bandwidth_register, most_hz)
             found.append(f"{path}.rate_hz: {told}; {advice}")
+        if device.role == "crane" and not config.crane.is_there:
+            found.append(f"{path}.role: its readings go nowhere: [crane] does not say how the crane is built")
         if device.timeout_ms > 1e3 * LONG_TIMEOUT_S:
             found.append(
                 f"{path}.timeout_ms: {device.timeout_ms:g} ms of waiting for each lost answer, and nothing else is "

@@ -270,13 +270,15 @@ class MotionFrames:
         """Each point, for the moment that the heave is for, and for ``t_s`` itself where that is another."""
         assert self._points is not None
         predictions, lead_s = tuple(rock), self._heave.lead_s
-        led = self._moving(serving, t_s, predictions, lead_s)
-        present = self._moving(serving, t_s, predictions, 0.0) if lead_s > 0.0 else led
-        roll_bend, pitch_bend = self._angular_accelerations(t_s, predictions)
+        upright = self._upright_ahead(t_s, predictions)
+        present = self._upright(self._moving(serving, t_s, upright, 0.0), t_s)
+        led = self._moving(serving, t_s, upright, lead_s) if lead_s > 0.0 else present
+        roll_bend, pitch_bend = self._angular_accelerations(t_s, upright)
         bent = msgspec.structs.replace(
             present, roll_acceleration_radps2=roll_bend, pitch_acceleration_radps2=pitch_bend
         )
-        ahead = Ahead(heave.acceleration_mps2, bent, heave.forecast, predictions)
+        ahead = Ahead(heave.acceleration_mps2, bent, heave.forecast, upright)
+        foretold = self._points.foretold(t_s, ahead)
         points = self._points.at(
             Moment(
                 from_s=t_s,
@@ -287,6 +289,7 @@ class MotionFrames:
                 attitude=led,
             ),
             ahead,
+            foretold,
         )
         if now is None:
             return points, ()
@@ -300,7 +303,38 @@ class MotionFrames:
                 attitude=present,
             ),
             ahead,
+            foretold,
         )
+
+    def _upright(self, attitude: AttitudeMotion, t_s: float) -> AttitudeMotion:
+        """The attitude of a moment without what the sensor's leans and is late. (How well it is known then is known of
+        the predictions.)
+        """
+        lean, late_s = self._vertical.lean(t_s, self._heave.observer.omega_radps), self._vertical.late_s
+        roll, pitch = attitude.roll_rad - lean.roll_rad, attitude.pitch_rad - lean.pitch_rad
+        if late_s > 0.0 and isfinite(attitude.roll_rate_radps + attitude.pitch_rate_radps):
+            roll, pitch = roll + late_s * attitude.roll_rate_radps, pitch + late_s * attitude.pitch_rate_radps
+        return msgspec.structs.replace(attitude, roll_rad=roll, pitch_rad=pitch)
+
+    def _upright_ahead(self, t_s: float, predictions: tuple[RockPrediction, ...]) -> tuple[RockPrediction, ...]:
+        """The same of what is predicted of the measured roll and pitch."""
+        omega_radps, late_s = self._heave.observer.omega_radps, self._vertical.late_s
+        found = []
+        for number, one in enumerate(predictions):
+            lean = self._vertical.lean(t_s + one.horizon_s, omega_radps)
+            # The last one is late by the slope that leads to it.
+            soon, later = predictions[number : number + 2] if one is not predictions[-1] else predictions[-2:]
+            share = late_s / (later.horizon_s - soon.horizon_s)
+            found.append(
+                RockPrediction(
+                    horizon_s=one.horizon_s,
+                    roll_rad=one.roll_rad - lean.roll_rad + share * (later.roll_rad - soon.roll_rad),
+                    pitch_rad=one.pitch_rad - lean.pitch_rad + share * (later.pitch_rad - soon.pitch_rad),
+                    roll_std_rad=hypot(one.roll_std_rad, lean.roll_std_rad),
+                    pitch_std_rad=hypot(one.pitch_std_rad, lean.pitch_std_rad),
+                )
+            )
+        return tuple(found)
 
     def _rates(self, is_of_sample: bool, rock: Sequence[RockPrediction]) -> tuple[float, float, float]:
         """Of roll, pitch and yaw: measured with the sample, else between two predictions."""

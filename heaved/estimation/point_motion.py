@@ -62,12 +62,14 @@ class PointMotions:
         """(outward, left, up) of those on the crane, and which are of the hook."""
         self._fixed = {point.name: fixed_arm(point) for point in points if point.frame == "hull"}
 
-    def at(self, moment: Moment, ahead: Ahead) -> tuple[PointMotion, ...]:
-        """Every point at a moment, with its acceleration now and its forecasts."""
+    def at(
+        self, moment: Moment, ahead: Ahead, foretold: Sequence[tuple[HeaveForecast, ...]]
+    ) -> tuple[PointMotion, ...]:
+        """Every point at a moment, with its acceleration now and its forecasts as of :meth:`foretold`."""
         stages, from_s = self._stages, moment.from_s
         worth = {hook: stages.crane_worth(from_s, hook=hook) for hook in {hook for _, hook in self._riding}}
         # Accelerations are those of the sample: the arm may be that of a moment later, which is nearly the same.
-        arms, foretold = self._arms(moment.t_s), self._foretold(from_s, ahead)
+        arms = self._arms(moment.t_s)
         found = []
         for point, arm, forecast in zip(self._points, arms, foretold, strict=True):
             trust = worth[point.frame == "hook"] if point.rides else GOOD
@@ -79,7 +81,7 @@ class PointMotions:
                 found.append(_motion(point.name, arm, moment, ahead, forecast, trust))
         return tuple(found)
 
-    def _foretold(self, from_s: float, ahead: Ahead) -> list[tuple[HeaveForecast, ...]]:
+    def foretold(self, from_s: float, ahead: Ahead) -> list[tuple[HeaveForecast, ...]]:
         """Forecasts of each point, for the horizons that heave and attitude have in common.
 
         Their errors are taken as independent, as those of heave and attitude of now are.

@@ -175,7 +175,8 @@ def stages(params: Params = PARAMS, *, until_s: float = 10.0) -> Stages:
 
 
 def points(of: Stages, at: Moment = moment(), ahead: Ahead = NO_MORE) -> tuple[PointMotion, ...]:  # noqa: B008
-    return PointMotions((TIP, HOOK), of).at(at, ahead)
+    made = PointMotions((TIP, HOOK), of)
+    return made.at(at, ahead, made.foretold(at.from_s, ahead))
 
 
 def test_on_a_level_ship_the_tip_heaves_as_the_ship_does_and_stands_where_it_stands() -> None:
@@ -242,7 +243,7 @@ def test_a_bug_in_the_crane_costs_its_points_and_is_told() -> None:
     assert broken is not None
     broken.places = fail  # type: ignore[method-assign, assignment]
     imu = Point(name="imu")
-    tip_now, fixed = PointMotions((TIP, imu), made).at(moment(), NO_MORE)
+    tip_now, fixed = PointMotions((TIP, imu), made).at(moment(), NO_MORE, ((), ()))
     assert isinstance(made.failure, ZeroDivisionError)
     assert made.resets["crane", "ZeroDivisionError"] == 1
     assert (tip_now.state, tip_now.reasons) == (

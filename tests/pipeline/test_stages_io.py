@@ -19,7 +19,7 @@ from heaved.cli import main
 from heaved.client import report
 from heaved.config import Config
 from heaved.config.read import ConfigError, data_directory, load, load_to_run, parse
-from heaved.config.rules import rate_faults, stage_faults
+from heaved.config.rules import cautions, rate_faults, stage_faults
 from heaved.daemon.metrics import Metrics
 from heaved.devices.liveness import Contact
 from heaved.devices.profile import Quantity, encode, profile_faults
@@ -221,6 +221,12 @@ def test_with_their_devices_there_is_no_fault() -> None:
     assert stage_faults(read(ON_BOOM + device("crane", ENCODERS))) == []
     pinned = ON_BOOM.replace("= 40", "= 40\njib_length_m = 9\njib_fixed_deg = 0")
     assert stage_faults(read(pinned + device("crane", ENCODERS))) == []
+
+
+def test_a_crane_that_is_read_for_nothing_is_worth_a_caution() -> None:
+    (told,) = cautions(read(device("crane", ENCODERS)))
+    assert told.startswith("device[0].role: its readings go nowhere")
+    assert cautions(read(ON_BOOM + device("crane", ENCODERS))) == []
 
 
 FAULTS: dict[str, tuple[str, str]] = {

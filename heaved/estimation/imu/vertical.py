@@ -15,7 +15,7 @@ import msgspec
 from heaved.estimation.common.ring import History
 from heaved.estimation.common.sample_rate import Arrivals
 from heaved.estimation.imu.attitude import Attitude, AttitudePropagator, level_acceleration
-from heaved.estimation.imu.attitude_error import Amendment, AttitudeError
+from heaved.estimation.imu.attitude_error import Amendment, AttitudeError, Lean
 from heaved.estimation.imu.attitude_fit import Noise
 from heaved.estimation.imu.conditioning import NOTHING, Conditioned
 from heaved.estimation.imu.level_bias import LevelBias
@@ -179,6 +179,15 @@ class Vertical:
         """The first two at an earlier moment, within a second or so."""
         found = self._rates.at(t_s)
         return (nan, nan) if found is None else (found[1], found[2])
+
+    def lean(self, t_s: float, omega_radps: float) -> Lean:
+        """What the measured angles of a moment are off by, see :meth:`AttitudeError.lean`."""
+        return self._attitude_error.lean(t_s, omega_radps)
+
+    @property
+    def late_s(self) -> float:
+        """By which the measured angles are late."""
+        return self._attitude_error.angles_late_s
 
     def serves(self, t_s: float) -> bool:
         """Whether that attitude may be published for a moment, on a straight line."""
