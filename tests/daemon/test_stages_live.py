@@ -209,7 +209,7 @@ async def test_a_reload_switches_a_stage_without_touching_the_heave(tmp_path: Pa
 async def test_the_tip_of_a_simulated_crane_is_on_the_stream_and_a_reload_moves_it(tmp_path: Path) -> None:
     path = tmp_path / "heaved.toml"
     listens = f'[stream]\nport = 0\n[http]\nport = 0\n[state]\ndirectory = "{tmp_path}"\n'
-    packaged = listens + (data_directory() / "demo.toml").read_text()
+    packaged = listens + (data_directory() / "demo.toml").read_text().partition("[[output]]")[0]
     config = load(data_directory() / "demo.toml")
     instruments = Instruments(Rolling(), seed=1)
     plant = SimulatedPlant(config.device, instruments, any_port=True)
