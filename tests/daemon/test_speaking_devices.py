@@ -1,4 +1,4 @@
-"""A crane whose encoder box speaks by itself, in a running daemon. Oracle: the height of such a tip, worked out here."""
+"""A crane whose encoder box speaks by itself, in a running daemon. Oracle: the height of its tip, worked out here."""
 
 from __future__ import annotations
 
