@@ -22,7 +22,7 @@ from heaved.config.read import data_directory
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-COMMANDS = ("run", "demo", "status", "watch", "wait", "check-config", "probe", "replay", "sim")
+COMMANDS = ("run", "demo", "status", "watch", "wait", "check-config", "probe", "replay", "report", "sim")
 
 
 @pytest.fixture
