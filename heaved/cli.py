@@ -148,6 +148,12 @@ def check_config(file: Annotated[Path, typer.Argument(metavar="FILE")]) -> None:
         _say(f"  {_device_line(device)}, {device.profile.name} at {device.rate_hz:g} Hz{bandwidth}")
     if not any(device.role == "imu" for device in config.device):
         _say('  no device of role "imu": enough for a replay, but the daemon would have no heave')
+    for output in config.output:
+        point = f" of {output.point}" if output.point else ""
+        _say(f"  {output.name} (output): {output.link}, {output.telegram}{point} at {output.rate_hz:g} Hz")
+    for name, table in (("registers", config.registers), ("mqtt", config.mqtt), ("influx", config.influx)):
+        if table.enabled:
+            _say(f"  [{name}]: {table.link}")
     for caution in cautions(config):
         _say(f"  caution: {printable(caution)}")
 
@@ -171,7 +177,8 @@ def _load(path: Path) -> Config:
 
 
 def _device_line(device: DeviceSpec) -> str:
-    return f"{device.name} ({device.role}): {device.link} id {device.device_id}"
+    asked = f" id {device.device_id}" if device.is_asked else ""
+    return f"{device.name} ({device.role}): {device.link}{asked}"
 
 
 # ---- asking a daemon -------------------------------------------------------------------------------------------------

@@ -11,14 +11,16 @@ from heaved.links import AnyLink, SerialLink, TcpListenLink, character_s, parse_
 from heaved.outputs.motion import Lead
 from heaved.outputs.telegram_output import SCHEMES
 from heaved.outputs.telegrams.formats import FORMATS
+from heaved.outputs.telegrams.spec import Settling, Telegram
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
 
-    from heaved.outputs.telegrams.spec import Format, OutputSpec, Telegram
+    from heaved.outputs.telegrams.spec import Format, OutputSpec
 
 _OPTIONS: Final = ("talker", "settling", "ins_good", "transducers")
 """Keys that mean something to some formats alone."""
+_OF_ATTITUDE: Final = (Telegram.TSS1, Telegram.EM1000, Telegram.EM3000, Telegram.PRDID)
 _TAKEN: Final = ("registers", "mqtt", "influx")
 
 
@@ -56,10 +58,20 @@ def output_faults(
     return faults
 
 
-def output_cautions(outputs: Sequence[OutputSpec], compensation_lead_s: float) -> list[str]:
-    """What is no fault but may not be what is meant."""
+def output_cautions(outputs: Sequence[OutputSpec], compensation_lead_s: float, *, has_attitude: bool) -> list[str]:
+    """What is no fault but may not be what is meant. ``has_attitude``: roll and pitch are measured."""
     found = []
     for i, spec in enumerate(outputs):
+        if spec.telegram in _OF_ATTITUDE and not has_attitude:
+            found.append(
+                f"output[{i}].telegram: {spec.telegram} is worth nothing to its readers without roll and pitch, which "
+                "no device of role imu has"
+            )
+        if spec.telegram is Telegram.SMC_HEX and spec.settling is Settling.DEGRADED:
+            found.append(
+                f"output[{i}].settling: smc_hex has no status, so a drive takes the heave of the first minute for "
+                'settled: set "error" to send nothing until it is, and the drive\'s own time-out'
+            )
         if spec.lead is Lead.NONE and FORMATS[spec.telegram].lead is not Lead.NONE:
             found.append(
                 f'output[{i}].lead: "none", but {spec.telegram} tells no time: its reader takes the motion for that of '

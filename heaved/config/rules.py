@@ -185,7 +185,9 @@ def cautions(config: Config) -> list[str]:
                     f"device {device.name}: timeout_ms {device.timeout_ms:g} is longer than the period of {names} on "
                     "the same line: each answer that it loses costs them polls; lower it, or give each its own line"
                 )
-    found += output_cautions(config.output, config.compensation.lead_s)
+    measured = next((_quantities(device) for device in config.device if device.role == "imu"), set())
+    has_attitude = {"roll_rad", "pitch_rad"} <= measured
+    found += output_cautions(config.output, config.compensation.lead_s, has_attitude=has_attitude)
     return found + services.cautions(config)
 
 

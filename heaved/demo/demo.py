@@ -16,6 +16,7 @@ import threading
 import time
 from contextlib import contextmanager
 from importlib.util import find_spec
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -29,7 +30,7 @@ from heaved.devices.profile import DeviceSpec
 from heaved.estimation.craft.dynamics import Vessel
 from heaved.networks import is_loopback_host
 from heaved.outputs.telegrams.formats import FORMATS
-from heaved.page.server import PageServer
+from heaved.page.server import PageError, PageServer
 from heaved.page.server import serve as serve_page
 from heaved.simulate.hydrofoil import Passage
 from heaved.simulate.instruments import Instruments
@@ -213,7 +214,14 @@ def _child(target: Callable[..., None], *arguments: object) -> Iterator[Connecti
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     child = context.Process(target=target, args=(theirs, *arguments), daemon=True)
-    child.start()
+    # Ctrl-C reaches the whole group; the parent decides the order. The child has it blocked from its first instruction
+    # (which the start of multiprocessing's own helper, with the first child, would undo).
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+    try:
+        child.start()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
     theirs.close()
     try:
         yield ours
@@ -239,8 +247,6 @@ def _sensors(devices: Sequence[DeviceSpec], sea: str, shake: str) -> Iterator[_S
 
 
 def _sensor_process(connection: Connection, devices: tuple[DeviceSpec, ...], sea: str, shake: str) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both; the parent decides the order.
-
     async def run() -> None:
         closed = asyncio.Event()
         asyncio.get_running_loop().add_reader(connection.fileno(), closed.set)
@@ -253,25 +259,27 @@ def _sensor_process(connection: Connection, devices: tuple[DeviceSpec, ...], sea
     try:
         asyncio.run(run())
     except (OSError, ValueError) as error:
-        connection.send(str(error))
+        with contextlib.suppress(BrokenPipeError):  # Whoever wanted to know has gone.
+            connection.send(str(error))
 
 
 def _winch_process(connection: Connection, host: str, port: int, sea: str, epoch_s: float) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Whoever reads the demo's output may have gone: no reason to say more, nor to complain.
     with contextlib.suppress(BrokenPipeError):
         hook.follow(host, port, seaway(sea, SEED), epoch_s, _say, connection.poll)
 
 
 def _page_process(connection: Connection, host: str, port: int, page_port: int, log_format: str) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     daemon.configure_logging(log_format)
 
     async def run() -> None:
         ended = asyncio.Event()
         asyncio.get_running_loop().add_reader(connection.fileno(), ended.set)
         page = PageServer(host=_PAGE_HOST, port=page_port, allow=(), stream_host=host, stream_port=port)
-        await serve_page(page, lambda url: _say(f"in a browser: {url}"), ended)
+        try:
+            await serve_page(page, lambda url: _say(f"in a browser: {url}"), ended)
+        except PageError as error:  # Somebody was quicker: the rest of the demo does not need it.
+            _say(f"no page: {error}")
 
     with contextlib.suppress(BrokenPipeError):
         asyncio.run(run())

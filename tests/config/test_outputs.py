@@ -248,12 +248,28 @@ def test_what_is_said_to_be_reachable_and_enough_is(telegram: Telegram, stopbits
 
 
 def test_cautions() -> None:
-    assert cautions(read(output() + output(name="b", telegram="kmb", lead="none"))) == []
-    (caution,) = cautions(read(output(lead="none")))
-    assert caution.startswith('output[0].lead: "none", but tss1 tells no time')
-    (caution,) = cautions(read(output(lead="compensation")))
+    xdr = output(telegram="xdr")
+    assert cautions(read(xdr + output(name="b", telegram="kmb", lead="none"))) == []
+    (caution,) = cautions(read(output(telegram="xdr", lead="none")))
+    assert caution.startswith('output[0].lead: "none", but xdr tells no time')
+    (caution,) = cautions(read(output(telegram="xdr", lead="compensation")))
     assert caution.startswith('output[0].lead: "compensation" without [compensation] lead_s')
-    assert cautions(read("[compensation]\nlead_s = 0.2\n" + output(lead="compensation"))) == []
+    assert cautions(read("[compensation]\nlead_s = 0.2\n" + output(telegram="xdr", lead="compensation"))) == []
+    (caution,) = cautions(read(output(telegram="smc_hex")))
+    assert caution.startswith("output[0].settling: smc_hex has no status")
+    assert cautions(read(output(telegram="smc_hex", settling="error"))) == []
+
+
+@pytest.mark.parametrize("telegram", ["tss1", "em1000", "em3000", "prdid"])
+def test_a_telegram_of_attitude_without_any(telegram: str) -> None:
+    (caution,) = cautions(read(output(telegram=telegram)))
+    assert "without roll and pitch, which no device of role imu has" in caution
+    fields = ", ".join(
+        f'{{ quantity = "{name}", offset = {place}, unit = "{unit}" }}'
+        for place, name, unit in ((0, "az_mps2", "m/s2"), (1, "roll_rad", "deg"), (2, "pitch_rad", "deg"))
+    )
+    measured = re.sub(r"fields = \[.*\]", f"fields = [{fields}]", IMU)
+    assert cautions(parse(tomllib.loads(measured + output(telegram=telegram)), file="", directory=Path())) == []
 
 
 def test_every_telegram_has_a_format() -> None:
