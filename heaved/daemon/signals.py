@@ -80,12 +80,13 @@ class Signals:
                     if self._loop is not None and not self._loop.is_closed():
                         for number in numbers:
                             self._loop.call_soon_threadsafe(self._event(number).set)
-        if not self._is_over.wait(self._exit_s - _LAST_WORDS_S):
-            # In a thread of its own, for it may be standard error that hangs.
-            words = "not everything has stopped in time: ended all the same"
-            threading.Thread(target=_log.error, args=(words,), name="last words", daemon=True).start()
-            if not self._is_over.wait(_LAST_WORDS_S):
-                os._exit(0)
+            # While the signal is told to somebody, it may come again: Ctrl-C, twice.
+            if not self._is_over.wait(self._exit_s - _LAST_WORDS_S):
+                # In a thread of its own, for it may be standard error that hangs.
+                words = "not everything has stopped in time: ended all the same"
+                threading.Thread(target=_log.error, args=(words,), name="last words", daemon=True).start()
+                if not self._is_over.wait(_LAST_WORDS_S):
+                    os._exit(0)
 
     def _event(self, number: int) -> asyncio.Event:
         return self.again if number == _AGAIN else self.stop

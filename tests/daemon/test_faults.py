@@ -558,6 +558,20 @@ def plain(tmp_path: Path) -> Path:
     return path
 
 
+async def test_an_impatient_ctrl_c_comes_twice(tmp_path: Path) -> None:
+    """While the first one is obeyed; what hangs keeps it waiting for that."""
+    async with process(plain(tmp_path), 3.0, "disk hangs") as daemon:
+        await listening(daemon)
+        daemon.send_signal(signal.SIGINT)
+        assert daemon.stderr is not None
+        while b"left behind" not in (line := await asyncio.wait_for(daemon.stderr.readline(), PATIENCE_S)):
+            assert line, "it ended before what hangs was given up"
+        daemon.send_signal(signal.SIGINT)
+        _, errors = await asyncio.wait_for(daemon.communicate(), PATIENCE_S)
+    assert daemon.returncode == 0
+    assert [line for line in errors.splitlines() if b"xception" in line or b"Traceback" in line] == []
+
+
 async def test_a_disk_that_hangs_does_not_hold_the_process(tmp_path: Path) -> None:
     async with process(plain(tmp_path), exit_s=0.5, what="disk hangs") as daemon:
         await listening(daemon)
