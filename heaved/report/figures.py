@@ -50,7 +50,7 @@ STATE_LOOK: Final = {
 NO_SAMPLES: Final = ("#FFFFFF", "--")
 MOST_LANES: Final = 10
 """Reasons that are drawn; the table has all of them."""
-LANE_LETTERS: Final = 84
+LANE_LETTERS: Final = 110
 NEES_POINTS: Final = 60
 MOST_OF_USUAL: Final = 8.0
 """Errors of so many times the usual claim call for logarithms."""
