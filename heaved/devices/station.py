@@ -21,22 +21,23 @@ from heaved.devices.profile import (
     role_quantities,
 )
 from heaved.devices.timer import Pace
-from heaved.samples import CraftSample, Fault, ImuSample, LaserSample, RatesSample, Sample
+from heaved.samples import CraftSample, CraneSample, Fault, ImuSample, LaserSample, RatesSample, Sample
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from heaved.links import Link
 
-_KINDS: Final[dict[Role, Callable[..., Sample]]] = {
+KINDS: Final[dict[Role, Callable[..., Sample]]] = {
     "imu": ImuSample,
     "laser": LaserSample,
     "imu2": RatesSample,
     "craft": CraftSample,
     "heave_sensor": CraftSample,
     "pitch_sensor": CraftSample,
+    "crane": CraneSample,
 }
-
+"""The samples by the role of the device."""
 
 _NOT_ASKED_YET: Final = (
     Fault.TIMEOUT,
@@ -147,7 +148,7 @@ class Station:
         )
 
     def _sample(self, t_s: float, values: Mapping[Quantity, float], fault: Fault) -> Sample:
-        kind = _KINDS[self.spec.role]
+        kind = KINDS[self.spec.role]
         if fault is not Fault.NONE:
             return kind(t_s=t_s, fault=fault)
         measured: dict[str, Any] = {name: value for name, value in values.items() if name in self._wanted}

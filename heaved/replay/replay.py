@@ -213,7 +213,7 @@ def _pipeline(config: Config, has_laser: bool) -> Pipeline:
         has_laser=has_laser,
         point=config.point,
         lead_s=config.compensation.lead_s,
-        stages=Stages(config.hull, config.attitude),
+        stages=Stages(config.hull, config.attitude, config.crane),
         quiet=config.quiet,
     )
 
@@ -221,8 +221,8 @@ def _pipeline(config: Config, has_laser: bool) -> Pipeline:
 def _samples(recording: Recording, until_s: float, tally: Tally) -> Iterator[Sample]:
     """All samples up to ``until_s``, in order."""
     first_s = nan
-    for imu, laser, rates, craft in recording.instants():
-        sample = imu or laser or rates or craft
+    for imu, laser, rates, craft, crane in recording.instants():
+        sample = imu or laser or rates or craft or crane
         if sample is not None:
             first_s = sample.t_s if isnan(first_s) else first_s
             if sample.t_s - first_s > until_s:
@@ -230,7 +230,7 @@ def _samples(recording: Recording, until_s: float, tally: Tally) -> Iterator[Sam
             tally.duration_s = sample.t_s - first_s
         tally.rows += 1
         # The IMU last: a row is one instant, and what the others say is known when its frame is made.
-        for reading in (laser, rates, craft, imu):
+        for reading in (laser, rates, craft, crane, imu):
             if reading is not None:
                 yield reading
 

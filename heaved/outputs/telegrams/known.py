@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 CENTIDEGREES: Final = 100.0 * 180.0 / pi
 """Per radian."""
+DEGREES: Final = 180.0 / pi
+"""Per radian."""
 _MOST_TURNS_DEG: Final = 1e6
 """A heading may have been counted over many turns; what is beyond this is none."""
 _UNKNOWN: Final = (nan, nan, nan)
@@ -29,9 +31,18 @@ def vertical(motion: Motion, spec: OutputSpec) -> tuple[float, float, float]:
     """Heave, its velocity and its acceleration, m, m/s and m/s2; all nan while the heave is not worth telling: it is
     invalid, or it settles and the output counts that as an error.
     """
-    if motion.state is HeaveState.INVALID or (motion.state is HeaveState.SETTLING and spec.settling is Settling.ERROR):
+    if not tells_heave(motion, spec):
         return _UNKNOWN
     return motion.heave_m, motion.heave_velocity_mps, motion.heave_acceleration_mps2
+
+
+def tells_heave(motion: Motion, spec: OutputSpec) -> bool:
+    """Whether heave, its velocity and its acceleration are told: not while they are invalid, nor while they settle and
+    the reader is to take that for an error.
+    """
+    if motion.state is HeaveState.SETTLING:
+        return spec.settling is not Settling.ERROR
+    return motion.state is not HeaveState.INVALID
 
 
 def whole(value: float, units: float, most: int) -> int | None:

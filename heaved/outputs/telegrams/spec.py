@@ -65,6 +65,12 @@ class Settling(StrEnum):
     ERROR = "error"
 
 
+TRANSDUCER_LETTERS: Final = 16
+"""Most letters of an identifier of XDR."""
+Transducer = Annotated[str, msgspec.Meta(pattern=rf"^[A-Za-z0-9_]{{1,{TRANSDUCER_LETTERS}}}\Z")]
+"""An identifier of XDR: nothing in it ends a field or a sentence."""
+
+
 class OutputSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One ``[[output]]``. What is None is as the format has it."""
 
@@ -86,7 +92,7 @@ class OutputSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     settling: Settling = Settling.DEGRADED
     ins_good: Annotated[int, msgspec.Meta(ge=0, le=9)] = 1
     """Last field of PASHR while all is well; makers differ (1 or 0)."""
-    transducers: tuple[str, str, str] = ("HEAVE", "PTCH", "ROLL")
+    transducers: tuple[Transducer, Transducer, Transducer] = ("HEAVE", "PTCH", "ROLL")
     """Identifiers of XDR for heave, pitch and roll."""
     allow: tuple[str, ...] = ()
     """Networks (CIDR) from which may connect to a ``tcp-listen`` link, besides loopback."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 import pytest
-from arbitrary_motions import motions, output
+from any_motion import motions, spec_of
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -36,7 +36,7 @@ MAY_BE_SILENT = {Telegram.EM1000, Telegram.SMC_HEX, Telegram.KMB}
 
 @pytest.mark.parametrize(("telegram", "form"), FORMATS.items())
 @given(
-    motion=motions,
+    motion=motions(),
     heave=st.none() | st.sampled_from(HeavePositive),
     roll=st.none() | st.sampled_from(RollPositive),
     pitch=st.none() | st.sampled_from(PitchPositive),
@@ -52,7 +52,7 @@ def test_whatever_the_numbers_it_is_as_long_as_stated_or_nothing(
     convention: RollConvention | None,
 ) -> None:
     spec = msgspec.structs.replace(
-        output(telegram), heave_positive=heave, roll_positive=roll, pitch_positive=pitch, roll_convention=convention
+        spec_of(telegram), heave_positive=heave, roll_positive=roll, pitch_positive=pitch, roll_convention=convention
     )
     told = form.encode(as_read(motion, spec, form.signs), spec)
     assert len(told) == form.longest_bytes or (told == b"" and telegram in MAY_BE_SILENT)

@@ -6,7 +6,7 @@ from math import degrees, inf, isfinite, nan, radians
 
 import msgspec
 import pytest
-from arbitrary_motions import is_worth_telling, motions, output, says
+from any_motion import is_told, motions, says, spec_of
 from hypothesis import given
 from hypothesis import strategies as st
 from telegram_parsers import parse_em
@@ -24,11 +24,11 @@ ATTITUDE_AND_HEADING = "3c00 4501 {} 2e01"
 
 
 def em3000(motion: Motion, settling: Settling = Settling.DEGRADED) -> bytes:
-    return EM3000.encode(motion, output(Telegram.EM3000, settling))
+    return EM3000.encode(motion, spec_of(Telegram.EM3000, settling=settling))
 
 
 def em1000(motion: Motion, settling: Settling = Settling.DEGRADED) -> bytes:
-    return EM1000.encode(motion, output(Telegram.EM1000, settling))
+    return EM1000.encode(motion, spec_of(Telegram.EM1000, settling=settling))
 
 
 def test_the_frame_that_the_maker_prints() -> None:
@@ -68,12 +68,12 @@ def test_they_are_for_the_moment_of_transmission() -> None:
     assert EM1000.lead is EM3000.lead is Lead.TRANSMISSION
 
 
-@given(motions, st.sampled_from(Settling))
+@given(motions(), st.sampled_from(Settling))
 def test_a_reader_gets_the_motion_or_is_told_that_it_is_not_known(motion: Motion, settling: Settling) -> None:
     telegram = em3000(motion, settling)
     assert len(telegram) == EM3000.longest_bytes == EM1000.longest_bytes == 10
     told = parse_em(telegram)
-    heave_m = motion.heave_m if is_worth_telling(motion, settling) else nan
+    heave_m = motion.heave_m if is_told(motion, spec_of(Telegram.EM3000, settling=settling)) else nan
     assert says(told.heave_m, heave_m, 9.99, 0.005)
     assert says(told.roll_deg, degrees(motion.roll_rad), 179.99, 0.005)
     assert says(told.pitch_deg, degrees(motion.pitch_rad), 179.99, 0.005)

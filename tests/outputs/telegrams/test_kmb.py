@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from arbitrary_motions import is_worth_telling, motions, output
+from any_motion import is_told, motions, spec_of
 from hypothesis import given
 from hypothesis import strategies as st
 from KMALL.kmall import kmall  # type: ignore[import-untyped]  # pykmall has no types.
@@ -19,7 +19,7 @@ from heaved.outputs.telegrams.kmb import FORMAT, encode
 from heaved.outputs.telegrams.spec import Settling, Telegram, as_read
 from heaved.samples import DelayedHeave, HeaveState
 
-SPEC = output(Telegram.KMB)
+SPEC = spec_of(Telegram.KMB)
 FULL = Motion(
     utc_s=1_700_000_000.25, age_s=0.01, state=HeaveState.VALID,
     heave_m=-1.25, heave_std_m=0.0625, heave_velocity_mps=0.5, heave_acceleration_mps2=-0.375,
@@ -126,7 +126,7 @@ def test_it_tells_its_own_time() -> None:
 def test_what_is_not_known_is_nan_and_its_bit_is_set(
     changed: dict[str, object], settling: Settling, set_bits: set[int], unknown: list[str]
 ) -> None:
-    told = read(encode(msgspec.structs.replace(FULL, **changed), output(Telegram.KMB, settling)))
+    told = read(encode(msgspec.structs.replace(FULL, **changed), spec_of(Telegram.KMB, settling=settling)))
     assert bits(told["status"]) == set_bits
     for name in unknown:
         assert isnan(told[name]), name
@@ -174,9 +174,9 @@ def single(told: float, value: float, *, is_known: bool) -> bool:
     return told == pytest.approx(value, rel=1e-6, abs=1e-30) if is_known else isnan(told)
 
 
-@given(motions, st.sampled_from(Settling))
+@given(motions(), st.sampled_from(Settling))
 def test_a_reader_gets_the_motion_or_is_told_that_it_is_not_known(motion: Motion, settling: Settling) -> None:
-    telegram = encode(motion, output(Telegram.KMB, settling))
+    telegram = encode(motion, spec_of(Telegram.KMB, settling=settling))
     if telegram == b"":
         assert not 0.0 <= motion.utc_s < 2.0**32
         return
@@ -188,7 +188,7 @@ def test_a_reader_gets_the_motion_or_is_told_that_it_is_not_known(motion: Motion
     assert abs(told["time_sec"] + 1e-9 * told["time_nanosec"] - motion.utc_s) < 1e-6
     assert told["time_nanosec"] < 1_000_000_000
 
-    is_worth = is_worth_telling(motion, settling)
+    is_worth = is_told(motion, spec_of(Telegram.KMB, settling=settling))
     has_heave = is_worth and abs(motion.heave_m) < most
     has_velocity = is_worth and abs(motion.heave_velocity_mps) < most
     assert single(told["heave_m"], motion.heave_m, is_known=has_heave)

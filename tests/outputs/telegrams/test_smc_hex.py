@@ -6,7 +6,7 @@ from math import inf, nan
 
 import msgspec
 import pytest
-from arbitrary_motions import is_worth_telling, motions, output
+from any_motion import is_told, motions, spec_of
 from hypothesis import given
 from hypothesis import strategies as st
 from telegram_parsers import parse_smc_hex
@@ -16,7 +16,7 @@ from heaved.outputs.telegrams.smc_hex import FORMAT, encode
 from heaved.outputs.telegrams.spec import Settling, Telegram
 from heaved.samples import HeaveState
 
-SPEC = output(Telegram.SMC_HEX)
+SPEC = spec_of(Telegram.SMC_HEX)
 STILL = Motion(
     utc_s=1.7e9, age_s=0.01, state=HeaveState.VALID,
     heave_m=0.0, heave_velocity_mps=0.0, heave_acceleration_mps2=0.0,
@@ -57,7 +57,7 @@ def test_the_telegram(changed: dict[str, object], telegram: bytes) -> None:
 def test_nothing_is_said_to_a_drive_that_could_not_be_told_that_it_is_not_known(
     changed: dict[str, object], settling: Settling
 ) -> None:
-    assert encode(msgspec.structs.replace(STILL, **changed), output(Telegram.SMC_HEX, settling)) == b""
+    assert encode(msgspec.structs.replace(STILL, **changed), spec_of(Telegram.SMC_HEX, settling=settling)) == b""
 
 
 def test_it_is_for_the_moment_of_transmission_and_at_most_100_times_a_second() -> None:
@@ -65,15 +65,17 @@ def test_it_is_for_the_moment_of_transmission_and_at_most_100_times_a_second() -
     assert FORMAT.most_hz == 100.0
 
 
-@given(motions, st.sampled_from(Settling))
+@given(motions(), st.sampled_from(Settling))
 def test_a_drive_gets_the_motion_or_nothing(motion: Motion, settling: Settling) -> None:
-    telegram = encode(motion, output(Telegram.SMC_HEX, settling))
+    telegram = encode(motion, spec_of(Telegram.SMC_HEX, settling=settling))
     values = (motion.heave_m, motion.heave_velocity_mps, motion.heave_acceleration_mps2)
     if telegram == b"":
-        assert not is_worth_telling(motion, settling) or not all(abs(value) <= 32.766 for value in values)
+        assert not is_told(motion, spec_of(Telegram.SMC_HEX, settling=settling)) or not all(
+            abs(value) <= 32.766 for value in values
+        )
         return
     assert len(telegram) == FORMAT.longest_bytes == 18
-    assert is_worth_telling(motion, settling)
+    assert is_told(motion, spec_of(Telegram.SMC_HEX, settling=settling))
     told = parse_smc_hex(telegram)
     for said, value in zip((told.heave_m, told.velocity_mps, told.acceleration_mps2), values, strict=True):
         assert said == pytest.approx(value, abs=0.000501)

@@ -6,7 +6,7 @@ from math import asin, cos, degrees, hypot, inf, nan, radians, sin
 
 import msgspec
 import pytest
-from arbitrary_motions import is_worth_telling, motions, output, says
+from any_motion import is_told, motions, says, spec_of
 from hypothesis import given
 from hypothesis import strategies as st
 from telegram_parsers import parse_tss1
@@ -16,7 +16,7 @@ from heaved.outputs.telegrams.spec import RollConvention, Settling, Telegram, as
 from heaved.outputs.telegrams.tss1 import FORMAT, encode
 from heaved.samples import HeaveState
 
-SPEC = output(Telegram.TSS1)
+SPEC = spec_of(Telegram.TSS1)
 GOOD = Motion(
     utc_s=1.7e9, age_s=0.01, state=HeaveState.VALID, heave_m=1.5, heave_acceleration_mps2=0.0,
     surge_acceleration_mps2=0.0, sway_acceleration_mps2=0.0, roll_rad=radians(2.0), pitch_rad=radians(-3.0),
@@ -77,7 +77,7 @@ def test_what_makers_print(
     ],
 )
 def test_what_is_not_known_or_does_not_fit(changed: dict[str, object], settling: Settling, telegram: bytes) -> None:
-    assert encode(msgspec.structs.replace(GOOD, **changed), output(Telegram.TSS1, settling)) == telegram
+    assert encode(msgspec.structs.replace(GOOD, **changed), spec_of(Telegram.TSS1, settling=settling)) == telegram
 
 
 def test_roll_is_the_elevation_of_the_transverse_axis_unless_the_output_says_otherwise() -> None:
@@ -99,12 +99,12 @@ def test_it_is_for_the_moment_of_transmission_and_at_most_25_times_a_second() ->
     assert FORMAT.most_hz == 25.0
 
 
-@given(motions, st.sampled_from(Settling))
+@given(motions(), st.sampled_from(Settling))
 def test_a_reader_gets_the_motion_or_is_told_that_it_is_not_known(motion: Motion, settling: Settling) -> None:
-    telegram = encode(motion, output(Telegram.TSS1, settling))
+    telegram = encode(motion, spec_of(Telegram.TSS1, settling=settling))
     assert len(telegram) == FORMAT.longest_bytes == 27
     told = parse_tss1(telegram)
-    is_worth = is_worth_telling(motion, settling)
+    is_worth = is_told(motion, spec_of(Telegram.TSS1, settling=settling))
     assert says(told.heave_m, motion.heave_m if is_worth else nan, 99.98, 0.005)
     assert says(told.up_mps2, motion.heave_acceleration_mps2 if is_worth else nan, 20.479, 0.0003125)
     level_mps2 = hypot(motion.surge_acceleration_mps2, motion.sway_acceleration_mps2)
