@@ -330,6 +330,8 @@ def written(path: Path, sea: Recording, seconds: float, spoil: str) -> Path:
         columns["az_mps2"][:] = math.nan
     elif spoil == "still":
         columns["az_mps2"][:] = 9.81
+    elif spoil == "constant":
+        columns |= {name: np.full_like(columns[name], 10.0 * (name == "az_mps2")) for name in names if name != "t_s"}
     elif spoil == "in g":
         columns["az_mps2"] /= 9.81
     elif spoil == "laser alone":
@@ -360,6 +362,7 @@ def written(path: Path, sea: Recording, seconds: float, spoil: str) -> Path:
         ("nothing vertical", 20.0, "there is nothing to report"),
         ("laser alone", 20.0, "there is nothing to report"),
         ("still", 60.0, "there is no heave"),
+        ("constant", 100.0, "there is no heave"),
         ("in g", 60.0, "no sea could be fitted"),
         ("too short", 30.0, "No real-time heave could be compared"),
         ("too short for a delayed heave", 70.0, "There were no forecasts of the heave whose moment"),
