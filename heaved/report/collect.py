@@ -20,7 +20,7 @@ from heaved.replay.replay import without_numbers
 from heaved.replay.table import MAX_STEP_S
 from heaved.report.columns import Column
 from heaved.report.spectra import Spectra
-from heaved.report.statistics import Envelope, Errors, Moments, between
+from heaved.report.statistics import Envelope, Errors, Moments, between, measured_at
 from heaved.report.timeline import Timeline
 from heaved.samples import (
     GRAVITY_MPS2,
@@ -392,7 +392,7 @@ class Collector:
             self.moments[name].push(angles[axis] * _DEGREES)
             for i, horizon_s in enumerate(layout.rock_s):
                 predicted, claimed, width = _DEGREES * rows[:, layout.rock(axis, i)].T
-                then = _DEGREES * between(t_s + horizon_s, measured[:, T], measured[:, place], ANGLE_STEP_S)
+                then = _DEGREES * measured_at(t_s + horizon_s, measured[:, T], measured[:, place], ANGLE_STEP_S)
                 self.rock[name][i].push(t_s, predicted - then, claimed, width)
 
         self.moments["heave"].push(heave)
@@ -456,8 +456,8 @@ class Collector:
         ax, ay, az = rows[:, AX], rows[:, AY], rows[:, AZ]
         mast = np.sin(roll) * ay + np.cos(roll) * az
         level = np.sin(pitch) * ax + np.cos(pitch) * mast
-        # Without angles, or accelerations along the deck, the tilt stays in it.
-        up = np.where(np.isfinite(level), level, az) - GRAVITY_MPS2
+        # Where there are never angles, the tilt stays in it; where they are missing, it would be of another kind.
+        up = (level if self.moments["roll"].count else az) - GRAVITY_MPS2
         if "all acceleration" in self.spectra:
             self.spectra["all acceleration"].push(t_s, up)
         k = self._averaged

@@ -50,7 +50,7 @@ STATE_LOOK: Final = {
 NO_SAMPLES: Final = ("#FFFFFF", "--")
 MOST_LANES: Final = 10
 """Reasons that are drawn; the table has all of them."""
-LANE_LETTERS: Final = 84
+LANE_LETTERS: Final = 110
 NEES_POINTS: Final = 60
 MOST_OF_USUAL: Final = 8.0
 """Errors of so many times the usual claim call for logarithms."""
@@ -576,8 +576,12 @@ def acceleration(collector: Collector, found: Findings) -> Figure | None:
     measured = collector.spectra["acceleration"].spectrum() if collector.spectra else None
     if measured is None:
         return None
-    figure, (axes,) = _panels(3.2, (1.0,))
     shown = measured.f_hz > 1.5 / measured.segment_s
+    there = measured.density[shown & (measured.density > 0.0)]
+    if len(there) == 0:
+        return None  # A constant.
+    low, high = float(np.min(there)), float(np.max(there))
+    figure, (axes,) = _panels(3.2, (1.0,))
     shown_to_hz = float(measured.f_hz[-1])
     if (every := collector.spectra.get("all acceleration")) is not None and (whole := every.spectrum()) is not None:
         beyond = whole.f_hz > 1.5 / whole.segment_s
@@ -590,7 +594,6 @@ def acceleration(collector: Collector, found: Findings) -> Figure | None:
         )
     label = "means over 50 ms, which are fitted" if every is not None else "samples"
     axes.loglog(*_thinned(measured.f_hz[shown], measured.density[shown]), color=BLACK, linewidth=0.6, label=label)
-    low, high = float(np.min(measured.density[shown])), float(np.max(measured.density[shown]))
     if (parts := collector.mean_sea.acceleration()) is not None:
         f = parts.f_hz
         for values, color, style, name in (
@@ -637,7 +640,7 @@ def heave_spectrum(collector: Collector, found: Findings) -> Figure | None:
             ("heave", BLUE, "-", "real-time heave"),
             ("error", VERMILION, "-", "real-time minus delayed"),
         )
-        if (spectrum := collector.spectra[name].spectrum()) is not None
+        if (spectrum := collector.spectra[name].spectrum()) is not None and spectrum.variance > 0.0
     ]
     if not curves:
         return None

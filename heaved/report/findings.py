@@ -373,11 +373,12 @@ def _heave_in_words(found: Findings) -> list[str]:
     settled = found.realtime[SETTLED]
     words = []
     if settled.count:
-        of_sea = settled.rms / (0.25 * found.sea.delayed_height_m) if found.sea.delayed_height_m > 0.0 else nan
+        sea_m = 0.25 * found.sea.delayed_height_m
+        is_moving = sea_m > 0.0 and not found.sea.is_still
+        of_sea = f" ({100.0 * settled.rms / sea_m:.1f} % of the standard deviation of the heave)" if is_moving else ""
         words.append(
-            f"Once settled, the real-time heave was within {length(settled.rms)} RMS of the delayed heave "
-            f"({100.0 * of_sea:.1f} % of the standard deviation of the heave), where {length(settled.claimed_rms)} was "
-            f"claimed; {_shares(settled)}."
+            f"Once settled, the real-time heave was within {length(settled.rms)} RMS of the delayed heave{of_sea}, "
+            f"where {length(settled.claimed_rms)} was claimed; {_shares(settled)}."
         )
     else:
         words.append("There is no settled heave with a delayed one to compare it with.")
@@ -470,5 +471,5 @@ def length(metres: float) -> str:
         return "—"
     size = abs(metres)
     if size < 0.1:
-        return f"{1000.0 * metres:.1f} mm"
+        return f"{1000.0 * metres if size >= 5e-5 else 0.0:.1f} mm"
     return f"{100.0 * metres:.1f} cm" if size < 1.0 else f"{metres:.2f} m"

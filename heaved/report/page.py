@@ -39,7 +39,7 @@ figure { margin: 1rem 0 1.2rem; break-inside: avoid; }
 svg.figure { display: block; width: 100%; height: auto; }
 figcaption, caption { font-size: .87rem; color: #333; text-align: left; padding: .3rem 0; caption-side: top; }
 table { border-collapse: collapse; width: 100%; font-size: .87rem; margin: .8rem 0;
-  font-variant-numeric: tabular-nums; }
+  font-variant-numeric: tabular-nums; break-inside: avoid; }
 th, td { padding: .22rem .5rem; border-bottom: 1px solid #ccc; text-align: left; vertical-align: top;
   overflow-wrap: anywhere; min-width: 7em; }
 thead th { border-bottom: 1.5px solid #1a1a1a; vertical-align: bottom; }
@@ -303,7 +303,18 @@ def _quality(found: Findings, figures: Mapping[str, str]) -> str:
     )
 
 
-ERROR_HEAD: Final = ("errors", "mean", "RMS", "claimed", "NEES", "within 1 std", "2 std", "3 std", "worst")
+ERROR_HEAD: Final = (
+    "errors",
+    "mean",
+    "RMS",
+    "claimed RMS",
+    "claimed median",
+    "NEES",
+    "within 1 std",
+    "2 std",
+    "3 std",
+    "worst",
+)
 
 
 def _error_cells(errors: ErrorStatistics, unit: Callable[[float], str]) -> tuple[str, ...]:
@@ -312,6 +323,7 @@ def _error_cells(errors: ErrorStatistics, unit: Callable[[float], str]) -> tuple
         unit(errors.mean),
         unit(errors.rms),
         unit(errors.claimed_rms),
+        unit(errors.claimed_median),
         _number(errors.nees),
         *(_percent(share) for share in errors.within),
         unit(errors.worst),
@@ -319,7 +331,7 @@ def _error_cells(errors: ErrorStatistics, unit: Callable[[float], str]) -> tuple
 
 
 def _error_table(key: str, errors: Mapping[str, ErrorStatistics], caption: str) -> str:
-    expected = ("a right claim", "", "0", "", "as claimed", "1", *(_percent(share) for share in EXPECTED), "")
+    expected = ("a right claim", "", "0", "", "as claimed", "", "1", *(_percent(share) for share in EXPECTED), "")
     rows = [(state, *_error_cells(one, length)) for state, one in errors.items() if one.count or state == SETTLED]
     return _table(key, ("state", *ERROR_HEAD), [*rows, expected], caption)
 
@@ -378,9 +390,9 @@ def _sea(found: Findings, figures: Mapping[str, str]) -> str:
     told = _figure(
         figures,
         "acceleration",
-        "Vertical acceleration, gravity and tilt removed: averaged periodogram (Welch, Hann) over the whole recording, "
-        "and the mean of all fits in the time that each was in force. What is faster than half the rate of the samples "
-        "shows at another frequency.",
+        "Vertical acceleration, gravity and (where there are angles) tilt removed: averaged periodogram (Welch, Hann) "
+        "over the whole recording, and the mean of all fits in the time that each was in force. What is faster than "
+        "half the rate of the samples shows at another frequency.",
     )
     told += _figure(figures, "heave-spectrum", "Spectra of the heave, of its error and of the fitted sea.")
     told += _figure(figures, "sea", "Significant height and periods of the heave, fit by fit.")
@@ -633,8 +645,9 @@ METHOD: Final = (
     ),
     (
         "Errors",
-        "Estimate minus yardstick, at the moment for which the estimate was made; between two values of the yardstick "
-        "on a straight line, and not at all where it has a hole. The statistics are of every frame, not of those that "
+        "Estimate minus yardstick, at the moment for which the estimate was made; between two values of the delayed "
+        "heave on a straight line, and not at all where it has a hole. Predictions of roll and pitch are held against "
+        "the nearest reading, which has noise of its own. The statistics are of every frame, not of those that "
         "are drawn.",
     ),
     (

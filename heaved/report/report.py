@@ -71,9 +71,9 @@ def report(
         collector,
         source=_described(source, columns),
         made=made,
-        command=command,
+        command=_as_text(command),
         config=config,
-        config_name=config_name,
+        config_name=_as_text(config_name),
         summary=run.summary(),
         learned=learned,
     )
@@ -90,10 +90,15 @@ def json_text(found: Findings) -> str:
     return msgspec.json.format(msgspec.json.encode(found), indent=2).decode()
 
 
+def _as_text(name: str) -> str:
+    """A name of a file, which may hold bytes that are no text and have no place in JSON."""
+    return name.encode("utf-8", "replace").decode()
+
+
 def _described(source: Path, columns: tuple[str, ...]) -> Source:
     """What can be said of the file; of a pipe, that cannot be read twice, no more than its name."""
     if not source.is_file():
-        return Source(name=source.name, size_bytes=0, sha256="", columns=columns)
+        return Source(name=_as_text(source.name), size_bytes=0, sha256="", columns=columns)
     digest = hashlib.sha256()
     try:
         with source.open("rb") as file:
@@ -102,7 +107,7 @@ def _described(source: Path, columns: tuple[str, ...]) -> Source:
             size = file.tell()
     except OSError as error:
         raise ReportError(f"{source}: cannot be read again for its hash: {error.strerror or error}") from error
-    return Source(name=source.name, size_bytes=size, sha256=digest.hexdigest(), columns=columns)
+    return Source(name=_as_text(source.name), size_bytes=size, sha256=digest.hexdigest(), columns=columns)
 
 
 def _check_writable(out: Path) -> None:

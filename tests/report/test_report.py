@@ -6,6 +6,7 @@ import csv
 import hashlib
 import json
 import math
+import os
 import re
 import sys
 from html.parser import HTMLParser
@@ -16,7 +17,7 @@ import numpy as np
 import pytest
 
 from heaved.cli import main
-from heaved.config import Config
+from heaved.config import CompensationParams, Config
 from heaved.devices.recording import RecordingError
 from heaved.estimation.heave import params as heave
 from heaved.estimation.lever_arm import Point
@@ -174,7 +175,7 @@ def test_errors_of_the_heave_are_those_of_the_replay(
         cells = document.row("realtime", name)
         assert cells["errors"] == str(len(e))
         assert metres(cells["RMS"]) == pytest.approx(rms(e), rel=0.02)
-        assert metres(cells["claimed"]) == pytest.approx(rms(s), rel=0.02)
+        assert metres(cells["claimed RMS"]) == pytest.approx(rms(s), rel=0.02)
         assert float(cells["2 std"].removesuffix(" %")) == pytest.approx(100.0 * np.mean(np.abs(e) <= 2 * s), abs=0.1)
     value = document.row("figures", "real-time heave, RMS error")["value"]
     assert metres(value) == pytest.approx(rms(error[settled & np.isfinite(error)]), rel=0.02)
@@ -302,6 +303,16 @@ def test_the_same_again_is_the_same_to_the_byte(source: Path, whole: tuple[Findi
     assert again.read_bytes() == first
 
 
+def test_heave_for_a_moment_ahead_is_held_against_that_moment(source: Path, tmp_path: Path) -> None:
+    """Published half a second ahead, it is what is foretold for half a second otherwise."""
+    config = msgspec.structs.replace(CONFIG, compensation=CompensationParams(lead_s=0.5))
+    found = report(source, tmp_path / "lead.html", config, made=MADE, command="", until_s=150.0)
+    now = report(source, tmp_path / "now.html", CONFIG, made=MADE, command="", until_s=150.0)
+    (ahead,) = (one.errors for one in now.forecasts if one.horizon_s == 0.5)
+    assert found.realtime[EVERYWHERE].rms == pytest.approx(ahead.rms, rel=0.1)
+    assert found.realtime[EVERYWHERE].claimed_rms == pytest.approx(ahead.claimed_rms, rel=0.1)
+
+
 # ---- bad ones --------------------------------------------------------------------------------------------------------
 
 
@@ -319,6 +330,8 @@ def written(path: Path, sea: Recording, seconds: float, spoil: str) -> Path:
         columns["az_mps2"][:] = math.nan
     elif spoil == "still":
         columns["az_mps2"][:] = 9.81
+    elif spoil == "constant":
+        columns |= {name: np.full_like(columns[name], 10.0 * (name == "az_mps2")) for name in names if name != "t_s"}
     elif spoil == "in g":
         columns["az_mps2"] /= 9.81
     elif spoil == "laser alone":
@@ -349,6 +362,7 @@ def written(path: Path, sea: Recording, seconds: float, spoil: str) -> Path:
         ("nothing vertical", 20.0, "there is nothing to report"),
         ("laser alone", 20.0, "there is nothing to report"),
         ("still", 60.0, "there is no heave"),
+        ("constant", 100.0, "there is no heave"),
         ("in g", 60.0, "no sea could be fitted"),
         ("too short", 30.0, "No real-time heave could be compared"),
         ("too short for a delayed heave", 70.0, "There were no forecasts of the heave whose moment"),
@@ -508,6 +522,13 @@ def test_the_command(sea: Recording, tmp_path: Path, capsys: pytest.CaptureFixtu
     assert (tmp_path / "p" / "motion.png").exists()
 
 
+def test_a_name_that_is_no_text(sea: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = written(tmp_path / os.fsdecode(b"r\xffn.csv"), sea, 2.0, "")
+    assert main(["report", str(source), "-o", str(tmp_path / "x.html"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["source"]["name"] == "r?n.csv"
+    checked(tmp_path / "x.html")
+
+
 def test_the_command_says_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["report", str(tmp_path / "none.csv")]) == 1
     assert "none.csv: cannot be read" in capsys.readouterr().err
@@ -525,7 +546,14 @@ def test_durations(seconds: float, text: str) -> None:
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(0.00321, "3.2 mm"), (-0.0414, "-41.4 mm"), (0.253, "25.3 cm"), (1.254, "1.25 m"), (math.nan, NOT_KNOWN)],
+    [
+        (0.00321, "3.2 mm"),
+        (-0.0414, "-41.4 mm"),
+        (-1e-5, "0.0 mm"),
+        (0.253, "25.3 cm"),
+        (1.254, "1.25 m"),
+        (math.nan, NOT_KNOWN),
+    ],
 )
 def test_lengths(value: float, text: str) -> None:
     assert length(value) == text

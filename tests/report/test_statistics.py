@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from heaved.replay.table import MAX_STEP_S, DelayedColumn
-from heaved.report.statistics import HISTOGRAM_EDGES, LEVELS, Envelope, Errors, Moments, between
+from heaved.report.statistics import HISTOGRAM_EDGES, LEVELS, Envelope, Errors, Moments, between, measured_at
 from heaved.samples import DelayedHeave
 
 values = st.floats(-1e3, 1e3, width=32) | st.just(nan)
@@ -58,6 +58,7 @@ def test_coverage_of_claims_that_are_so_many_times_right(claimed: float) -> None
     found = errors.statistics()
     for share, k in zip(found.within, (1.0, 2.0, 3.0), strict=True):
         assert share == pytest.approx(erf(k * claimed / sqrt(2.0)), abs=5.0 * 0.5 / sqrt(n))
+    assert found.claimed_median == pytest.approx(3.0 * claimed, rel=0.013)
     assert found.nees == pytest.approx(1.0 / claimed**2, rel=5.0 * sqrt(2.0 / n))
     assert found.interval == pytest.approx(erf(1.96 * claimed / sqrt(2.0)), abs=5.0 * 0.5 / sqrt(n))
     if claimed == 1.0:
@@ -65,6 +66,15 @@ def test_coverage_of_claims_that_are_so_many_times_right(claimed: float) -> None
         middles = 0.5 * (HISTOGRAM_EDGES[1:] + HISTOGRAM_EDGES[:-1])
         density = errors.histogram / n / 0.2
         assert density == pytest.approx(np.exp(-0.5 * middles**2) / sqrt(2.0 * np.pi), abs=0.006)
+
+
+def test_the_median_claim_is_that_of_all() -> None:
+    rng = np.random.default_rng(8)
+    std = np.exp(2.0 * rng.standard_normal(9999))
+    errors = Errors()
+    for part in np.array_split(std, 7):
+        errors.push(np.zeros(len(part)), part, part)
+    assert errors.statistics().claimed_median == pytest.approx(np.median(std), rel=0.013)
 
 
 def test_what_is_beyond_the_histogram_is_in_its_outermost_bins() -> None:
@@ -128,6 +138,28 @@ def test_between_is_the_delayed_column_of_a_replay() -> None:
     expected = [column.at(at_s) for at_s in t_s.tolist()]
     assert between(t_s, known_s, heave, MAX_STEP_S) == pytest.approx(np.array(expected), nan_ok=True, abs=1e-12)
     assert 50 < np.isnan(expected).sum() < 450
+
+
+def test_what_was_measured_keeps_its_noise() -> None:
+    """A line of slope 2 with noise of std 1: at the readings, and in the middle between two, where a mean has 0.71."""
+    rng = np.random.default_rng(9)
+    known_s: np.ndarray = 1.7e9 + 0.02 * np.arange(20_000)
+    noise = rng.standard_normal(20_000)
+    line = 2.0 * (known_s - 1.7e9)
+    assert (measured_at(known_s, known_s, noise, 0.1) == noise).all()
+    for share, most in ((0.5, 1.06), (0.2, 1.02)):
+        t_s = known_s[1:-2] + 0.02 * share
+        found = measured_at(t_s, known_s, line + noise, 0.1) - 2.0 * (t_s - 1.7e9)
+        assert 0.97 < float(np.var(found)) < most + 0.03
+        assert measured_at(t_s, known_s, line, 0.1) == pytest.approx(2.0 * (t_s - 1.7e9), abs=1e-5)
+
+
+def test_nothing_is_measured_in_a_hole_nor_beyond() -> None:
+    known_s = np.array([0.0, 0.1, 0.2, 0.3, 1.3, 1.4, 1.5])
+    t_s = np.array([-0.05, 0.05, 0.15, 0.25, 0.8, 1.35, 1.45, 1.6, 1.3])
+    found = measured_at(t_s, known_s, known_s, 0.2)
+    # Where one of the two neighbours beyond is missing or far away, too; but a reading itself is always one.
+    assert found == pytest.approx([nan, nan, 0.15, nan, nan, nan, nan, nan, 1.3], nan_ok=True)
 
 
 def test_between_nothing_is_nothing() -> None:
