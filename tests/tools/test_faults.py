@@ -32,6 +32,7 @@ from heaved.samples import (
     LaserSample,
     LaserState,
     MotionFrame,
+    PointMotion,
     Quality,
     RockPrediction,
     Sample,
@@ -93,15 +94,6 @@ def true_motion() -> Motion[NDArray[np.float64]]:
     )
 
 
-class Tip(msgspec.Struct, frozen=True):
-    """A monitoring point that says how sure it is."""
-
-    name: str
-    heave_m: float
-    heave_velocity_mps: float
-    heave_std_m: float
-
-
 def frame(t: float) -> MotionFrame:
     """All of it right."""
     return MotionFrame(
@@ -111,7 +103,7 @@ def frame(t: float) -> MotionFrame:
         heave_std_m=STD_M,
         roll_rad=roll(t),
         pitch_rad=pitch(t),
-        points=(Tip("tip", point(t), 0.0, 2.0 * STD_M),),  # type: ignore[arg-type]
+        points=(PointMotion(name="tip", heave_m=point(t), heave_velocity_mps=0.0, heave_std_m=2.0 * STD_M),),
         rock=tuple(
             RockPrediction(
                 horizon_s=h, roll_rad=roll(t + h), pitch_rad=pitch(t + h), roll_std_rad=STD_RAD, pitch_std_rad=STD_RAD

@@ -40,9 +40,11 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """A smaller lag of the accelerometers than this is not worth going back for."""
     tilt_matters_mps2: float = 0.01
     """RMS of what the tilt makes of the vertical acceleration from which there is more of it than of heave at the low
-    end of the waves: where the tilt has been removed, the acceleration had better be missing than be taken with the
-    tilt in it, for as long as that is remembered."""
+    end of the waves: the acceleration had better be missing than be taken with the tilt in it."""
     tilt_memory_s: float = 60.0
+    """Of that RMS."""
+    tilt_seen_s: float = 20.0
+    """Without an attitude, and with no memory of one, so much of a record shows how large it is."""
     tilt_lingers: float = 3.0
     """What tilt has done to the heave is gone after so many times as long as it was in the acceleration."""
 
@@ -91,6 +93,8 @@ class Vertical:
         self._tilted_s = nan
         self._lingers_until_s = -inf
         self._tilt_square = 0.0
+        """Mean square of what the tilt makes of the vertical acceleration."""
+        self._across = _TiltAcross()
         self._level_bias = LevelBias()
         self._attitude_error = AttitudeError()
 
@@ -114,6 +118,7 @@ class Vertical:
             return None
         ax, ay, az = sample.ax_mps2, sample.ay_mps2, sample.az_mps2
         has_tilt = t_s - self._propagator.latest.t_s <= TUNING.attitude_hold_s and isfinite(ax + ay)
+        self._across.step(t_s, ax, ay)
         is_of_another_kind = self._is_of_another_kind(t_s, has_tilt)
         if self.withheld:
             return None
@@ -144,7 +149,7 @@ class Vertical:
         self.withheld = ""
         if has_tilt:
             self._tilted_s = t_s
-        elif t_s - self._tilted_s < TUNING.tilt_memory_s and self._tilt_square > TUNING.tilt_matters_mps2**2:
+        elif self._tilt_now_square(t_s) > TUNING.tilt_matters_mps2**2:
             self.withheld = TOO_TILTED
             return False
         is_other = has_tilt != self._tilt_removed
@@ -156,6 +161,14 @@ class Vertical:
             lasted_s = min(t_s - self._tilted_s, TUNING.tilt_lasts_s)
             self._lingers_until_s = t_s + TUNING.tilt_lingers * lasted_s
         return has_lasted
+
+    def _tilt_now_square(self, t_s: float) -> float:
+        """Mean square of what a tilt that is not removed makes of the vertical acceleration: as it was while the
+        attitude was known, until horizontal accelerations have shown it since; 0: nothing is known of it.
+        """
+        if self._across.seconds(t_s) >= TUNING.tilt_seen_s and not t_s - self._tilted_s < TUNING.tilt_memory_s:
+            return self._across.square
+        return self._tilt_square
 
     def _note_tilt(self, t_s: float, tilt_mps2: float) -> None:
         """Keep what the tilt makes of the vertical acceleration."""
@@ -210,3 +223,38 @@ class Vertical:
             if then is not None:
                 return then[1], then[2]
         return self.attitude.at(t_s)
+
+
+class _TiltAcross:
+    """How large the tilt's part of the vertical acceleration is, where no attitude tells: from the specific force
+    across the mast. A tilt of the angle a shows g sin(a) there and takes g (1 - cos(a)) off the mast, which is the
+    square of the former over 2 g; it is the variation of that which is taken for waves.
+
+    Attributes:
+        square: its variance, (m/s2)2.
+    """
+
+    def __init__(self) -> None:
+        self.square = 0.0
+        self._mean = 0.0
+        self._t_s = self._since_s = nan
+
+    def seconds(self, t_s: float) -> float:
+        """For how long it has been seen without a pause."""
+        return self._t_s - self._since_s if t_s - self._t_s <= TUNING.attitude_hold_s else 0.0
+
+    def step(self, t_s: float, x_mps2: float, y_mps2: float) -> None:
+        """Take a sample; nan: there is none."""
+        if not isfinite(x_mps2 + y_mps2):
+            return
+        part = (x_mps2 * x_mps2 + y_mps2 * y_mps2) / (2.0 * GRAVITY_MPS2)
+        elapsed_s = t_s - self._t_s
+        self._t_s = t_s
+        if not elapsed_s <= TUNING.attitude_hold_s:
+            self._since_s, self._mean, self.square = t_s, part, 0.0
+            return
+        # At first the mean of what there is, later a fading one.
+        share = elapsed_s / min(max(t_s - self._since_s, elapsed_s), TUNING.tilt_memory_s)
+        off = part - self._mean
+        self._mean += share * off
+        self.square += share * (off * off - self.square)

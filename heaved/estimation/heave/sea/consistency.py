@@ -36,7 +36,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     still_share: float = 0.5
     """Nor is it a sea when the error of the heave is that share of the heave itself."""
     factor_limit: float = 10.0
-    """Beyond it nothing is known anyway."""
+    """Beyond it nothing is known: a real-time heave that is so many standard deviations off the delayed one is none."""
     enough_waves: float = 8.0
     """A spectrum of fewer of the longest waves is too coarse for its skirt, and the errors are as many times larger as
     the square of what is lacking (cold starts in swell of 16 and 19 s: 4 and 10 times with fewer than three of
@@ -150,6 +150,8 @@ class Consistency:
         self.surprise = max(self._whiteness, surprise)
         ratio = self.divergence.ratio
         shown = min(max(1.0, sqrt(0.5 * self.surprise), ratio), TUNING.factor_limit)
+        if ratio > TUNING.factor_limit and self.divergence.rms_m > TUNING.small_m:
+            shown = inf
         self.factor = max(shown, self.youth) if self.youth < inf else shown
         self._is_recovering = is_recovering
         if sea is not self._sea:
