@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import ipaddress
 import os
 from collections.abc import Collection, Mapping
@@ -84,6 +85,7 @@ def rule_faults(file: Written) -> list[str]:
         faults += [fault for fault in line_faults(tuple(devices.values())) if fault not in overload]
     for name, table in (("stream", config.stream), ("http", config.http)):
         faults += _listen_faults(name, table.host, table.allow)
+    faults += _recording_faults(config)
     same = config.stream.port == config.http.port != 0 and config.stream.host == config.http.host
     if config.http.enabled and same and not {"stream.port", "http.port"} & file.wrong:
         faults.append(f"http.port: {config.http.port} is also stream.port")
@@ -309,6 +311,15 @@ def _link_faults(path: str, link: str) -> list[str]:
     except ValueError as error:
         return [f"{path}.link: {error}"]
     return []
+
+
+def _recording_faults(config: Config) -> list[str]:
+    directory, faults = config.recording.directory, []
+    if directory and not directory.startswith(("/", "~")):
+        faults.append(f"recording.directory: {directory!r} must be an absolute path: the daemon runs anywhere")
+    if config.recording.enabled and importlib.util.find_spec("pyarrow") is None:
+        faults.append("recording.enabled: needs pyarrow, which is not installed: pip install 'heaved[recording]'")
+    return faults
 
 
 def _listen_faults(table: str, host: str, allow: tuple[str, ...]) -> list[str]:

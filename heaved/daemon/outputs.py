@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import structlog
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from heaved.outputs.output import Output, OutputHealth
     from heaved.samples import MotionFrame
 
-TABLES: Final[tuple[str, ...]] = ()
+TABLES: Final[tuple[str, ...]] = ("recording",)
 """Of the configuration, whose change makes outputs anew."""
 
 _log = structlog.get_logger(__name__)
@@ -25,9 +26,13 @@ _log = structlog.get_logger(__name__)
 class Outputs:
     """All of them. One that fails, which is a bug, is counted and said once, and costs the others nothing."""
 
-    def __init__(self, utc_s: Callable[[float], float], clock: Callable[[], float]) -> None:
-        """``utc_s``: UTC, seconds since 1970, of a time on ``clock``, the monotonic clock of the frames."""
-        self._utc_s, self._clock = utc_s, clock
+    def __init__(
+        self, utc_s: Callable[[float], float], clock: Callable[[], float], recording: Callable[[Config], Output]
+    ) -> None:
+        """``utc_s``: UTC, seconds since 1970, of a time on ``clock``, the monotonic clock of the frames. ``recording``
+        makes the one that records: it is told more than frames.
+        """
+        self._utc_s, self._clock, self._recording = utc_s, clock, recording
         self._running: dict[object, Output] = {}
         self._tasks: dict[object, asyncio.Task[None]] = {}
         self._bugs: set[str] = set()
@@ -67,8 +72,10 @@ class Outputs:
 
     def _wanted(self, config: Config) -> dict[object, Callable[[], Output]]:
         """By its table, how each output is made."""
-        del config
-        return {}
+        wanted: dict[object, Callable[[], Output]] = {}
+        if config.recording.enabled:
+            wanted[config.recording] = partial(self._recording, config)
+        return wanted
 
     def _bug(self, health: OutputHealth, error: Exception) -> None:
         kind = f"{health.name}: {type(error).__name__}"

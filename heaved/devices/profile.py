@@ -103,7 +103,7 @@ class DeviceSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 MAX_REGISTERS = 125
 """Most registers that one read may ask for (Modbus application protocol V1.1b3, 6.3)."""
 
-_SI: dict[str, tuple[float, str]] = {
+SI: dict[str, tuple[float, str]] = {
     "m/s2": (1.0, "acceleration"),
     "g": (GRAVITY_MPS2, "acceleration"),
     "m": (1.0, "length"),
@@ -185,7 +185,7 @@ def block_registers(block: Block) -> int:
 
 def si_step(field: Field) -> float:
     """Resolution of an integer field in SI units: what one count of the register means."""
-    return abs(field.scale) * _SI[field.unit][0] if field.type != "float32" else 0.0
+    return abs(field.scale) * SI[field.unit][0] if field.type != "float32" else 0.0
 
 
 class Decoded(msgspec.Struct, frozen=True):
@@ -222,7 +222,7 @@ class _Group:
                 # The largest finite number stands for "no limit", so that one comparison refuses inf and nan too.
                 -_FINITE_MAX if field.min is None else max(field.min, -_FINITE_MAX),
                 _FINITE_MAX if field.max is None else min(field.max, _FINITE_MAX),
-                field.sign * _SI[field.unit][0],
+                field.sign * SI[field.unit][0],
                 field,
             )
             for field in fields
@@ -292,7 +292,7 @@ class BlockCodec:
 
 def _raw(field: Field, si: float) -> float:
     """The number that stands in the registers for a value in SI units."""
-    raw = (si / (field.sign * _SI[field.unit][0]) - field.offset_value) / field.scale
+    raw = (si / (field.sign * SI[field.unit][0]) - field.offset_value) / field.scale
     if isnan(raw) and field.type != "float32":
         raise ValueError(f"{field.quantity}: {field.type} registers cannot say nan")
     low, high = _LIMITS[field.type]
@@ -346,7 +346,7 @@ def profile_faults(profile: Profile) -> list[str]:
 
 def _field_faults(field: Field) -> list[str]:
     faults = []
-    kind = _SI[field.unit][1]
+    kind = SI[field.unit][1]
     if kind != _KIND[field.quantity]:
         faults.append(f"unit {field.unit!r} measures {kind}, not {_KIND[field.quantity]}")
     if field.scale == 0.0 or not isfinite(field.scale):

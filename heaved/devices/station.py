@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from heaved.links import Link
 
-_KINDS: Final[dict[Role, Callable[..., Sample]]] = {
+KINDS: Final[dict[Role, Callable[..., Sample]]] = {
     "imu": ImuSample,
     "laser": LaserSample,
     "imu2": RatesSample,
@@ -147,7 +147,7 @@ class Station:
         )
 
     def _sample(self, t_s: float, values: Mapping[Quantity, float], fault: Fault) -> Sample:
-        kind = _KINDS[self.spec.role]
+        kind = KINDS[self.spec.role]
         if fault is not Fault.NONE:
             return kind(t_s=t_s, fault=fault)
         measured: dict[str, Any] = {name: value for name, value in values.items() if name in self._wanted}
