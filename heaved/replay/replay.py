@@ -1,7 +1,8 @@
 """Replay: a recording through the very pipeline of the daemon, causal and repeatable to the byte.
 
-Nothing here depends on the time of day or on how fast the machine is: the pipeline hands over a training window at a
-time of the recording, replay waits for the network, and the pipeline judges it before the next sample.
+Nothing here depends on the time of day or on how fast the machine is. Of a CSV, the pipeline hands over a training
+window at a time of the recording, replay waits for the network, and the pipeline judges it before the next sample. What
+a daemon has recorded has its models with it, and where it took them: see :mod:`heaved.replay.live`.
 """
 
 from __future__ import annotations
@@ -14,24 +15,28 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
-from math import inf, isnan, nan
+from math import inf, isfinite, isnan, nan
 from typing import TYPE_CHECKING, Final, TextIO
 
 import msgspec
 
+from heaved.config import Config
 from heaved.devices.recording import Recording
 from heaved.estimation.heave.sea.refit import SeaWindow, look
 from heaved.estimation.stages import Stages
-from heaved.pipeline import Pipeline, assemble
+from heaved.recorder.read import is_recorded
+from heaved.replay.live import Learning, LiveRecording, Rerun, assembled
 from heaved.replay.table import Table
-from heaved.samples import HeaveState, Quality, Sample
+from heaved.samples import HeaveState, MotionFrame, Quality, Sample
 from heaved.text import printable
 from heaved.workers.process import BlockingTrainer
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from heaved.config import Config
+    from heaved.pipeline import Pipeline
+    from heaved.recorder.read import Row
+
 
 PROGRESS_SAMPLES: Final = 64
 """Progress is told after so many."""
@@ -82,6 +87,8 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """What the last fit that could not be made died of, if one did: a fault of the program."""
     reasons: tuple[Reason, ...] = ()
     """What frames said of their quality, the most frequent first."""
+    remarks: tuple[str, ...] = ()
+    """What should be known of the recording."""
 
     def __str__(self) -> str:
         speed = self.duration_s / self.elapsed_s if self.elapsed_s > 0.0 else inf
@@ -98,6 +105,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
             f"({speed:.0f} x real time)\n"
             f"{self.frames} frames: {shares or 'no row has az_mps2'}\n"
             f"fits of the sea: {fitted or 'none'}; training windows: {trained or 'none'}{self._told_reasons()}"
+            + "".join(f"\nremark: {printable(remark)}" for remark in self.remarks)
         )
 
     def _told_reasons(self) -> str:
@@ -111,23 +119,87 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def replay(
-    source: Path, out: Path | None, config: Config, *, until_s: float = inf, progress: Progress | None = None
+    source: Path,
+    out: Path | None,
+    config: Config | None = None,
+    *,
+    learn_anew: bool = False,
+    until_s: float = inf,
+    progress: Progress | None = None,
 ) -> Summary:
     """Run the recording ``source`` through the pipeline; the result goes to ``out``, or to standard output if None.
 
+    config: None: of what a daemon has recorded, as it was recorded; of a CSV, the defaults.
+    learn_anew: what a daemon has recorded is learned from again, instead of taking its models; so it is with another
+        configuration in any case, to which they need not fit.
     until_s: seconds of the recording, from its first row, after which to stop.
 
     Raises:
-        RecordingError: the recording is malformed; nothing is written.
+        RecordingError, RecordedError: the recording is malformed; nothing is written.
         OutputError: the result cannot be written; nothing is left behind.
     """
-    begun_s = time.monotonic()
     if out is not None and out.exists() and out.samefile(source):
         raise OutputError(f"{out} is the recording itself: name another file with -o")
+    if is_recorded(source):
+        return _replay_recorded(source, out, config, learn_anew or config is not None, until_s, progress)
+    return _replay_csv(source, out, config or Config(), until_s, progress)
+
+
+def _replay_recorded(
+    source: Path, out: Path | None, config: Config | None, learn: bool, until_s: float, progress: Progress | None
+) -> Summary:
+    begun_s = time.monotonic()
+    tally = Tally()
+    recording = LiveRecording(source)
+    with BlockingTrainer() as trainer, _writing(out) as file:
+        table = Table(config or recording.config, file.write)
+
+        def emit(frame: MotionFrame) -> None:
+            tally.count(frame.t_s, frame.quality)
+            table.push(frame)
+
+        for hour, rows in recording.runs():
+            table.begin_run()
+            rerun = Rerun(hour, config, emit, tally.became, Learning(trainer, tally.became) if learn else None)
+            if not _run_again(rerun, rows, hour.path.name, tally, until_s):
+                break
+            if progress is not None:
+                progress(recording.read_bytes, recording.total_bytes)
+        table.flush()
+    tally.remarks += recording.remarks
+    return tally.summary(time.monotonic() - begun_s)
+
+
+def _run_again(rerun: Rerun, rows: Iterator[Row], name: str, tally: Tally, until_s: float) -> bool:
+    """One run of the daemon; False: ``until_s`` was reached."""
+    before_s, first_s = tally.duration_s, nan
+    for row in rows:
+        if row.seq > 0 and not rerun.has_begun:
+            tally.remarks.append(_within_a_run(name, rerun.warm_up()))
+        if isfinite(row.t_s):
+            first_s = row.t_s if isnan(first_s) else first_s
+            if before_s + row.t_s - first_s > until_s:
+                return False
+            tally.duration_s = max(tally.duration_s, before_s + row.t_s - first_s)
+        tally.rows += row.sample is not None
+        rerun.take(row)
+    return True
+
+
+def _within_a_run(name: str, failure: str) -> str:
+    warm = f"and nothing can be taken from the run before ({failure})" if failure else "with what a restart would know"
+    return (
+        f"{name} begins within a run of the daemon: the replay begins {warm}, and is the same as what the daemon "
+        "published once the filters have settled"
+    )
+
+
+def _replay_csv(source: Path, out: Path | None, config: Config, until_s: float, progress: Progress | None) -> Summary:
+    begun_s = time.monotonic()
     tally = Tally()
     with Recording(source) as recording, BlockingTrainer() as trainer, _writing(out) as file:
         table = Table(config, file.write)
-        pipeline = _pipeline(config, recording.has_laser)
+        pipeline = assembled(config, Stages(config.hull, config.attitude), has_laser=recording.has_laser)
         for number, sample in enumerate(_samples(recording, until_s, tally), start=1):
             frame = pipeline.step(sample)
             if (past := pipeline.fit_due()) is not None:
@@ -145,20 +217,6 @@ def replay(
     if (spared := pipeline.summary().windows_with_nothing_to_learn) > 0:
         tally.trainings[NOTHING_TO_LEARN] = spared
     return tally.summary(time.monotonic() - begun_s)
-
-
-def _pipeline(config: Config, has_laser: bool) -> Pipeline:
-    return assemble(
-        heave=config.heave,
-        laser=config.laser,
-        correction=config.correction,
-        rock=config.rock,
-        has_laser=has_laser,
-        point=config.point,
-        lead_s=config.compensation.lead_s,
-        stages=Stages(config.hull, config.attitude),
-        quiet=config.quiet,
-    )
 
 
 def _samples(recording: Recording, until_s: float, tally: Tally) -> Iterator[Sample]:
@@ -196,6 +254,8 @@ class Tally:
         self.trainings: Counter[str] = Counter()
         self.fits: Counter[str] = Counter()
         self.failure = ""
+        self.remarks: list[str] = []
+        self.errors: Counter[str] = Counter()
         self._quality: Counter[HeaveState] = Counter()
         self._reasons: dict[str, _CountedReason] = {}
         """By their texts without the numbers."""
@@ -210,6 +270,10 @@ class Tally:
                 reason = self._reasons[kind] = _CountedReason(text, t_s)
             reason.frames += 1
             reason.varies |= text != reason.text
+
+    def became(self, what: str, result: str) -> None:
+        """``fits``, ``trainings`` or ``errors``: what became of one."""
+        {"fits": self.fits, "trainings": self.trainings, "errors": self.errors}[what][result] += 1
 
     def summary(self, elapsed_s: float) -> Summary:
         """``elapsed_s``: by the clock on the wall."""
@@ -226,6 +290,7 @@ class Tally:
                 Reason(text=one.text, varies=one.varies, frames=one.frames, first_s=one.first_s)
                 for one in sorted(self._reasons.values(), key=lambda one: -one.frames)
             ),
+            remarks=(*self.remarks, *(f"{count} times an error: {what}" for what, count in self.errors.items())),
         )
 
 
