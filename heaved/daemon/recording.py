@@ -30,7 +30,7 @@ from heaved.daemon.state import state_directory
 from heaved.outputs.output import OutputHealth
 from heaved.recorder import messages
 from heaved.recorder.calls import Restored
-from heaved.recorder.layout import CALLS, Call, Header, Report, Settings
+from heaved.recorder.layout import CALLS, Call, Header, Layout, Report, Settings
 from heaved.recorder.messages import Kind, packed
 
 if TYPE_CHECKING:
@@ -189,6 +189,7 @@ class RecordingOutput:
         self._hour = -1
         self._polls: dict[str, PollPacker] = {}
         self._frames: FramePacker
+        self._layout: Layout
         self._gathered: list[bytes] = []
         self._gathered_bytes = self._rows = 0
         self._kept: deque[_Chunk] = deque()
@@ -220,8 +221,11 @@ class RecordingOutput:
         self._cut()
         self._config = config
         self._frames = FramePacker(config)
-        layout = layout_of(config, self._frames)
-        self._polls = {device.name: PollPacker(i, device) for i, device in enumerate(layout.devices)}
+        self._layout = layout_of(config, self._frames)
+        self._polls = {device.name: PollPacker(i, device) for i, device in enumerate(self._layout.devices)}
+        self._begin_file()
+
+    def _begin_file(self) -> None:
         offset_s = self._journal.offset_s()
         now_utc_s = time.monotonic() + offset_s
         self._hour = int(now_utc_s // _HOUR_S)
@@ -230,8 +234,8 @@ class RecordingOutput:
             run=self._journal.run,
             release=__version__,
             began_utc_s=now_utc_s,
-            layout=layout,
-            config=msgspec.Raw(msgspec.json.encode(config)),
+            layout=self._layout,
+            config=msgspec.Raw(msgspec.json.encode(self._config)),
             learned=msgspec.Raw(msgspec.json.encode(self._journal.learned())),
         )
         self._header = packed(Kind.HEADER, msgspec.json.encode(header))
@@ -346,7 +350,8 @@ class RecordingOutput:
     def _roll_over(self) -> None:
         """Each hour of UTC has files of its own."""
         if int((time.monotonic() + self._journal.offset_s()) // _HOUR_S) != self._hour:
-            self.renew(self._config)
+            self._cut()
+            self._begin_file()
 
     async def _listen(self, process: Process) -> None:
         assert process.stdout is not None

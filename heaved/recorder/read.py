@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 
 from heaved import samples
 from heaved.recorder.files import NAME, PARQUET, STREAM, whole_batches
+from heaved.recorder.found import SUFFIXES, RecordedError
 from heaved.recorder.layout import FRAMES, SAMPLES, Call, Column, Header, table_columns
 from heaved.recorder.tables import Doubles, header_of, numbers_to_values, samples_of
 from heaved.samples import Fault, Sample
@@ -25,17 +26,12 @@ from heaved.samples import Fault, Sample
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-SUFFIXES: Final = (STREAM, ".arrow", ".parquet")
 _ROWS_AT_A_TIME: Final = 20_000
 _SAMPLES: Final[dict[str, Any]] = {
     kind.__name__: kind
     for kind in vars(samples).values()
     if isinstance(kind, type) and issubclass(kind, msgspec.Struct) and "fault" in kind.__struct_fields__
 }
-
-
-class RecordedError(Exception):
-    """Something that cannot be read as a recording; says which file, why, and what to do."""
 
 
 class Row(msgspec.Struct, frozen=True, gc=False):
@@ -100,11 +96,6 @@ class Recorded(msgspec.Struct, frozen=True, kw_only=True):
         for hour in self.hours:
             found.setdefault(hour.header.run, []).append(hour)
         return list(found.values())
-
-
-def is_recorded(path: Path) -> bool:
-    """Whether ``path`` is meant to be a recording of a daemon, not a CSV."""
-    return path.is_dir() or path.name.endswith(SUFFIXES)
 
 
 def open_recorded(path: Path, table: str) -> Recorded:

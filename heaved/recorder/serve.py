@@ -37,6 +37,7 @@ _TICK_S: Final = 0.25
 """It looks around so often when nothing comes."""
 _LIMITS_S: Final = 60.0
 """Sizes are looked at so often."""
+_IN_USE_S: Final = 1.0
 _STDIN, _STDOUT = 0, 1
 
 
@@ -141,17 +142,22 @@ class Recorder:
         except (OSError, InUseError, pa.ArrowException) as error:
             self.lost += rows
             assert self.settings is not None
-            self._retry_s = now_s + self.settings.retry_s
-            self._fault = explain(error, self.directory, self.settings.retry_s)
+            # Who has the directory may just be ending: one like this, before the configuration was read again.
+            retry_s = min(_IN_USE_S, self.settings.retry_s) if isinstance(error, InUseError) else self.settings.retry_s
+            self._retry_s = now_s + retry_s
+            self._fault = explain(error, self.directory, retry_s)
             self._close()
         samples.clear()
         frames.clear()
         self.tell()
 
     def close(self, now_s: float) -> None:
-        """Write the rest; no more comes."""
+        """Write the rest; no more comes, and others may have the directory."""
         self.write(now_s)
         self._close()
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
 
     def tell(self, note: str = "") -> None:
         """Say how it is."""
@@ -280,7 +286,8 @@ def explain(error: Exception, directory: Path, retry_s: float) -> str:
     what = {
         errno.ENOSPC: "no room is left: free some, or lower [recording] max_gb",
         errno.EDQUOT: "the quota is used up: raise it, or lower [recording] max_gb",
-        errno.EROFS: "is read-only: mount it writable, or correct [recording] directory",
+        errno.EROFS: "is read-only: mount it writable, name it in the unit (ReadWritePaths=), or correct "
+        "[recording] directory",
         errno.EACCES: "may not be written to: correct its permissions, or [recording] directory",
         errno.EPERM: "may not be written to: correct its permissions, or [recording] directory",
         errno.ENOENT: "is not there: mount or make it, or correct [recording] directory",
@@ -292,7 +299,10 @@ def explain(error: Exception, directory: Path, retry_s: float) -> str:
 def main() -> int:
     """Record until stdin ends (0), or something else than our messages comes (1, with a message on stderr)."""
     os.nice(NICENESS)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the daemon's to handle; its end is our end of file.
+    # Ctrl-C, and the end of a service, are the daemon's to handle: it has something to say after them, and its end is
+    # our end of file.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     pa.set_cpu_count(1)
     out = os.fdopen(os.dup(_STDOUT), "wb", buffering=0)

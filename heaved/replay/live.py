@@ -6,28 +6,36 @@ all the rest is a pure function of these, so the frames come out the same, to th
 
 from __future__ import annotations
 
+from functools import partial
 from math import inf
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
 from heaved.config import Config
+from heaved.estimation.heave.observer import Verdict
 from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.heave.sea.refit import SeaFit, look
 from heaved.estimation.hull.refit import RefitJob, RefitResult, refit
 from heaved.estimation.stages import Stages
-from heaved.pipeline import Pipeline, assemble
 from heaved.recorder.calls import Restored
+from heaved.recorder.found import RecordedError
 from heaved.recorder.layout import SAMPLES, Call
-from heaved.recorder.read import Hour, Recorded, RecordedError, Row, open_recorded, rows_of
+from heaved.recorder.read import Hour, Recorded, Row, open_recorded, rows_of
+from heaved.replay.replay import assembled
 from heaved.samples import ImuSample, MotionFrame, TrainedNetwork
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
+    from heaved.pipeline import Pipeline
+    from heaved.replay.replay import Progress
     from heaved.samples import Sample
     from heaved.workers.process import BlockingTrainer
+
+PROGRESS_ROWS: Final = 1024
+"""Progress is told after so many."""
 
 
 class LiveRecording:
@@ -38,21 +46,17 @@ class LiveRecording:
         remarks: what a person should know of it.
     """
 
-    def __init__(self, path: Path) -> None:
-        """
+    def __init__(self, path: Path, progress: Progress | None = None) -> None:
+        """``progress`` is told now and then how much of it has been read.
+
         Raises:
             RecordedError: it is not one.
         """
+        self._progress = progress
         self._recorded: Recorded = open_recorded(path, SAMPLES)
         self.remarks = list(self._recorded.remarks)
         self.config = config_of(self._recorded.hours[0])
-        self.read_bytes = 0
-        self.rows = 0
-
-    @property
-    def total_bytes(self) -> int:
-        """Of all its files."""
-        return self._recorded.size_bytes
+        self._read_bytes = 0
 
     def runs(self) -> Iterator[tuple[Hour, Iterator[Row]]]:
         """Each run of the daemon: its first hour, and all its rows."""
@@ -62,16 +66,18 @@ class LiveRecording:
     def _rows(self, hours: list[Hour]) -> Iterator[Row]:
         expected = None
         for hour in hours:
-            for row in rows_of(hour):
+            for number, row in enumerate(rows_of(hour)):
                 if expected is not None and row.seq != expected:
                     self.remarks.append(
                         f"{hour.path.name}: {row.seq - expected} calls are missing before t_s {row.t_s:.2f}: what "
                         "follows is the same only once the filters have forgotten it"
                     )
                 expected = row.seq + 1
-                self.rows += 1
+                if self._progress is not None and number % PROGRESS_ROWS == 0:
+                    read = self._read_bytes + hour.size_bytes * number // hour.rows
+                    self._progress(read, self._recorded.size_bytes)
                 yield row
-            self.read_bytes += hour.size_bytes
+            self._read_bytes += hour.size_bytes
 
 
 def config_of(hour: Hour) -> Config:
@@ -181,18 +187,25 @@ class Rerun:
         """Take what the daemon took, where it took it."""
         if row.call is Call.NETWORK:
             network = msgspec.msgpack.decode(row.record, type=TrainedNetwork)
-            self._count("trainings", self.pipeline.accept(network))
+            self._count("trainings", self._accepted(partial(self.pipeline.accept, network)))
         elif row.call is Call.FIT:
-            self._count("fits", self.pipeline.accept_fit(msgspec.msgpack.decode(row.record, type=SeaFit)))
+            fit = msgspec.msgpack.decode(row.record, type=SeaFit)
+            self._count("fits", self._accepted(partial(self.pipeline.accept_fit, fit)))
         else:
             job, self._job = self._job, None
             if job is not None and self.pipeline.stages.due_refit is job:
                 self.pipeline.stages.accept(self._refit if row.call is Call.REFIT else None)
 
+    def _accepted(self, accept: Callable[[], Verdict]) -> Verdict:
+        try:
+            return accept()
+        except Exception:  # As the daemon does, and the recording shows what it came from.  # noqa: BLE001
+            return Verdict.FAILED
+
     def _step(self, sample: Sample) -> MotionFrame | None:
         try:
             return self.pipeline.step(sample)
-        except Exception:  # As the daemon does, and the recording shows what it came from.  # noqa: BLE001
+        except Exception:  # Likewise.  # noqa: BLE001
             self._count("errors", "step")
         return self._coast(sample.t_s) if isinstance(sample, ImuSample) else None
 
@@ -236,18 +249,3 @@ class Rerun:
                 self.pipeline.restore(learned)
             except ValueError:
                 self._count("errors", "what was learned does not fit the new configuration")
-
-
-def assembled(config: Config, stages: Stages, *, has_laser: bool) -> Pipeline:
-    """The pipeline of a configuration."""
-    return assemble(
-        heave=config.heave,
-        laser=config.laser,
-        correction=config.correction,
-        rock=config.rock,
-        has_laser=has_laser,
-        point=config.point,
-        lead_s=config.compensation.lead_s,
-        stages=stages,
-        quiet=config.quiet,
-    )

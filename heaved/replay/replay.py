@@ -24,8 +24,8 @@ from heaved.config import Config
 from heaved.devices.recording import Recording
 from heaved.estimation.heave.sea.refit import SeaWindow, look
 from heaved.estimation.stages import Stages
-from heaved.recorder.read import is_recorded
-from heaved.replay.live import Learning, LiveRecording, Rerun, assembled
+from heaved.pipeline import Pipeline, assemble
+from heaved.recorder.found import is_recorded, need_reader
 from heaved.replay.table import Table
 from heaved.samples import HeaveState, MotionFrame, Quality, Sample
 from heaved.text import printable
@@ -34,8 +34,8 @@ from heaved.workers.process import BlockingTrainer
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from heaved.pipeline import Pipeline
     from heaved.recorder.read import Row
+    from heaved.replay.live import Rerun
 
 
 PROGRESS_SAMPLES: Final = 64
@@ -148,10 +148,13 @@ def replay(
 def _replay_recorded(
     source: Path, out: Path | None, config: Config | None, learn: bool, until_s: float, progress: Progress | None
 ) -> Summary:
+    need_reader(source)
+    from heaved.replay.live import Learning, LiveRecording, Rerun  # What they read with need not be installed.
+
     begun_s = time.monotonic()
     tally = Tally()
-    recording = LiveRecording(source)
-    with BlockingTrainer() as trainer, _writing(out) as file:
+    recording = LiveRecording(source, progress)
+    with BlockingTrainer() as trainer, writing(out) as file:
         table = Table(config or recording.config, file.write)
 
         def emit(frame: MotionFrame) -> None:
@@ -163,8 +166,6 @@ def _replay_recorded(
             rerun = Rerun(hour, config, emit, tally.became, Learning(trainer, tally.became) if learn else None)
             if not _run_again(rerun, rows, hour.path.name, tally, until_s):
                 break
-            if progress is not None:
-                progress(recording.read_bytes, recording.total_bytes)
         table.flush()
     tally.remarks += recording.remarks
     return tally.summary(time.monotonic() - begun_s)
@@ -197,7 +198,7 @@ def _within_a_run(name: str, failure: str) -> str:
 def _replay_csv(source: Path, out: Path | None, config: Config, until_s: float, progress: Progress | None) -> Summary:
     begun_s = time.monotonic()
     tally = Tally()
-    with Recording(source) as recording, BlockingTrainer() as trainer, _writing(out) as file:
+    with Recording(source) as recording, BlockingTrainer() as trainer, writing(out) as file:
         table = Table(config, file.write)
         pipeline = assembled(config, Stages(config.hull, config.attitude), has_laser=recording.has_laser)
         for number, sample in enumerate(_samples(recording, until_s, tally), start=1):
@@ -217,6 +218,21 @@ def _replay_csv(source: Path, out: Path | None, config: Config, until_s: float, 
     if (spared := pipeline.summary().windows_with_nothing_to_learn) > 0:
         tally.trainings[NOTHING_TO_LEARN] = spared
     return tally.summary(time.monotonic() - begun_s)
+
+
+def assembled(config: Config, stages: Stages, *, has_laser: bool) -> Pipeline:
+    """The pipeline of a configuration."""
+    return assemble(
+        heave=config.heave,
+        laser=config.laser,
+        correction=config.correction,
+        rock=config.rock,
+        has_laser=has_laser,
+        point=config.point,
+        lead_s=config.compensation.lead_s,
+        stages=stages,
+        quiet=config.quiet,
+    )
 
 
 def _samples(recording: Recording, until_s: float, tally: Tally) -> Iterator[Sample]:
@@ -309,7 +325,7 @@ def _without_numbers(text: str) -> str:
 
 
 @contextmanager
-def _writing(out: Path | None) -> Iterator[TextIO]:
+def writing(out: Path | None) -> Iterator[TextIO]:
     """A file that appears under its name only when it is whole; pipes and devices are written as they are.
 
     Raises:
