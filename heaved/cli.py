@@ -235,12 +235,40 @@ def watch(host: Host = HOST, port: Port = PORT) -> None:
     """Show the motion live in the terminal, until Ctrl-C."""
     from heaved.client.screen import watch
 
-    if not sys.stdout.isatty():
+    if not sys.stdout.isatty() or os.environ.get("TERM") in ("dumb", "unknown"):
         _fail(f"watch draws on a terminal, and this is none; for the data itself read the stream: nc {host} {port}", 1)
     try:
         watch(host, port, sys.stdout)
     except KeyboardInterrupt:
         return
+
+
+@app.command()
+def page(
+    host: Annotated[str, typer.Option(help="Where the page is served.")] = HOST,
+    port: Annotated[int, typer.Option(min=1, max=65535)] = 8570,
+    stream_host: Annotated[str, typer.Option(help="Where the daemon's stream is.")] = HOST,
+    stream_port: Port = PORT,
+    allow: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NETWORK", help="Who may look, besides this machine: 192.168.10.0/24; may be repeated."),
+    ] = None,
+    log_format: Logs = LogFormat.human,
+) -> None:
+    """Serve a web page that shows the motion, until Ctrl-C. Only another client of the stream; nothing can be set."""
+    import asyncio
+
+    from heaved.daemon.logs import configure_logging
+    from heaved.page.server import PageError, PageServer, serve
+
+    with configure_logging(log_format.value).in_background():
+        try:
+            server = PageServer(
+                host=host, port=port, allow=allow or (), stream_host=stream_host, stream_port=stream_port
+            )
+            asyncio.run(serve(server, lambda address: _say(f"page {address}")))
+        except PageError as error:
+            _fail(str(error), 1)
 
 
 # ---- looking for devices ---------------------------------------------------------------------------------------------
@@ -413,6 +441,8 @@ def demo(
             _say(f"sea {sea}, simulated {_device_line(device)}")
         port = "" if config.stream.port == PORT else f" --port {config.stream.port}"
         _say(f"look at it: heaved watch{port}, heaved status{port}, nc {config.stream.host} {config.stream.port}")
+        for line in demonstration.how_to_look(config):
+            _say(line)
 
     try:
         code = demonstration.run(

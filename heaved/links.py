@@ -11,7 +11,7 @@ from urllib.parse import SplitResult, parse_qsl, urlsplit
 import msgspec
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
 Parity = Literal["N", "E", "O"]
 
@@ -46,6 +46,27 @@ class UdpLink(msgspec.Struct, frozen=True):
         return _shown("udp", self.host, self.port)
 
 
+class UdpListenLink(msgspec.Struct, frozen=True):
+    """A UDP port of ours, to which others send."""
+
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        return _shown("udp-listen", self.host, self.port)
+
+
+class ServiceLink(msgspec.Struct, frozen=True):
+    """A service of somebody else, which its scheme names: a broker, a database."""
+
+    scheme: str
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        return _shown(self.scheme, self.host, self.port)
+
+
 class SerialLink(msgspec.Struct, frozen=True):
     """A serial port."""
 
@@ -61,12 +82,13 @@ class SerialLink(msgspec.Struct, frozen=True):
 
 Link = TcpLink | SerialLink
 """To a device on Modbus."""
-AnyLink = TcpLink | TcpListenLink | UdpLink | SerialLink
+AnyLink = TcpLink | TcpListenLink | UdpLink | UdpListenLink | SerialLink
 
-_KINDS: Final[dict[str, type[TcpLink | TcpListenLink | UdpLink]]] = {
+_KINDS: Final[dict[str, type[TcpLink | TcpListenLink | UdpLink | UdpListenLink]]] = {
     "tcp": TcpLink,
     "tcp-listen": TcpListenLink,
     "udp": UdpLink,
+    "udp-listen": UdpListenLink,
 }
 _SERIAL: Final = ("rtu", "serial")
 _USAGE: Final = {scheme: f"{scheme}://host:port" for scheme in _KINDS} | {s: f"{s}:///dev/port" for s in _SERIAL}
@@ -89,11 +111,32 @@ def parse_link(text: str) -> Link:
 
 
 def parse_any_link(text: str, schemes: Sequence[str]) -> AnyLink:
-    """A link of one of the ``schemes`` tcp, tcp-listen, udp (``://host:port``), rtu and serial (``:///dev/port?...``).
+    """A link of one of the ``schemes`` tcp, tcp-listen, udp, udp-listen (``://host:port``), rtu and serial (``:///dev/port?...``).
 
     Raises:
         ValueError: names the part that is wrong, and what it should be.
     """
+    url = _split(text, schemes, _USAGE)
+    return _parse_serial(text, url) if url.scheme in _SERIAL else _parse_address(text, url)
+
+
+def parse_service_link(text: str, ports: Mapping[str, int]) -> ServiceLink:
+    """A link ``scheme://host:port`` of one of the schemes in ``ports``, which has the usual port of each: it may be
+    left out.
+
+    Raises:
+        ValueError: names the part that is wrong, and what it should be.
+    """
+    url = _split(text, tuple(ports), {scheme: f"{scheme}://host:{port}" for scheme, port in ports.items()})
+    if "@" in url.netloc:  # Not shown: it is a secret.
+        raise ValueError("link: no name and no password may stand in it; they have keys of their own")
+    host, port = _host_and_port(text, url, ports[url.scheme])
+    if port == 0:
+        raise ValueError(f"link {text!r}: the port must be a number from 1 to 65535")
+    return ServiceLink(url.scheme, host, port or ports[url.scheme])
+
+
+def _split(text: str, schemes: Sequence[str], usages: Mapping[str, str]) -> SplitResult:
     odd = next((char for char in text if not "!" <= char <= "~"), None)
     if odd is not None:
         name = unicodedata.name(odd, f"U+{ord(odd):04X}")
@@ -105,27 +148,33 @@ def parse_any_link(text: str, schemes: Sequence[str]) -> AnyLink:
     except ValueError as error:
         raise ValueError(f"link {text!r}: {error}") from None
     if url.scheme not in schemes:
-        *others, last = [_USAGE[scheme] for scheme in schemes]
+        *others, last = [usages[scheme] for scheme in schemes]
         usage = f"{', '.join(others)} or {last}" if others else last
         raise ValueError(f"link {text!r}: unknown scheme {url.scheme!r}; it must be {usage}")
-    return _parse_serial(text, url) if url.scheme in _SERIAL else _parse_address(text, url)
+    return url
 
 
-def _parse_address(text: str, url: SplitResult) -> TcpLink | TcpListenLink | UdpLink:
+def _parse_address(text: str, url: SplitResult) -> TcpLink | TcpListenLink | UdpLink | UdpListenLink:
+    host, port = _host_and_port(text, url, 502)
+    if not port:
+        raise ValueError(f"link {text!r}: the port is missing, e.g. {url.scheme}://{host}:502")
+    return _KINDS[url.scheme](host, port)
+
+
+def _host_and_port(text: str, url: SplitResult, usual: int) -> tuple[str, int | None]:
+    """``usual``: port of the examples. None: no port is given."""
     scheme = url.scheme
     if url.netloc.count(":") > 1 and "[" not in url.netloc:
-        raise ValueError(f"link {text!r}: an IPv6 address stands in brackets, e.g. {scheme}://[fd00::7]:502")
+        raise ValueError(f"link {text!r}: an IPv6 address stands in brackets, e.g. {scheme}://[fd00::7]:{usual}")
     if not url.hostname:
-        raise ValueError(f"link {text!r}: the host is missing, e.g. {scheme}://192.168.1.20:502")
+        raise ValueError(f"link {text!r}: the host is missing, e.g. {scheme}://192.168.1.20:{usual}")
     try:
         port = url.port
     except ValueError:
         raise ValueError(f"link {text!r}: the port must be a number from 1 to 65535") from None
-    if not port:
-        raise ValueError(f"link {text!r}: the port is missing, e.g. {scheme}://{url.hostname}:502")
     if url.path or url.query or url.fragment or url.username is not None:
         raise ValueError(f"link {text!r}: nothing may stand beside {scheme}://host:port")
-    return _KINDS[scheme](url.hostname, port)
+    return url.hostname, port
 
 
 def _parse_serial(text: str, url: SplitResult) -> SerialLink:
@@ -160,7 +209,7 @@ def _serial_setting(text: str, key: str, value: str) -> str | int:
     raise ValueError(f"link {text!r}: unknown option {key!r}; known: baudrate, parity, stopbits, bytesize")
 
 
-def explain_open_failure(link: Link, error: BaseException) -> str:  # Each cause has its own words.  # noqa: PLR0911
+def explain_open_failure(link: Link, error: BaseException) -> str:  # Each cause has its own words.
     """Why a line could not be opened, and what to do about it."""
     number = error.errno if isinstance(error, OSError) else None
     if number in (errno.EMFILE, errno.ENFILE) and not isinstance(error, socket.gaierror):
@@ -173,17 +222,24 @@ def explain_open_failure(link: Link, error: BaseException) -> str:  # Each cause
         if number in (errno.EAGAIN, errno.EBUSY):
             return f"{link.path} is in use by another program, or by this one under another name of the port: stop it"
         return f"{link.path} cannot be opened ({error}): check the link's settings"
+    return explain_no_connection(link.host, error, f"the device serves Modbus TCP on port {link.port}")
+
+
+def explain_no_connection(host: str, error: BaseException, served: str) -> str:
+    """Why there is no connection, and what to do about it. ``served``: what should be so at the far end, a clause."""
     if isinstance(error, socket.gaierror):
-        if number == socket.EAI_AGAIN:
+        if error.errno == socket.EAI_AGAIN:
             return (
-                f"host name {link.host} cannot be looked up, no name server answers: check the network, "
+                f"host name {host} cannot be looked up, no name server answers: check the network, "
                 "or write the IP address into the link"
             )
-        return f"host name {link.host} is unknown ({error.strerror}): check it, or write the IP address into the link"
+        return f"host name {host} is unknown ({error.strerror}): check it, or write the IP address into the link"
     if isinstance(error, TimeoutError):
         return "nobody answers the connection: check power, cable and address"
     if isinstance(error, ConnectionRefusedError):
-        return f"connection refused: check that the device serves Modbus TCP on port {link.port}"
+        return f"connection refused: check that {served}"
+    if isinstance(error, PermissionError):
+        return f"not permitted to talk to {host}: name its network in IPAddressAllow of the unit, or ask the firewall"
     return f"no connection ({error}): check network and address"
 
 

@@ -8,7 +8,8 @@
                                                   ^                                       |
     laser gauge --- laser: lag, scale, residual --'                              motion frame, quality
                                                                                           |
-    Beside it: stages (hull between two IMUs, attitude of a craft)        forecast check, quiet windows
+    Beside it: stages (hull between two IMUs, attitude of a craft,        forecast check, quiet windows
+               the moving crane: where the points on it are)
 
 :meth:`Pipeline.step` is the only way through it.
 """
@@ -33,7 +34,6 @@ from heaved.estimation.quiescence import PointQuiescence
 from heaved.estimation.rock.estimator import RockEstimator
 from heaved.estimation.stages import Stages
 from heaved.samples import (
-    CraneSample,
     ImuSample,
     LaserSample,
     MotionFrame,
@@ -96,8 +96,6 @@ class Pipeline:
         """Take one sample; a frame for each IMU sample, faulted ones too. One older than the last is counted."""
         if isinstance(sample, LaserSample):
             self.laser.push(sample)
-            return None
-        if isinstance(sample, CraneSample):
             return None
         if not isinstance(sample, ImuSample):
             self.stages.push(sample)

@@ -24,6 +24,7 @@ LIVE = (
     "devices",
     "outputs",
     "client",
+    "page",
     "workers",
     "demo",
     "simulate/test_plant.py",

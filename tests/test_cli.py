@@ -23,7 +23,7 @@ from heaved.config.read import data_directory
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-COMMANDS = ("run", "demo", "status", "watch", "wait", "check-config", "probe", "replay", "export", "sim")
+COMMANDS = ("run", "demo", "status", "watch", "page", "wait", "check-config", "probe", "replay", "export", "sim")
 
 
 @pytest.fixture
@@ -116,7 +116,7 @@ def test_light_commands_import_nothing_heavy(closed_port: str) -> None:
 
 
 def test_check_config_says_what_it_found(capsys: pytest.CaptureFixture[str]) -> None:
-    file = data_directory() / "demo.toml"
+    file = data_directory() / "sensors.toml"
     assert main(["check-config", str(file)]) == 0
     out = capsys.readouterr().out.splitlines()
     assert out[0] == f"{file}: well"
@@ -182,7 +182,7 @@ def test_every_fault_of_a_configuration_is_named(
 def test_check_config_refuses_rates_that_the_line_cannot_carry(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    text = (data_directory() / "demo.toml").read_text().replace("tcp://127.0.0.1:15020", "rtu:///dev/ttyUSB0")
+    text = (data_directory() / "sensors.toml").read_text().replace("tcp://127.0.0.1:15020", "rtu:///dev/ttyUSB0")
     (tmp_path / "slow.toml").write_text(text)
     assert main(["check-config", str(tmp_path / "slow.toml")]) == 78
     assert "slow.toml: line /dev/ttyUSB0 (9600 8N1): imu at 100 Hz needs" in capsys.readouterr().err
@@ -344,7 +344,7 @@ def test_what_cannot_be_simulated(arguments: list[str], message: str, capsys: py
 def test_sim_on_a_port_that_is_taken_says_what_to_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         config = tmp_path / "sim.toml"
-        demo = (data_directory() / "demo.toml").read_text()
+        demo = (data_directory() / "sensors.toml").read_text()
         config.write_text(demo.replace(":15020", f":{taken.getsockname()[1]}"))
         assert main(["sim", "--config", str(config)]) == 1
     error = capsys.readouterr().err
@@ -361,3 +361,41 @@ def test_sim_serves_until_it_is_told_to_stop() -> None:
     assert sim.returncode == 0, errors
     assert errors == ""
     assert not os.path.lexists(path)
+
+
+@pytest.mark.parametrize("term", ["dumb", "unknown"])
+def test_watch_says_that_a_terminal_cannot_draw(
+    term: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("TERM", term)
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    assert main(["watch"]) == 1
+    assert "read the stream: nc 127.0.0.1 5570" in capsys.readouterr().err
+
+
+# ---- the page --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--host", "0.0.0.0"], "--host 0.0.0.0 can be reached from other machines: name the networks"),
+        (["--allow", "everybody"], "--allow: 'everybody' is not a network such as 192.168.10.0/24"),
+        (["--host", "192.0.2.1", "--allow", "192.0.2.0/24"], "cannot listen on 192.0.2.1:8570: "),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_a_page_that_cannot_be_served_says_why(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["page", *arguments]) == 1
+    assert capsys.readouterr().err.startswith(said)
+
+
+def test_a_page_is_served_until_it_is_ended(closed_port: str) -> None:
+    with running("page", "--port", closed_port) as process:
+        assert lines_until(process, "page ") == [f"page http://127.0.0.1:{closed_port}/"]
+        process.send_signal(signal.SIGTERM)
+        out, err = process.communicate()
+        assert (process.returncode, out) == (0, "")
+        assert "Traceback" not in err

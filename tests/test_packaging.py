@@ -61,8 +61,10 @@ def test_the_wheel_holds_the_package_and_its_data_and_nothing_else(wheel: Path) 
     assert wheel.name == f"heaved-{__version__}-py3-none-any.whl"
     names = zipfile.ZipFile(wheel).namelist()
     assert {name.split("/")[0] for name in names} == {"heaved", f"heaved-{__version__}.dist-info"}
-    for path in (ROOT / "config").rglob("*.toml"):
+    for path in (path for path in (ROOT / "config").rglob("*") if path.is_file()):
         assert f"heaved/_config/{path.relative_to(ROOT / 'config')}" in names
+    for path in (ROOT / "heaved/page/static").iterdir():
+        assert f"heaved/page/static/{path.name}" in names
     modules = {str(path.relative_to(ROOT)) for path in (ROOT / "heaved").rglob("*.py")}
     assert {name for name in names if name.endswith(".py")} == modules
 
@@ -75,7 +77,7 @@ def test_the_installed_command_finds_its_data_inside_the_package(installed: Path
     assert data == str(Path(module).parents[1] / "_config")
     helped = run(installed, heaved, "--help")
     assert (helped.returncode, helped.stderr) == (0, "")
-    for name in ("heaved.toml", "demo.toml"):
+    for name in ("heaved.toml", "demo.toml", "sensors.toml"):
         checked = run(installed, heaved, "check-config", f"{data}/{name}")
         assert checked.returncode == 0, checked.stderr
         assert checked.stdout.startswith(f"{data}/{name}: well\n")

@@ -13,6 +13,7 @@
                                   or what a gyroscope adds to it on a hull that shakes
     tools/accuracy.py hull [--runs 50] [--shake]    deformation between two IMUs, 600 s a run
     tools/accuracy.py attitude [--runs 50] [--shake]    heave and pitch of a foil-assisted catamaran
+    tools/accuracy.py crane [--seeds 3]    heave of the tip of a crane, parked and at work
     tools/accuracy.py faults [DISASTER ...] [--seas S6] [--rates 20]    what is published while things go wrong
     tools/accuracy.py closed-loop [S6 T3] [--replay]    a hook under a winch that the stream drives, in real time
     tools/accuracy.py results [WORD ...] [--list]    run all (or those with these words) that RESULTS.md holds
@@ -37,7 +38,7 @@ os.environ["OMP_NUM_THREADS"] = "1"
 
 from typing import TYPE_CHECKING
 
-from evidence import craft, hull, results
+from evidence import craft, crane, hull, results
 from evidence.closed_loop import commands as closed_loop
 from evidence.commands import Command, Options, Parser, add_jobs
 from evidence.faults import commands as faults
@@ -62,6 +63,7 @@ RECORDED: tuple[tuple[str, str], ...] = (
     ("accuracy.py hull --shake --runs 16", "15 min"),
     ("accuracy.py attitude", "20 min"),
     ("accuracy.py attitude --shake --runs 16", "10 min"),
+    ("accuracy.py crane --seeds 1", "4 min"),
     ("accuracy.py faults --seas S6 --rates 20", "15 min"),
     ("accuracy.py closed-loop --duration 120", "14 min, in real time: on a quiet machine"),
     ("accuracy.py closed-loop S6 --replay --shake line-3.1 --duration 120", "3 min"),
@@ -118,6 +120,7 @@ COMMANDS: dict[str, Command] = {
     **rock.COMMANDS,
     **hull.COMMANDS,
     **craft.COMMANDS,
+    **crane.COMMANDS,
     **faults.COMMANDS,
     **closed_loop.COMMANDS,
     "results": Command(run_results, _results, "run the commands of RESULTS.md again"),

@@ -6,6 +6,7 @@
     tools/bench.py hull [--seconds 120]     a step of the hull deformation, its refit, the crane-base attitude
     tools/bench.py fusion [--repeats 20] [--ticks 150]    a step of the attitude fusion in each mode
     tools/bench.py sigma [--repeats 30] [--ticks 150]     sigma points beside a plain Kalman step
+    tools/bench.py telegrams [--repeats 200] [--ticks 100]    a telegram of each format, and the PLC's registers
     tools/bench.py training [--seconds 15] [--rows 3000]    lateness of a 10 ms tick while a network is trained
 
 Hot: back to back, the best of many blocks. Cold: once per 10 ms tick with 32 MB touched in between, which is how a
@@ -23,7 +24,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Awaitable, Callable, Iterator, Sequence
+from functools import partial
 from itertools import count
+from math import isfinite, nan
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -38,6 +41,7 @@ from evidence.results import Report
 from numpy.typing import NDArray
 
 from heaved.config import Config
+from heaved.daemon.daemon import make_pipeline
 from heaved.devices.timer import DeadlineTimer
 from heaved.estimation.common import sigma
 from heaved.estimation.common.rotations import AttitudeAngles, crane_base_attitude
@@ -46,14 +50,19 @@ from heaved.estimation.craft.fusion import AttitudeFusion, Differ, Mode
 from heaved.estimation.craft.fusion import Params as FusionParams
 from heaved.estimation.craft.model import State
 from heaved.estimation.craft.wave_force import WaveShape, propagation
+from heaved.estimation.heave.sea.refit import look
 from heaved.estimation.hull import estimate
 from heaved.estimation.hull.estimator import HullDeformation
 from heaved.estimation.hull.refit import refit
 from heaved.estimation.rock import maximum_likelihood
 from heaved.estimation.rock.direct import DirectPredictor
 from heaved.estimation.rock.estimator import DirectRockPredictor
+from heaved.outputs.motion import Lead, motion_at
+from heaved.outputs.register_map import RegisterMap, RegistersParams
+from heaved.outputs.telegrams.formats import FORMATS
+from heaved.outputs.telegrams.spec import Format, OutputSpec, as_read
 from heaved.replay.replay import replay
-from heaved.samples import TrainedNetwork, TrainingWindow
+from heaved.samples import MotionFrame, TrainedNetwork, TrainingWindow
 from heaved.simulate.flexure import SCENES, Record, simulate
 from heaved.simulate.play import write_recording
 from heaved.simulate.seaway import SEAS, seaway
@@ -103,7 +112,7 @@ def table(heads: Sequence[str], rows: Iterator[Sequence[str | float]], digits: i
     """Markdown, each row shown on the standard error as soon as it is there; numbers with so many digits."""
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for row in rows:
-        cells = [cell if isinstance(cell, str) else f"{cell:.{digits}f}" for cell in row]
+        cells = [cell if isinstance(cell, str) else f"{cell:.{digits}f}" if isfinite(cell) else "–" for cell in row]
         lines.append(f"| {' | '.join(cells)} |")
         print(lines[-1], file=sys.stderr, flush=True)
     return "\n".join(lines)
@@ -441,6 +450,54 @@ def bench_training(options: Options) -> Report:
     return Report(table(("", "trainings", "p50 µs", "p99 µs", "max µs"), rows()), (1,))
 
 
+# --- telegrams -------------------------------------------------------------------------------------------------------
+
+
+def a_frame() -> MotionFrame:
+    """The last one of two minutes at sea, with a delayed heave."""
+    made = record(seaway("S6", 1), 120.0, imu_rate_hz=20.0, laser="off", seed=1001)
+    pipeline = make_pipeline(Config())
+    frame = None
+    for sample in made.samples():
+        frame = pipeline.step(sample) or frame
+        if (past := pipeline.fit_due()) is not None:
+            pipeline.accept_fit(look(past))
+    assert frame is not None
+    return frame
+
+
+def bench_telegrams(options: Options) -> Report:
+    """What one message costs the event loop: the motion of the moment, its signs, its bytes."""
+    frame = a_frame()
+    now_s = frame.t_s + 0.002
+
+    def telegram(form: Format, spec: OutputSpec) -> Step:
+        def step() -> bytes:
+            motion = motion_at(frame, "", form.lead, now_s, lambda t_s: 1.8e9 + t_s)
+            return form.encode(as_read(motion, spec, form.signs), spec)
+
+        return step
+
+    def rows() -> Iterator[Sequence[str | float]]:
+        motion = motion_at(frame, "", Lead.TRANSMISSION, now_s, lambda t_s: 1.8e9 + t_s)
+        for name, form in FORMATS.items():
+            spec = OutputSpec(name="bench", telegram=name, link="udp://127.0.0.1:5000")
+            encoded = hot_us(partial(form.encode, motion, spec), options.repeats)
+            whole_us, cold = hot_us(telegram(form, spec), options.repeats), cold_us(telegram(form, spec), options.ticks)
+            yield form.title, encoded, whole_us, *np.percentile(cold, [50, 99]).tolist()
+        registers = RegisterMap(RegistersParams(), (), lambda t_s: 1.8e9 + t_s)
+
+        def words() -> object:
+            registers.push(frame)
+            return registers.at(now_s)
+
+        cold = cold_us(words, options.ticks)
+        yield "registers", nan, hot_us(words, options.repeats), *np.percentile(cold, [50, 99]).tolist()
+
+    heads = ("", "its bytes µs", "with motion and signs µs", "cold p50 µs", "cold p99 µs")
+    return Report(table(heads, rows(), digits=1), (1,))
+
+
 # --- command line ----------------------------------------------------------------------------------------------------
 
 
@@ -458,6 +515,7 @@ BENCHES: Final[dict[str, Bench]] = {
     "hull": Bench(bench_hull, {"seconds": 120.0}, "a step of the hull deformation"),
     "fusion": Bench(bench_fusion, {"repeats": 20, "ticks": 150}, "a step of the attitude fusion"),
     "sigma": Bench(bench_sigma, {"repeats": 30, "ticks": 150}, "sigma points beside a Kalman step"),
+    "telegrams": Bench(bench_telegrams, {"repeats": 200, "ticks": 100}, "a telegram of each format"),
     "training": Bench(bench_training, {"seconds": 15.0, "rows": 3000}, "the event loop while a network is trained"),
 }
 

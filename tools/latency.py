@@ -2,10 +2,14 @@
 
     python tools/latency.py [--duration 60] [--clients 10] [--sea S4] [--fifo 0]
     python tools/latency.py --compare-training [--duration 60]
+    python tools/latency.py --compare-outputs [--duration 60]
 
 Three processes besides this one: simulated slaves (IMU at 100 Hz and laser at 20 Hz, Modbus TCP on loopback), the
 daemon (``python -m heaved run``), the clients. Ages compare a frame's time of validity with the client's own monotonic
 clock. With ``--compare-training`` the daemon is measured twice: without a trainer, and with one that trains every 5 s.
+With ``--compare-outputs`` three times: without any output but the stream; with six telegrams at 50 Hz, registers that a
+PLC reads 20 times a second, and MQTT (where there is a mosquitto); and with twenty telegrams, one of which goes to
+somebody who never takes anything.
 """
 
 from __future__ import annotations
@@ -15,11 +19,15 @@ import asyncio
 import multiprocessing
 import os
 import re
+import shutil
+import socket
+import subprocess
 import sys
 import tempfile
 import time
 import urllib.request
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,8 +48,28 @@ if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
 WARM_UP_S = 5.0
+SAID = {
+    "sent": "messages beside the stream",
+    "lost": "lost of them",
+    "datagrams": "datagrams taken, since the start",
+    "bytes": "bytes taken over TCP, since the start",
+    "answers": "answers to the PLC, since the start",
+}
+TELEGRAMS = ("em1000", "em3000", "pashr", "psxn", "smc_hex", "kmb")
+MANY = 20
+WIDTH = 33
+"""Of a column."""
+PLC_PERIOD_S, PLC_ANSWER_BYTES = 0.05, 21
 TRAINING_PATIENCE_S = 180.0
 """Until the first training, which needs a minute of laser."""
+
+
+class Outputs(Enum):
+    """What the daemon says beside the stream."""
+
+    NONE = "none"
+    USUAL = "six telegrams, registers, MQTT"
+    MANY = "twenty telegrams, one black-holed"
 
 
 class Stamp(msgspec.Struct):
@@ -70,6 +98,8 @@ class Row(msgspec.Struct):
     lateness: dict[float, float]
     """Poll deadlines met within so many seconds of lateness, as a share of all."""
     trainings: float
+    said: dict[str, float]
+    """Beside the stream: messages and losses of all outputs meanwhile; what others have taken of them."""
 
 
 # ---- the processes ---------------------------------------------------------------------------------------------------
@@ -77,7 +107,7 @@ class Row(msgspec.Struct):
 
 def serve_plant(sea: str, pipe: Connection) -> None:
     async def run() -> None:
-        devices = load(data_directory() / "demo.toml").device
+        devices = load(data_directory() / "sensors.toml").device
         plant = SimulatedPlant(devices, Instruments(seaway(sea, 1), seed=1), any_port=True)
         await plant.start()
         pipe.send([device.link for device in plant.devices])
@@ -131,6 +161,89 @@ def child(target: Callable[..., None], *arguments: object) -> Iterator[Connectio
         process.kill()
 
 
+def consume(pipe: Connection) -> None:
+    """Whoever takes what the outputs say: a UDP port, a TCP port that takes all, and one that never takes anything."""
+
+    async def run() -> None:
+        loop = asyncio.get_running_loop()
+        counted = {"datagrams": 0, "bytes": 0}
+
+        class Datagrams(asyncio.DatagramProtocol):
+            def datagram_received(self, _data: bytes, _address: object) -> None:
+                counted["datagrams"] += 1
+
+        async def take(reader: asyncio.StreamReader, _writer: asyncio.StreamWriter) -> None:
+            while data := await reader.read(65536):
+                counted["bytes"] += len(data)
+
+        udp, _ = await loop.create_datagram_endpoint(Datagrams, local_addr=("127.0.0.1", 0))
+        server = await asyncio.start_server(take, "127.0.0.1", 0)
+        with socket.socket() as hole:  # Connections that wait to be accepted take what fits into the kernel's buffers.
+            hole.bind(("127.0.0.1", 0))
+            hole.listen(1)
+            ports = (udp.get_extra_info("sockname")[1], server.sockets[0].getsockname()[1], hole.getsockname()[1])
+            pipe.send(ports)
+            pipe.send(await asyncio.to_thread(pipe.recv) and counted)
+        server.close()
+
+    asyncio.run(run())
+
+
+def read_registers(port: int, pipe: Connection) -> None:
+    """A PLC that reads the common map 20 times a second."""
+    request = bytes.fromhex("000100000006010300030006")
+    with socket.create_connection(("127.0.0.1", port), 5.0) as plc:
+        answers, due_s = 0, time.monotonic()
+        while not pipe.poll(max(0.0, due_s - time.monotonic())):
+            plc.sendall(request)
+            answers += len(plc.recv(256)) == PLC_ANSWER_BYTES
+            due_s += PLC_PERIOD_S
+        pipe.recv()
+        pipe.send(answers)
+
+
+@contextmanager
+def mosquitto(directory: Path) -> Iterator[int]:
+    """A broker, and its port; 0: there is none on this machine."""
+    program = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
+    if program is None:
+        yield 0
+        return
+    port = free_port()
+    (directory / "mosquitto.conf").write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n")
+    broker = subprocess.Popen([program, "-c", directory / "mosquitto.conf"], stderr=subprocess.DEVNULL)
+    try:
+        yield port
+    finally:
+        broker.terminate()
+        broker.wait(5.0)
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def outputs(kind: Outputs, ports: tuple[int, int, int], registers: int, broker: int) -> str:
+    """Tables of the daemon's configuration. ``ports``: UDP, TCP, and TCP that takes nothing."""
+    udp, tcp, hole = ports
+    if kind is Outputs.NONE:
+        return ""
+    count = len(TELEGRAMS) if kind is Outputs.USUAL else MANY
+    links = [f"udp://127.0.0.1:{udp}" if i % 2 else f"tcp://127.0.0.1:{tcp}" for i in range(count)]
+    if kind is Outputs.MANY:
+        links[0] = f"tcp://127.0.0.1:{hole}"
+    tables = [
+        f'[[output]]\nname = "o{i}"\ntelegram = "{TELEGRAMS[i % len(TELEGRAMS)]}"\nlink = "{link}"\nrate_hz = 50.0\n'
+        for i, link in enumerate(links)
+    ]
+    tables.append(f'[registers]\nenabled = true\nlink = "tcp://127.0.0.1:{registers}"\n')
+    if broker:
+        tables.append(f'[mqtt]\nenabled = true\nlink = "mqtt://127.0.0.1:{broker}"\n')
+    return "".join(tables)
+
+
 def settings(*, training: bool, fifo: int) -> str:
     """Tables of the daemon's configuration."""
     correction = f"[correction]\nenabled = {str(training).lower()}\nmin_laser_s = 20\nperiod_s = 5\n"
@@ -174,6 +287,15 @@ def trainings(read: dict[str, float]) -> float:
     return sum(value for name, value in read.items() if name.startswith("heaved_training_runs_total"))
 
 
+def said(before: dict[str, float], after: dict[str, float], taken: dict[str, int]) -> dict[str, float]:
+    """What the outputs have said between two readings of the metrics, and what has been taken since the start."""
+
+    def grown(prefix: str) -> float:
+        return sum(value - before.get(name, 0.0) for name, value in after.items() if name.startswith(prefix))
+
+    return {"sent": grown("heaved_output_messages_total"), "lost": grown("heaved_output_lost_total"), **taken}
+
+
 # ---- measuring -------------------------------------------------------------------------------------------------------
 
 
@@ -193,12 +315,19 @@ def wait_for_training(address: tuple[str, int]) -> None:
         time.sleep(1.0)
 
 
-async def measure(name: str, arguments: argparse.Namespace, *, training: bool, wait_training: bool) -> Row:
+async def measure(
+    name: str, arguments: argparse.Namespace, *, training: bool, wait_training: bool, kind: Outputs = Outputs.NONE
+) -> Row:
     """Run one daemon and its clients; nothing else runs on this loop, so that it may block."""
-    with child(serve_plant, arguments.sea) as plant, tempfile.TemporaryDirectory() as directory:
-        demo = load(data_directory() / "demo.toml").device
+    with ExitStack() as stack:
+        plant = stack.enter_context(child(serve_plant, arguments.sea))
+        directory = stack.enter_context(tempfile.TemporaryDirectory())
+        consumers = stack.enter_context(child(consume))
+        ports, registers = consumers.recv(), free_port()
+        broker = stack.enter_context(mosquitto(Path(directory))) if kind is not Outputs.NONE else 0
+        demo = load(data_directory() / "sensors.toml").device
         devices = [msgspec.structs.replace(device, link=link) for device, link in zip(demo, plant.recv(), strict=True)]
-        tables = settings(training=training, fifo=arguments.fifo)
+        tables = settings(training=training, fifo=arguments.fifo) + outputs(kind, ports, registers, broker)
         started_s = time.monotonic()
         async with running_daemon(devices, Path(directory), tables, http=True) as daemon:
             await first_frame(*daemon.addresses["stream"])
@@ -206,14 +335,21 @@ async def measure(name: str, arguments: argparse.Namespace, *, training: bool, w
             http = daemon.addresses["http"]
             if wait_training:
                 wait_for_training(http)
+            plc = stack.enter_context(child(read_registers, registers)) if kind is not Outputs.NONE else None
             with child(listen, *daemon.addresses["stream"], arguments.clients, arguments.duration) as clients:
                 await asyncio.sleep(max(0.0, clients.recv() - time.monotonic()))
                 before, cpu_before_s, at_s = metrics(http), cpu_s(daemon.pid), time.monotonic()
                 heard = [Heard(np.array(ages_s), lost) for ages_s, lost in clients.recv()]
                 cpu_percent = 100.0 * (cpu_s(daemon.pid) - cpu_before_s) / (time.monotonic() - at_s)
             after = metrics(http)
+            consumers.send("end")
+            taken = consumers.recv()
+            if plc is not None:
+                plc.send("end")
+                taken["answers"] = plc.recv()
             return Row(
                 name=name,
+                said=said(before, after, taken),
                 heard=heard,
                 first_frame_s=first_s,
                 cpu_percent=cpu_percent,
@@ -226,10 +362,10 @@ async def measure(name: str, arguments: argparse.Namespace, *, training: bool, w
 
 def table(rows: list[Row]) -> str:
     def line(title: str, values: list[str]) -> str:
-        return f"| {title:<42} |" + "".join(f" {value:>18} |" for value in values)
+        return f"| {title:<42} |" + "".join(f" {value:>{WIDTH}} |" for value in values)
 
     ages = [np.concatenate([heard.ages_s for heard in row.heard]) * 1e3 for row in rows]
-    lines = [line("", [row.name for row in rows]), "|" + "-" * 44 + "|" + ("-" * 20 + "|") * len(rows)]
+    lines = [line("", [row.name for row in rows]), "|" + "-" * 44 + "|" + ("-" * (WIDTH + 2) + "|") * len(rows)]
     for share in (50, 99, 99.9, 100):
         title = "age at the client, max" if share == 100 else f"age at the client, p{share:g}"
         lines.append(line(f"{title} (ms)", [f"{np.percentile(age, share):.2f}" for age in ages]))
@@ -242,6 +378,9 @@ def table(rows: list[Row]) -> str:
     lines.append(line("daemon: resident memory (MB)", [f"{row.rss_mb:.0f}" for row in rows]))
     lines.append(line("its workers: resident memory (MB)", [f"{row.workers_rss_mb:.0f}" for row in rows]))
     lines.append(line("trainings meanwhile", [f"{row.trainings:.0f}" for row in rows]))
+    if any(row.said["sent"] for row in rows):
+        for key, title in SAID.items():
+            lines.append(line(title, [f"{row.said.get(key, 0):.0f}" for row in rows]))
     lines.append(line("start to first frame (s)", [f"{row.first_frame_s:.2f}" for row in rows]))
     return "\n".join(lines)
 
@@ -254,15 +393,22 @@ def main() -> None:
     parser.add_argument("--fifo", type=int, default=0, help="real-time priority of the daemon")
     parser.add_argument("--compare-training", action="store_true")
     parser.add_argument("--record", action="store_true", help="put the table into tools/RESULTS.md")
+    parser.add_argument("--compare-outputs", action="store_true")
     arguments = parser.parse_args()
     made_with, begun_s = results.provenance(), time.monotonic()
     named = {f"{arguments.clients} clients": (True, False)}
     if arguments.compare_training:
         named = {"no training": (False, False), "training": (True, True)}
-    rows = [
-        asyncio.run(measure(name, arguments, training=training, wait_training=wait_training))
-        for name, (training, wait_training) in named.items()
-    ]
+    if arguments.compare_outputs:
+        rows = [
+            asyncio.run(measure(kind.value, arguments, training=False, wait_training=False, kind=kind))
+            for kind in Outputs
+        ]
+    else:
+        rows = [
+            asyncio.run(measure(name, arguments, training=training, wait_training=wait_training))
+            for name, (training, wait_training) in named.items()
+        ]
     what = f"{arguments.duration:g} s, sea {arguments.sea}, IMU 100 Hz, laser 20 Hz, {arguments.clients} clients"
     report = Report(f"{what}\n\n{table(rows)}", (1,))
     print(report.text)

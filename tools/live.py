@@ -88,7 +88,7 @@ async def run(options: argparse.Namespace, folder: Path) -> tuple[list[Line], fl
     columns = read_recording(file)
     from_start = columns["t_s"] - columns["t_s"][0] >= lead_in_s
     player = Player({name: column[from_start] for name, column in columns.items()})
-    plant = SimulatedPlant(load(data_directory() / "demo.toml").device, player, any_port=True)
+    plant = SimulatedPlant(load(data_directory() / "sensors.toml").device, player, any_port=True)
     await plant.start()
     zero_s = float(columns["t_s"][from_start][0]) + plant.time_s() - time.monotonic()
     try:

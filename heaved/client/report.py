@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         DeviceStatus,
         MotionRecord,
         ObserverStatus,
+        OutputStatus,
         QuietStatus,
         RockRecord,
         RockStatus,
@@ -73,8 +74,8 @@ def _escaped(letter: str) -> str:
 def check_line(result: Snapshot | UnreachableError) -> tuple[CheckState, str]:
     """Exit code and the one line ``STATE - text | performance data``.
 
-    CRITICAL: no daemon, no fresh frame, heave invalid. WARNING: heave degraded or settling, a device down. UNKNOWN:
-    what answers is no daemon of ours, or the host has no address, so the check itself is set up wrongly.
+    CRITICAL: no daemon, no fresh frame, heave invalid. WARNING: heave degraded or settling, a device or an output down.
+    UNKNOWN: what answers is no daemon of ours, or the host has no address, so the check itself is set up wrongly.
     """
     if isinstance(result, UnreachableError):
         is_misdirected = result.trouble in (Trouble.NOT_HEAVED, Trouble.NO_ADDRESS)
@@ -112,6 +113,7 @@ def _judge(status: StatusRecord, motion: MotionRecord | None, age_s: float | Non
         return CheckState.CRITICAL, f"heave {quality.heave.value}, but there is none{reasons}"
     text = f"heave {quality.heave.value}{reasons}, age {duration(age_s)}"
     down = [device.name for device in status.devices if not device.up]
+    down += [f"output {output.name}" for output in status.outputs if not output.up]
     if down:
         return CheckState.WARNING, f"{text}, down: {', '.join(down)}"
     return (CheckState.OK if quality.heave is HeaveState.VALID else CheckState.WARNING), text
@@ -155,6 +157,7 @@ def table(snapshot: Snapshot) -> str:
         if device.detail:
             is_named = device.detail.startswith(f"{device.name} (")
             lines.append(f"  {device.detail}" if is_named else f"  {device.name}: {device.detail}")
+    lines += _output_rows(status)
     lines += ["", _row("clients", f"{status.clients} connected, {status.dropped} lines dropped for slow ones")]
     if status.clock is not None:
         lines.append(_row("clock", f"UTC stepped {status.clock.steps} times since the start"))
@@ -293,6 +296,19 @@ def _device_cells(device: DeviceStatus) -> tuple[str, ...]:
     last = "-" if device.last_fault is None else device.last_fault + ago
     state = "up" if device.up else "DOWN"
     return device.name, device.role, state, rate, str(device.results.get(good, 0)), faults or "-", last
+
+
+def _output_rows(status: StatusRecord) -> list[str]:
+    if not status.outputs:
+        return []
+    heads = ("output", "speaks", "link", "state", "sent", "lost")
+    rows = ["", *_columns([heads, *map(_output_cells, status.outputs)])]
+    return rows + [f"  {output.name}: {output.detail}" for output in status.outputs if output.detail]
+
+
+def _output_cells(output: OutputStatus) -> tuple[str, ...]:
+    lost = ", ".join(f"{reason} {count}" for reason, count in output.lost.items() if count)
+    return output.name, output.kind, output.link, "up" if output.up else "DOWN", str(output.sent), lost or "-"
 
 
 def _row(name: str, text: str) -> str:

@@ -13,11 +13,16 @@ import msgspec
 from heaved.devices.profile import DeviceSpec
 from heaved.estimation import quiescence
 from heaved.estimation.craft import fusion
+from heaved.estimation.crane import geometry as crane
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.hull import estimate as hull
 from heaved.estimation.lever_arm import Point
 from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.outputs.influx import InfluxParams
+from heaved.outputs.mqtt import MqttParams
+from heaved.outputs.register_map import RegistersParams
+from heaved.outputs.telegrams.spec import OutputSpec
 
 Port = Annotated[int, msgspec.Meta(ge=0, le=65535)]
 
@@ -91,12 +96,17 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     rock: rock.Params = rock.Params()
     hull: hull.Params = hull.Params()
     attitude: fusion.Params = fusion.Params()
+    crane: crane.Params = crane.Params()
     quiet: quiescence.Params = quiescence.Params()
     point: tuple[Point, ...] = ()
     compensation: CompensationParams = CompensationParams()
+    output: tuple[OutputSpec, ...] = ()
     stream: StreamParams = StreamParams()
     http: HttpParams = HttpParams()
     recording: RecordingParams = RecordingParams()
+    registers: RegistersParams = RegistersParams()
+    mqtt: MqttParams = MqttParams()
+    influx: InfluxParams = InfluxParams()
     state: StateParams = StateParams()
     runtime: RuntimeParams = RuntimeParams()
 

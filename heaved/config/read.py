@@ -65,7 +65,7 @@ def parse(document: Mapping[str, Any], *, file: str, directory: Path, to_run: bo
     """
     faults: list[str] = []
     tree = dict(document)
-    for key in ("device", "point"):
+    for key in ("device", "point", "output"):
         if isinstance(tree.get(key), dict):
             faults.append(f"{key}: is one table; write [[{key}]], once for each {key}")
             del tree[key]
@@ -88,13 +88,14 @@ def parse(document: Mapping[str, Any], *, file: str, directory: Path, to_run: bo
 
 
 def packaged_profiles() -> tuple[Profile, ...]:
-    """The register profiles that come with the program, by name.
+    """The register profiles that come with the program, by name; those of devices that are asked.
 
     Raises:
         ConfigError: one of them is broken.
     """
     files = sorted((data_directory() / "devices").glob("*.toml"))
-    return tuple(msgspec.convert(_read_toml(file), Profile) for file in files)
+    profiles = [msgspec.convert(_read_toml(file), Profile) for file in files]
+    return tuple(profile for profile in profiles if profile.blocks)
 
 
 def _read_toml(path: Path) -> dict[str, Any]:

@@ -4,29 +4,40 @@ from __future__ import annotations
 
 import importlib.util
 import ipaddress
-import os
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from math import isfinite
 from typing import Any, Final, get_args
 
 import msgspec
 
-from heaved.config import Config
+from heaved.config import Config, services
+from heaved.config.outputs import output_cautions, output_faults
+from heaved.config.ports import Use, port_faults
+from heaved.config.register_rules import register_faults
 from heaved.config.typed import sound_keys, table_of
 from heaved.devices.bandwidth import bandwidth_hz, folding, remedy
 from heaved.devices.link import bus_load_faults, buses, line_faults, most_rate_hz
-from heaved.devices.profile import DeviceSpec, Role, profile_faults, role_needs, role_quantities
+from heaved.devices.listening import SCHEMES
+from heaved.devices.profile import DeviceSpec, Role, profile_faults, role_needs, role_quantities, told_together
 from heaved.estimation.craft import fusion
+from heaved.estimation.crane.geometry import JOINTS, needed
 from heaved.estimation.heave.sea.whittle_fit import TUNING as FIT
 from heaved.estimation.hull import estimate as hull
-from heaved.links import SerialLink, parse_link
+from heaved.links import AnyLink, TcpLink, TcpListenLink, UdpListenLink, parse_any_link, parse_link
+from heaved.outputs.register_map import Mode
+from heaved.outputs.telegram_output import SCHEMES as OUTPUT_SCHEMES
+from heaved.outputs.telegrams.spec import OutputSpec
 
 LEAST_IMU_RATE_HZ: Final = 2.0 * FIT.band_hz[1]
 """Nyquist: of the highest frequency at which the sea is fitted."""
 GOOD_IMU_RATE_HZ: Final = 4.0
 """Two and a half times that: a whole octave above the waves, in which noise and vibration are seen for what they are,
 as far as they have not folded: see :mod:`heaved.devices.bandwidth`."""
+MODBUS: Final = ("tcp", "rtu")
+"""Links of devices that are asked."""
+_QUANTITY_OF: Final = dict(zip(JOINTS, role_quantities("crane"), strict=True))
+"""What shows a joint of the crane."""
 LONG_TIMEOUT_S: Final = 1.0
 """Twice what a silent device is left alone for."""
 
@@ -39,32 +50,41 @@ class Written(msgspec.Struct, frozen=True, kw_only=True):
     tree: Mapping[str, Any]
     devices: dict[int, DeviceSpec]
     """The sound ones, by index."""
+    outputs: dict[int, OutputSpec]
+    """Those of which the telegram is known, by index, with defaults in place of wrong keys."""
     tables: Config
-    """The others, with defaults in place of wrong keys; no devices."""
+    """The others, with defaults in place of wrong keys; no devices, no outputs."""
     wrong: frozenset[str]
     """Paths that have a fault already."""
 
     def listed(self, array: str) -> list[Any]:
-        """``[[device]]`` or ``[[point]]``, sound or not."""
-        found = self.tree.get(array)
-        return found if isinstance(found, list) else []
+        """``[[device]]``, ``[[point]]`` or ``[[output]]``, sound or not."""
+        return _tables(self.tree, array)
 
 
 def written(tree: Mapping[str, Any], wrong: Collection[str]) -> Written:
     """``wrong``: paths of the faults found in single keys."""
-    devices: dict[int, DeviceSpec] = {}
-    listed = tree.get("device")
-    for i, device in enumerate(listed if isinstance(listed, list) else ()):
-        with suppress(msgspec.ValidationError):
-            devices[i] = msgspec.convert(device, DeviceSpec)
     tables: dict[str, Any] = {}
     for field in msgspec.structs.fields(Config):
-        if field.name in tree and field.name != "device":
+        if field.name in tree and field.name not in ("device", "output"):
             value = tree[field.name]
             with suppress(msgspec.ValidationError):
                 sound = value if table_of(field.type) is None else sound_keys(field.type, value)
                 tables[field.name] = msgspec.convert(sound, field.type)
-    return Written(tree=tree, devices=devices, tables=Config(**tables), wrong=frozenset(wrong))
+    devices: dict[int, DeviceSpec] = {}
+    for i, device in enumerate(_tables(tree, "device")):
+        with suppress(msgspec.ValidationError):
+            devices[i] = msgspec.convert(device, DeviceSpec)
+    outputs: dict[int, OutputSpec] = {}
+    for i, output in enumerate(_tables(tree, "output")):
+        with suppress(msgspec.ValidationError):
+            outputs[i] = msgspec.convert({"name": "unnamed", "link": ""} | sound_keys(OutputSpec, output), OutputSpec)
+    return Written(tree=tree, devices=devices, outputs=outputs, tables=Config(**tables), wrong=frozenset(wrong))
+
+
+def _tables(tree: Mapping[str, Any], array: str) -> list[Any]:
+    listed = tree.get(array)
+    return listed if isinstance(listed, list) else []
 
 
 def rule_faults(file: Written) -> list[str]:
@@ -73,23 +93,29 @@ def rule_faults(file: Written) -> list[str]:
     faults = [fault for i, device in devices.items() for fault in _device_faults(f"device[{i}]", device)]
     for i, device in enumerate(file.listed("device")):
         if i not in devices and isinstance(device, dict) and isinstance(device.get("link"), str):
-            faults += _link_faults(f"device[{i}]", device["link"])
-    for array, key in (("device", "name"), ("device", "role"), ("point", "name")):
+            faults += _link_faults(f"device[{i}]", device["link"], dict.fromkeys((*MODBUS, *SCHEMES)))
+    for array, key in (("device", "name"), ("device", "role"), ("point", "name"), ("output", "name")):
         faults += _twice(file, array, key)
     faults += _point_faults(file)
     faults += _heave_faults(config)
     faults += _stage_params_faults(config)
-    faults += _port_faults(devices)
+    faults += [fault for fault in port_faults(tuple(_uses(file))) if fault.partition(":")[0] not in file.wrong]
+    faults += [fault for fault in services.faults(config) if fault.partition(":")[0] not in file.wrong]
     if not any(".link: " in fault for fault in faults):
         overload = overload_faults(tuple(devices.values()))  # Of the plan, not of the file: see rate_faults.
         faults += [fault for fault in line_faults(tuple(devices.values())) if fault not in overload]
     for name, table in (("stream", config.stream), ("http", config.http)):
         faults += _listen_faults(name, table.host, table.allow)
     faults += _recording_faults(config)
-    same = config.stream.port == config.http.port != 0 and config.stream.host == config.http.host
-    if config.http.enabled and same and not {"stream.port", "http.port"} & file.wrong:
-        faults.append(f"http.port: {config.http.port} is also stream.port")
-    return faults
+    found = output_faults(
+        file.listed("output"),
+        file.outputs,
+        imu_hz=next((device.rate_hz for device in devices.values() if device.role == "imu"), None),
+        points=_points(file),
+    )
+    faults += [fault for fault in found if fault.partition(":")[0] not in file.wrong]
+    points = [point.get("name", "") for point in file.listed("point") if isinstance(point, dict)]
+    return faults + register_faults(config, points, file.wrong)
 
 
 def run_faults(file: Written) -> list[str]:
@@ -116,7 +142,10 @@ def run_faults(file: Written) -> list[str]:
     ]
     return slow + [
         fault
-        for fault in _stage_faults(file.tables, carried, is_complete=is_complete)
+        for fault in (
+            *_stage_faults(file.tables, carried, is_complete=is_complete),
+            *services.run_faults(file.tables),
+        )
         if fault.partition(":")[0] not in file.wrong
     ]
 
@@ -137,6 +166,8 @@ def cautions(config: Config) -> list[str]:
             most_hz = most_rate_hz(parse_link(device.link), device.profile)
             advice = remedy(device.rate_hz, bandwidth, device.profile.bandwidth_register, most_hz)
             found.append(f"{path}.rate_hz: {told}; {advice}")
+        if device.role == "crane" and not config.crane.is_there:
+            found.append(f"{path}.role: its readings go nowhere: [crane] does not say how the crane is built")
         if device.timeout_ms > 1e3 * LONG_TIMEOUT_S:
             found.append(
                 f"{path}.timeout_ms: {device.timeout_ms:g} ms of waiting for each lost answer, and nothing else is "
@@ -156,7 +187,8 @@ def cautions(config: Config) -> list[str]:
                     f"device {device.name}: timeout_ms {device.timeout_ms:g} is longer than the period of {names} on "
                     "the same line: each answer that it loses costs them polls; lower it, or give each its own line"
                 )
-    return found
+    found += output_cautions(config.output, config.compensation.lead_s)
+    return found + services.cautions(config)
 
 
 def rate_faults(config: Config) -> list[str]:
@@ -180,6 +212,7 @@ def _stage_faults(config: Config, carried: Mapping[str, Collection[str]], *, is_
             faults.append('hull.enabled: needs the body rates of a device of role "imu"')
         elif lacking := rates.difference(carried.get("imu", rates)):
             faults.append(f'hull.enabled: the profile of the device of role "imu" has no {", ".join(sorted(lacking))}')
+    faults += _crane_faults(config, carried, is_complete=is_complete)
     if config.attitude.enabled and config.attitude.source == fusion.Source.SENSORS and is_complete:
         sensors: set[str] = set().union(*(carried.get(role, ()) for role in ("craft", "heave_sensor", "pitch_sensor")))
         if sensors.isdisjoint(("heave_m", "pitch_rad")):
@@ -189,6 +222,27 @@ def _stage_faults(config: Config, carried: Mapping[str, Collection[str]], *, is_
             )
     if config.attitude.enabled and config.attitude.source == fusion.Source.OWN and "imu" not in carried and is_complete:
         faults.append('attitude.source: "own" needs a device of role "imu"')
+    return faults
+
+
+def _crane_faults(config: Config, carried: Mapping[str, Collection[str]], *, is_complete: bool) -> list[str]:
+    """Points on a moving crane that nobody says how it stands."""
+    faults = []
+    for i, point in enumerate(config.point):
+        if not point.rides or not config.crane.is_there:
+            continue
+        where = f"point[{i}].frame: {point.frame!r}"
+        if "crane" not in carried:
+            if is_complete:
+                faults.append(f'{where} needs the readings of a device of role "crane"')
+            continue
+        quantities = [_QUANTITY_OF[JOINTS[j]] for j in needed(config.crane, hook=point.frame == "hook")]
+        if lacking := [quantity for quantity in quantities if quantity not in carried["crane"]]:
+            fixed = ", ".join(
+                f"crane.{quantity.removesuffix('_rad')}_fixed_deg" for quantity in lacking if quantity.endswith("_rad")
+            )
+            hint = f"; if that joint is fixed, set {fixed}" if fixed else ""
+            faults.append(f'{where}: the profile of the device of role "crane" has no {", ".join(lacking)}{hint}')
     return faults
 
 
@@ -216,10 +270,59 @@ def _point_faults(file: Written) -> list[str]:
         faults += [
             f'point[{i}].frame: "crane" needs [hull] enabled' for i, p in points.items() if p.get("frame") == "crane"
         ]
+        if file.tables.crane.frame == "crane":
+            faults.append('crane.frame: "crane" needs [hull] enabled')
+    crane = file.tables.crane
+    if not crane.is_there and not any(path.startswith("crane") for path in file.wrong):
+        faults += [
+            f"point[{i}].frame: {p['frame']!r} needs [crane]: its boom_length_m is not given"
+            for i, p in points.items()
+            if p.get("frame") in ("boom", "hook")
+        ]
+    faults += [
+        f"point[{i}].{key}: the hook hangs plumb and turns as it likes: only up_m changes its height"
+        for i, p in points.items()
+        for key in ("forward_m", "port_m")
+        if p.get("frame") == "hook" and p.get(key)
+    ]
     wanted = file.tables.quiet.point
     if wanted and wanted not in [point.get("name") for point in points.values()]:
         faults.append(f"quiet.point: no [[point]] is named {wanted!r}")
     return faults
+
+
+def _points(file: Written) -> Collection[object] | None:
+    """Names of the points, as they are written; None: that cannot be said."""
+    if "point" in file.wrong:
+        return None
+    return [point.get("name") for point in file.listed("point") if isinstance(point, dict)]
+
+
+def _uses(file: Written) -> Iterator[Use]:
+    """Who wants which port, as far as that is sound."""
+    config = file.tables
+    for name, server in (("stream", config.stream), ("http", config.http)):
+        is_on = name == "stream" or config.http.enabled
+        if is_on and not {f"{name}.port", f"{name}.host"} & file.wrong:
+            yield Use(f"{name}.port", TcpListenLink(server.host, server.port))
+    for i, device in file.devices.items():
+        if (link := _parsed(device.link, MODBUS if device.is_asked else SCHEMES)) is not None:
+            yield Use(f"device[{i}].link", link, is_master=device.is_asked)
+    registers, mode = config.registers, config.registers.mode
+    if registers.enabled and (link := _parsed(registers.link, MODBUS)) is not None:
+        if mode is Mode.SERVE and isinstance(link, TcpLink):
+            link = TcpListenLink(link.host, link.port)
+        yield Use("registers.link", link, is_master=isinstance(link, TcpLink))
+    for i, output in enumerate(file.listed("output")):
+        link = _parsed(output.get("link"), OUTPUT_SCHEMES) if isinstance(output, dict) else None
+        if link is not None:
+            yield Use(f"output[{i}].link", link)
+
+
+def _parsed(text: object, schemes: Sequence[str]) -> AnyLink | None:
+    with suppress(ValueError):
+        return parse_any_link(text, schemes) if isinstance(text, str) else None
+    return None
 
 
 def _heave_faults(config: Config) -> list[str]:
@@ -263,27 +366,10 @@ def overload_faults(devices: tuple[DeviceSpec, ...]) -> list[str]:
         return []
 
 
-def _port_faults(devices: Mapping[int, DeviceSpec]) -> list[str]:
-    """Serial ports that go by two names, such as /dev/ttyUSB0 and its link under /dev/serial/by-id: the second could
-    not be opened beside the first.
-    """
-    faults = []
-    first: dict[str, tuple[int, str]] = {}
-    for i, device in devices.items():
-        with suppress(ValueError):
-            link = parse_link(device.link)
-            if isinstance(link, SerialLink):
-                other, name = first.setdefault(os.path.realpath(link.path), (i, link.path))
-                if name != link.path:
-                    faults.append(
-                        f"device[{i}].link: {link.path} is the same port as {name} of device[{other}]: give both the "
-                        "same link; they share the line"
-                    )
-    return faults
-
-
 def _device_faults(path: str, device: DeviceSpec) -> list[str]:
-    faults = _link_faults(path, device.link)
+    faults = _link_faults(path, device.link, MODBUS if device.is_asked else SCHEMES)
+    if not faults:
+        faults += _allow_faults(path, device)
     if device.latency_ms > device.timeout_ms:
         faults.append(
             f"{path}.latency_ms: {device.latency_ms:g} is beyond timeout_ms ({device.timeout_ms:g}): no device "
@@ -302,12 +388,20 @@ def _device_faults(path: str, device: DeviceSpec) -> list[str]:
 
 
 def _quantities(device: DeviceSpec) -> set[str]:
-    return {field.quantity for block in device.profile.blocks for field in block.fields}
+    return {name for names in told_together(device.profile) for name in names}
 
 
-def _link_faults(path: str, link: str) -> list[str]:
+def _allow_faults(path: str, device: DeviceSpec) -> list[str]:
+    """Of who may send the sentences of a device that speaks by itself."""
+    link = parse_any_link(device.link, (*MODBUS, *SCHEMES))
+    if isinstance(link, UdpListenLink):
+        return _listen_faults(path, link.host, device.allow, key="link")
+    return [f"{path}.allow: is for a udp-listen link alone; nobody else can reach this one"] if device.allow else []
+
+
+def _link_faults(path: str, link: str, schemes: Collection[str]) -> list[str]:
     try:
-        parse_link(link)
+        parse_any_link(link, tuple(schemes))
     except ValueError as error:
         return [f"{path}.link: {error}"]
     return []
@@ -322,7 +416,7 @@ def _recording_faults(config: Config) -> list[str]:
     return faults
 
 
-def _listen_faults(table: str, host: str, allow: tuple[str, ...]) -> list[str]:
+def _listen_faults(table: str, host: str, allow: tuple[str, ...], key: str = "host") -> list[str]:
     faults = []
     for i, network in enumerate(allow):
         try:
@@ -334,7 +428,7 @@ def _listen_faults(table: str, host: str, allow: tuple[str, ...]) -> list[str]:
     except ValueError:
         loopback = host == "localhost"
         if not loopback:
-            return [*faults, f"{table}.host: {host!r} is no IP address; give the address to listen on, e.g. 127.0.0.1"]
+            return [*faults, f"{table}.{key}: {host!r} is no IP address; give the address to listen on, e.g. 127.0.0.1"]
     if not loopback and not allow:
-        faults.append(f"{table}.host: {host} listens beyond this machine; name who may connect in {table}.allow")
+        faults.append(f"{table}.{key}: {host} listens beyond this machine; name who may connect in {table}.allow")
     return faults

@@ -76,8 +76,11 @@ def _element_of(kind: Any) -> Any:
 
 
 def _choices_of(kind: Any) -> str:
-    """``'a', 'b' or 'c'`` for a Literal or an enum of strings; empty for any other type."""
+    """``'a', 'b' or 'c'`` for a Literal or an enum of strings, or None; empty for any other type."""
     kind = _strip(kind)
+    if get_origin(kind) in (Union, types.UnionType):
+        options = [option for option in get_args(kind) if option is not type(None)]
+        return _choices_of(options[0]) if len(options) == 1 else ""
     if isinstance(kind, type) and issubclass(kind, StrEnum):
         names = [member.value for member in kind]
     elif get_origin(kind) is Literal:

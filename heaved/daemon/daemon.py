@@ -40,6 +40,7 @@ from heaved.daemon.supervise import cancelled, in_time, supervise
 from heaved.daemon.utc_clock import UtcClock
 from heaved.devices.bus import Bus
 from heaved.devices.link import buses
+from heaved.devices.listening import Listening
 from heaved.devices.timer import Heartbeat
 from heaved.estimation.heave import saved_state
 from heaved.estimation.heave.saved_state import SavedState
@@ -137,7 +138,8 @@ class Daemon:
         self._fed_s = -1.0
         self._fed_frames = 0
         self._publisher = self._make_publisher()
-        self._outputs = Outputs(self.utc.utc_s, clock, self._journal.output_of)
+        self._outputs = Outputs(self.utc.utc_s, clock, self.status, self._journal.output_of)
+        self.metrics.have_outputs(lambda: self._outputs.health)
         self._http = self._make_http() if config.http.enabled else None
 
     # ---- start and stop ----------------------------------------------------------------------------------------------
@@ -191,7 +193,9 @@ class Daemon:
 
     async def _poll_devices(self) -> None:
         """Have the configured devices polled, and none else; a bus whose devices are as before is left alone."""
-        wanted = buses(self.config.device)
+        wanted = buses(self.config.device) | {
+            f"{device.name} {device.link}": (device,) for device in self.config.device if not device.is_asked
+        }
         changed = [key for key in self._buses if self._buses[key] != wanted.get(key)]
         await cancelled([self._tasks.pop(f"bus {key}") for key in changed], _CANCEL_S)
         self.acquisition.set_devices(self.config.device)
@@ -203,7 +207,8 @@ class Daemon:
         self._buses = wanted
 
     async def _poll(self, devices: tuple[DeviceSpec, ...]) -> None:
-        await Bus(devices, self.acquisition.on_poll, self._clock).run()
+        line = Bus if devices[0].is_asked else Listening
+        await line(devices, self.acquisition.on_poll, self._clock).run()
 
     def _supervise(self, name: str, run: Callable[[], Awaitable[None]]) -> None:
         self._tasks[name] = asyncio.create_task(supervise(name, run), name=name)
@@ -244,6 +249,9 @@ class Daemon:
         if new.attitude != old.attitude:
             self.acquisition.pipeline.stages.configure_attitude(new.attitude)
             self._journal.configured(Call.ATTITUDE, self.config)
+        if new.crane != old.crane:
+            self.acquisition.pipeline.stages.configure_crane(new.crane)
+            self._journal.configured(Call.CRANE, self.config)
         if any(getattr(new, table) != getattr(old, table) for table in TABLES):
             await self._outputs.have(self.config, _CANCEL_S)
         if new.device != old.device:
@@ -346,6 +354,7 @@ class Daemon:
             now_s=self._clock(),
             started_s=self._started_s,
             utc=self.utc,
+            outputs=self._outputs.health,
             clients=self._publisher.clients,
             dropped=self._publisher.dropped,
             config_file=str(self._config_path) if self._config_path else None,
@@ -402,7 +411,7 @@ def make_pipeline(config: Config, stages: Stages | None = None) -> Pipeline:
         has_laser=config.has_laser,
         point=config.point,
         lead_s=config.compensation.lead_s,
-        stages=stages or Stages(config.hull, config.attitude, refit_inline=False),
+        stages=stages or Stages(config.hull, config.attitude, config.crane, refit_inline=False),
         quiet=config.quiet,
     )
 

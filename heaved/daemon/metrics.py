@@ -19,10 +19,12 @@ from prometheus_client import (
     disable_created_metrics,
     generate_latest,
 )
-from prometheus_client.metrics_core import HistogramMetricFamily
+from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 from prometheus_client.registry import Collector
 from prometheus_client.utils import floatToGoString
 
+from heaved.outputs.senders.sender import DOWN, SLOW
+from heaved.outputs.telegram_output import NOT_KNOWN
 from heaved.samples import (
     MOST_NAMED,
     CorrectionState,
@@ -36,7 +38,9 @@ from heaved.samples import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from heaved.outputs.output import OutputHealth
 
 _SHORT_S: Final = (0.00005, 0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.1)
 """Work on the event loop: 50 µs is well, 10 ms is a whole sample period."""
@@ -47,6 +51,9 @@ RENEWED_S: Final = 5.0
 """What comes several times a second and is older than this is not being estimated any more."""
 SEA_S: Final = 600.0
 """A fit of the sea is one of the present sea for so long: it is renewed at least every five minutes."""
+
+LOST: Final = (DOWN, SLOW, NOT_KNOWN)
+"""Reasons that have a series from the start."""
 
 
 class Distribution:
@@ -89,6 +96,31 @@ class Histogram(Collector):
         for values, distribution in self._series.items():
             family.add_metric(values, distribution.buckets(), distribution.total)
         yield family
+
+
+class OutputMetrics(Collector):
+    """How the outputs beside the stream fare, read when it is asked for: a message costs nothing here."""
+
+    def __init__(self, health: Callable[[], Iterable[OutputHealth]]) -> None:
+        self._health = health
+
+    def collect(self) -> Iterator[Metric]:
+        """What the registry asks for."""
+        up = GaugeMetricFamily("heaved_output_up", "1 while what it says goes out.", labels=["output"])
+        sent = CounterMetricFamily("heaved_output_messages_total", "Messages that went out.", labels=["output"])
+        lost = CounterMetricFamily(
+            "heaved_output_lost_total", "Messages that did not go out, by reason.", labels=["output", "reason"]
+        )
+        connections = CounterMetricFamily(
+            "heaved_output_connections_total", "Times that it came up, and readers that connected.", labels=["output"]
+        )
+        for health in self._health():
+            up.add_metric([health.name], float(health.is_up))
+            sent.add_metric([health.name], health.sent)
+            for reason in dict.fromkeys((*LOST, *health.lost)):
+                lost.add_metric([health.name, reason], health.lost[reason])
+            connections.add_metric([health.name], health.connections)
+        yield from (up, sent, lost, connections)
 
 
 class DeviceMetrics:
@@ -287,6 +319,10 @@ class Metrics:
         self.config_reloads = table.results(
             "heaved_config_reloads_total", "Reloads of the configuration by result.", "applied", "refused"
         )
+
+    def have_outputs(self, health: Callable[[], Iterable[OutputHealth]]) -> None:
+        """``health``: of the outputs that there are; to be called once."""
+        self._registry.register(OutputMetrics(health))
 
     def device(self, name: str) -> DeviceMetrics:
         """The metrics of one device; they appear, at zero, with this call."""

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from heaved.devices.profile import SI, role_quantities
+from heaved.devices.profile import SI, told_together
 from heaved.devices.station import KINDS
 from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S
 from heaved.outputs.fields import ATTITUDE, FORECAST, HULL, HULL_STD, MOTION, POINT, ROCK, Fields, compiled
 from heaved.recorder import messages
 from heaved.recorder.layout import Column, Device, Layout, Stored
 from heaved.recorder.messages import Kind, packed
-from heaved.samples import Fault, MotionFrame, PointMotion, Quality
+from heaved.samples import Fault, MotionFrame, Quality
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -55,8 +55,9 @@ def device_of(spec: DeviceSpec) -> Device:
     carried = {column.name for column in columns}
     columns += [
         Column(name=name, stored=Stored.FLOAT64, unit=_unit_of(name), is_exact=True)
-        for name in role_quantities(spec.role)
-        if name not in carried and not spec.profile.blocks
+        for names in told_together(spec.profile)
+        for name in names
+        if name not in carried
     ]
     return Device(name=spec.name, role=spec.role, sample=KINDS[spec.role].__name__, columns=tuple(columns))
 
@@ -97,10 +98,6 @@ _AHEAD: Final = {"m": (1e-3, 1e-2), "deg": (1e-3, 1e-2)}
 """Of what is predicted for sooner than that, and for later: a tenth of its error, or less. This is what most of a
 recording consists of."""
 
-_RATES: Final = Fields[MotionFrame](
-    "surge_acceleration_mps2", "sway_acceleration_mps2", "roll_rate_degps", "pitch_rate_degps", "yaw_rate_degps"
-)  # fmt: skip
-_POINT: Final = Fields[PointMotion](*POINT.names, "heave_acceleration_mps2", "own_height_m", "own_velocity_mps")
 _NOW: Final = ("heave_m", "heave_std_m", "heave_velocity_mps")
 _QUIET: Final = ("start_s", "length_s", "confidence", "best_confidence")
 _CRANE: Final = tuple(f"crane_{axis}_deg" for axis in ("roll", "pitch", "yaw"))
@@ -128,8 +125,8 @@ class FramePacker:
         motion: Fields[MotionFrame] = MOTION if config.hull.enabled else MOTION.only(
             *(name for name in MOTION.names if name not in _CRANE)
         )  # fmt: skip
-        numbers = [_column(name) for name in (*motion.names, *_RATES.names)]
-        values = [*motion.outside("frame"), *_RATES.outside("frame")]
+        numbers = [_column(name) for name in motion.names]
+        values = motion.outside("frame")
         self._has_lead = config.compensation.lead_s > 0.0
         if self._has_lead:
             numbers += [_column(f"now_{name}") for name in _NOW]
@@ -158,8 +155,8 @@ class FramePacker:
         self._of_frame: Callable[..., tuple[float, ...]] = compiled(
             f"(frame.t_s, {', '.join(values)})", ["frame", "delayed", "quiet", "hull", "attitude"], nan=nan
         )
-        numbers += [_column(f"point_{name}_{field}") for name in self._points for field in _POINT.names]
-        self._of_point = _tuple_of(_POINT)
+        numbers += [_column(f"point_{name}_{field}") for name in self._points for field in POINT.names]
+        self._of_point = _tuple_of(POINT)
         for horizon_s in self._forecast_s:
             numbers += [_column(f"forecast_{horizon_s:g}s_{name}", _ahead("m", horizon_s)) for name in ("m", "std_m")]
         self._of_forecast = _tuple_of(FORECAST)
@@ -171,7 +168,7 @@ class FramePacker:
             Column(name=name, stored=Stored.TEXT)
             for name in (*QUALITY, "sea", *(["hull_state"] if config.hull.enabled else []))
         )
-        self._no_points = (nan,) * (len(_POINT.names) * len(self._points))
+        self._no_points = (nan,) * (len(POINT.names) * len(self._points))
         self._no_forecast = (nan,) * (len(FORECAST.names) * len(self._forecast_s))
         self._no_rock = (nan,) * (len(ROCK.names) * len(self._rock_s))
         self._struct = struct.Struct(f"<{1 + len(self.numbers)}d")

@@ -16,14 +16,18 @@ from heaved.outputs.records import (
     HeaveStatus,
     HullStatus,
     ObserverStatus,
+    OutputStatus,
     StatusRecord,
 )
 from heaved.samples import CorrectionState, Fault, HeaveState, LaserState, MotionFrame, Quality, SeaState
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from heaved.config import Config
     from heaved.daemon.acquisition import Acquisition
     from heaved.daemon.utc_clock import UtcClock
+    from heaved.outputs.output import OutputHealth
     from heaved.pipeline import PipelineSummary
 
 _SHOWN_S: Final = (0.15, 1.0)
@@ -43,6 +47,7 @@ def status_record(
     now_s: float,
     started_s: float,
     utc: UtcClock,
+    outputs: Iterable[OutputHealth],
     clients: int,
     dropped: int,
     config_file: str | None,
@@ -59,6 +64,7 @@ def status_record(
         heave=_heave(frame, now_s),
         quality=_NO_QUALITY if frame is None else frame.quality,
         devices=_devices(acquisition, config, now_s),
+        outputs=tuple([_output(health) for health in outputs]),
         clients=clients,
         dropped=dropped,
         lead_s=rounded(summary.lead_s),
@@ -75,7 +81,7 @@ def status_record(
 
 
 def status_line(record: StatusRecord) -> str:
-    """``heave valid +0.12 m ± 0.03 m, 100.0 Hz, 2 clients, imu up, laser down (timeout)``"""
+    """``heave valid +0.12 m ± 0.03 m, 100.0 Hz, 2 clients, imu up, laser down (timeout), output plc down``"""
     parts = [f"heave {record.quality.heave.value}"]
     if record.heave.heave_m is not None:
         parts[0] += f" {record.heave.heave_m:+.2f} m"
@@ -87,7 +93,10 @@ def status_line(record: StatusRecord) -> str:
         f"{device.name} up" if device.up else f"{device.name} down ({device.last_fault or 'not polled yet'})"
         for device in record.devices
     ]
-    return ", ".join(parts if record.devices else [*parts, "no devices configured"])
+    if not record.devices:
+        parts.append("no devices configured")
+    parts += [f"output {output.name} down" for output in record.outputs if not output.up]
+    return ", ".join(parts)
 
 
 def _heave(frame: MotionFrame | None, now_s: float) -> HeaveStatus:
@@ -158,6 +167,18 @@ def _devices(acquisition: Acquisition, config: Config, now_s: float) -> tuple[De
             )
         )
     return tuple(devices)
+
+
+def _output(health: OutputHealth) -> OutputStatus:
+    return OutputStatus(
+        name=health.name,
+        kind=health.kind,
+        link=health.where,
+        up=health.is_up,
+        sent=health.sent,
+        lost=dict(health.lost),
+        detail=health.detail,
+    )
 
 
 def _correction(

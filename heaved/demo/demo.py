@@ -6,13 +6,16 @@ import asyncio
 import contextlib
 import multiprocessing
 import os
+import shutil
 import signal
 import socket
+import subprocess
 import sys
 import tempfile
 import threading
 import time
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -24,6 +27,10 @@ from heaved.demo import hook
 from heaved.demo.craft_at_sea import voyages
 from heaved.devices.profile import DeviceSpec
 from heaved.estimation.craft.dynamics import Vessel
+from heaved.networks import is_loopback_host
+from heaved.outputs.telegrams.formats import FORMATS
+from heaved.page.server import PageServer
+from heaved.page.server import serve as serve_page
 from heaved.simulate.hydrofoil import Passage
 from heaved.simulate.instruments import Instruments
 from heaved.simulate.plant import SimulatedPlant
@@ -42,6 +49,9 @@ SERIAL_BAUDRATE: Final = 230_400
 """Of the simulated serial line: it carries the demo's IMU at 100 Hz and its laser at 20 Hz with a third to spare."""
 SEED: Final = 1
 """Of the sea and of the sensors' errors."""
+_MQTT_PORT: Final = 1883
+_PAGE_HOST: Final = "127.0.0.1"
+_PAGE_PORT: Final = 8570
 _CHILD_STOPS_S: Final = 2.0
 
 
@@ -67,6 +77,26 @@ def on_serial_line(devices: Sequence[DeviceSpec], directory: Path) -> tuple[Devi
     """The devices on one simulated serial line, a pseudo-terminal that appears as ``directory/bus``."""
     link = f"rtu://{directory}/bus?baudrate={SERIAL_BAUDRATE}"
     return tuple(msgspec.structs.replace(device, link=link) for device in devices)
+
+
+def how_to_look(config: Config) -> list[str]:
+    """At each output beside the stream: a line for people, with the command that shows it."""
+    lines = []
+    for output in config.output:
+        _, _, address = output.link.partition("tcp-listen://")
+        host, _, port = address.rpartition(":")
+        of = output.point or "the IMU"
+        look = f"nc {host} {port}" if host else output.link
+        lines.append(f"{FORMATS[output.telegram].title} of {of}, {output.rate_hz:g} Hz: {look}")
+    registers = config.registers
+    if registers.enabled and registers.link.startswith("tcp://"):
+        host, _, port = registers.link.removeprefix("tcp://").rpartition(":")
+        asked = f"mbpoll -0 -r {registers.start} -c 7 -t 4 -a {registers.device_id} -p {port} {host}"
+        lines.append(f"registers for a PLC (heave mm, mm/s, mm/s2, roll, pitch, counter, quality): {asked}")
+    if config.mqtt.enabled:
+        _, _, port = config.mqtt.link.rpartition(":")
+        lines.append(f"MQTT: mosquitto_sub -p {port} -v -t '{config.mqtt.topic}/#'")
+    return lines
 
 
 def instruments(
@@ -130,8 +160,9 @@ def run(
     """Serve the sensors of ``config``, by default ``demo.toml``, in a process of their own and run the daemon on them;
     returns its exit code. ``shake`` names what shakes them.
 
-    A third process is the consumer: a simulated winch on the stream, which says on standard output now and then how the
-    hook below it moves.
+    A third process serves the page, and a fourth is a consumer: a simulated winch on the stream, which says on standard
+    output now and then how the hook below it moves. Without a ``config``, and where there is a mosquitto on this
+    machine, another is its broker.
 
     What is learned goes to a temporary directory. Ports of the default configuration that are taken are replaced by
     free ones; ``announce`` is told the configuration just before the daemon starts.
@@ -143,14 +174,17 @@ def run(
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     with tempfile.TemporaryDirectory(prefix="heaved-demo-") as name:
         directory = Path(name)
-        config = config or demo_config()
+        is_own, config = config is None, config or demo_config()
         wanted = on_serial_line(config.device, directory) if serial else config.device
-        with _sensors(wanted, sea, shake) as served:
+        with _sensors(wanted, sea, shake) as served, _broker(directory, wanted=is_own) as broker:
             config = msgspec.structs.replace(
                 config,
                 device=served.devices,
                 stream=msgspec.structs.replace(config.stream, port=_free_port(config.stream.host, config.stream.port)),
                 http=msgspec.structs.replace(config.http, port=_free_port(config.http.host, config.http.port)),
+                output=tuple(msgspec.structs.replace(one, link=_free_link(one.link)) for one in config.output),
+                registers=msgspec.structs.replace(config.registers, link=_free_link(config.registers.link)),
+                mqtt=msgspec.structs.replace(config.mqtt, enabled=bool(broker), link=broker) if is_own else config.mqtt,
                 state=msgspec.structs.replace(config.state, directory=str(directory / "state")),
             )
             announce(config)
@@ -161,8 +195,10 @@ def run(
                 end.start()
             try:
                 heaves = any(device.role == "imu" for device in config.device)
-                winch = _child(_winch_process, config.stream.host, config.stream.port, sea, served.epoch_s)
-                with winch if heaves else contextlib.nullcontext():
+                stream = config.stream.host, config.stream.port
+                winch = _child(_winch_process, *stream, sea, served.epoch_s)
+                page = _child(_page_process, *stream, _free_port(_PAGE_HOST, _PAGE_PORT), log_format)
+                with winch if heaves else contextlib.nullcontext(), page:
                     return daemon.run(config, None, log_format=log_format)
             finally:
                 end.cancel()
@@ -227,8 +263,51 @@ def _winch_process(connection: Connection, host: str, port: int, sea: str, epoch
         hook.follow(host, port, seaway(sea, SEED), epoch_s, _say, connection.poll)
 
 
+def _page_process(connection: Connection, host: str, port: int, page_port: int, log_format: str) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    daemon.configure_logging(log_format)
+
+    async def run() -> None:
+        ended = asyncio.Event()
+        asyncio.get_running_loop().add_reader(connection.fileno(), ended.set)
+        page = PageServer(host=_PAGE_HOST, port=page_port, allow=(), stream_host=host, stream_port=port)
+        await serve_page(page, lambda url: _say(f"in a browser: {url}"), ended)
+
+    with contextlib.suppress(BrokenPipeError):
+        asyncio.run(run())
+
+
 def _say(line: str) -> None:
     os.write(sys.stdout.fileno(), f"{line}\n".encode())  # Whole or not at all, beside what the daemon prints.
+
+
+@contextmanager
+def _broker(directory: Path, *, wanted: bool) -> Iterator[str]:
+    """A broker on loopback, and its link; empty: it is not wanted, or there is none on this machine."""
+    program = shutil.which("mosquitto", path=f"{os.environ.get('PATH', os.defpath)}{os.pathsep}/usr/sbin")
+    if not wanted or program is None or find_spec("aiomqtt") is None:
+        yield ""
+        return
+    host, port = "127.0.0.1", _free_port("127.0.0.1", _MQTT_PORT)
+    file = directory / "mosquitto.conf"
+    file.write_text(f"listener {port} {host}\nallow_anonymous true\n", encoding="utf-8")
+    quiet = subprocess.DEVNULL
+    # Not of the terminal's group: Ctrl-C is for the daemon, which says good-bye to its broker.
+    broker = subprocess.Popen([program, "-c", str(file)], stdout=quiet, stderr=quiet, start_new_session=True)  # noqa: S603
+    try:
+        yield f"mqtt://{host}:{port}"
+    finally:
+        broker.terminate()
+        broker.wait()
+
+
+def _free_link(text: str) -> str:
+    """The same link with a port that is free, if it is one at which we listen."""
+    scheme, _, address = text.partition("://")
+    host, _, port = address.rpartition(":")
+    if scheme not in ("tcp-listen", "tcp") or not is_loopback_host(host):
+        return text
+    return f"{scheme}://{host}:{_free_port(host, int(port))}"
 
 
 def _free_port(host: str, port: int) -> int:

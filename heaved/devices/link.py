@@ -28,13 +28,15 @@ def bus_key(link: Link) -> str:
 
 
 def buses(devices: Sequence[DeviceSpec]) -> dict[str, tuple[DeviceSpec, ...]]:
-    """The devices on each bus, by its key, in the order given.
+    """The devices that are asked on each bus, by its key, in the order given.
 
     Raises:
         ValueError: a link that cannot be parsed.
     """
     found: dict[str, tuple[DeviceSpec, ...]] = {}
     for device in devices:
+        if not device.is_asked:
+            continue
         key = bus_key(parse_link(device.link))
         found[key] = (*found.get(key, ()), device)
     return found
@@ -74,6 +76,8 @@ def line_faults(devices: Sequence[DeviceSpec]) -> list[str]:
     first: dict[str, tuple[DeviceSpec, SerialLink]] = {}
     slaves: dict[tuple[str, int], list[DeviceSpec]] = {}
     for device in devices:
+        if not device.is_asked:
+            continue
         try:
             link = parse_link(device.link)
         except ValueError as error:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from enum import Enum
-from math import inf
+from math import inf, nan
 from typing import TYPE_CHECKING, Final
 
-from heaved.devices.profile import MAX_REGISTERS, DeviceSpec, Quantity, role_quantities, si_step
+from heaved.devices.profile import MAX_REGISTERS, DeviceSpec, Quantity, role_quantities, si_step, told_together
 from heaved.samples import Fault
 from heaved.unchanged import Unchanged
 
@@ -31,16 +31,17 @@ class LivenessCheck:
     """Whether what a device says is alive.
 
     Measurements that stay identical to the last bit for longer than ``stuck_after_s`` are stuck (0: never judged): a
-    living sensor has noise. A device that sends its own clock is stale when that clock stands. Neither is forgotten
-    over a lost connection: a gateway that serves its memory is found out at once.
+    living sensor has noise. The encoders of a crane have none and stand still with it: they are not judged. A device
+    that sends its own clock is stale when that clock stands. Neither is forgotten over a lost connection: a gateway
+    that serves its memory is found out at once.
     """
 
     def __init__(self, device: DeviceSpec) -> None:
         wanted = role_quantities(device.role)
         blocks = device.profile.blocks
-        measured = [tuple(field.quantity for field in block.fields if field.quantity in wanted) for block in blocks]
+        measured = [tuple(name for name in names if name in wanted) for names in told_together(device.profile)]
         self._blocks = [(names, Unchanged()) for names in measured if names]
-        self._stuck_after_s = device.stuck_after_s or inf
+        self._stuck_after_s = inf if device.role == "crane" else device.stuck_after_s or inf
         steps_s = [si_step(field) for block in blocks for field in block.fields if field.quantity == "device_time_s"]
         self._clock = Unchanged()
         # Two steps and a half: a clock that ticks as coarsely as it is read may show the same time twice.
@@ -52,7 +53,9 @@ class LivenessCheck:
         if time_s is not None and (stood_s := self._clock.push(t_s, time_s)) > self._stale_after_s:
             return Fault.STALE, f"the device's clock has stood at {time_s:.6g} s for {stood_s:.1f} s: restart it"
         for names, content in self._blocks:
-            if (stood_s := content.push(t_s, tuple(values[name] for name in names))) > self._stuck_after_s:
+            if values.keys().isdisjoint(names):
+                continue  # They stand in another sentence.
+            if (stood_s := content.push(t_s, tuple(values.get(name, nan) for name in names))) > self._stuck_after_s:
                 hint = "restart the sensor, or raise stuck_after_s if it may stand still"
                 return Fault.STUCK, f"{', '.join(names)} have not changed for {stood_s:.1f} s: {hint}"
         return Fault.NONE, ""

@@ -28,9 +28,10 @@ Quantity = Literal[
     "gx_radps", "gy_radps", "gz_radps",
     "laser_m",
     "heave_m", "speed_mps", "flap_fore_rad", "flap_aft_rad",
+    "slew_rad", "boom_rad", "jib_rad", "line_out_m",
     "temperature_c", "signal", "device_time_s",
 ]  # fmt: skip
-Role = Literal["imu", "laser", "imu2", "craft", "heave_sensor", "pitch_sensor"]
+Role = Literal["imu", "laser", "imu2", "craft", "heave_sensor", "pitch_sensor", "crane"]
 Name = Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9_.-]{1,64}$")]
 
 
@@ -60,6 +61,41 @@ class Block(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     fields: Annotated[tuple[Field, ...], msgspec.Meta(min_length=1)]
 
 
+class SentenceField(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One value: ``si = sign * to_si(unit, number * scale + offset_value)``."""
+
+    quantity: Quantity
+    index: Annotated[int, msgspec.Meta(ge=1, le=80)] | None = None
+    """Which of the values after the header, from 1; or"""
+    transducer: Annotated[str, msgspec.Meta(pattern=r"^[!-)+.-~]{1,32}\Z")] | None = None
+    """the identifier that stands behind the number and its unit, as XDR has it."""
+    scale: float = 1.0
+    offset_value: float = 0.0
+    unit: Unit = "1"
+    sign: Literal[1, -1] = 1
+    min: float | None = None
+    """Smallest plausible value, in ``unit``, before the sign; outside is a fault, never a value."""
+    max: float | None = None
+
+    def __post_init__(self) -> None:
+        if (self.index is None) == (self.transducer is None):
+            raise ValueError("give index or transducer, one of the two")
+
+
+class Sentence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One kind of sentence, and what is taken from it."""
+
+    header: Annotated[str, msgspec.Meta(pattern=r"^[!-)+\-.-~]{1,32}\Z")]
+    """All up to the first separator; a ``-`` stands for any character, as in ``$--XDR``."""
+    separator: Annotated[str, msgspec.Meta(pattern=r"^[ ,;:|\t]\Z")] = ","
+    checksum: Literal["optional", "required"] = "optional"
+    fields: Annotated[tuple[SentenceField, ...], msgspec.Meta(min_length=1)]
+
+    def __post_init__(self) -> None:
+        if self.separator in self.header:
+            raise ValueError("header holds the separator: write what stands before the first one")
+
+
 class BandwidthRegister(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The holding register that sets a sensor's bandwidth. It is never written: that is for its owner to do."""
 
@@ -76,7 +112,10 @@ class Profile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     bandwidth_hz: Annotated[float, msgspec.Meta(ge=0, le=10_000)] = 0.0
     """Corner of the low-pass of its accelerometers and gyros, as delivered; 0: not known."""
     bandwidth_register: BandwidthRegister | None = None
-    blocks: Annotated[tuple[Block, ...], msgspec.Meta(min_length=1)]
+    blocks: tuple[Block, ...] = ()
+    """Of a device that is asked over Modbus,"""
+    sentences: tuple[Sentence, ...] = ()
+    """and of one that speaks by itself."""
 
 
 class DeviceSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -85,7 +124,8 @@ class DeviceSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     name: Name
     role: Role
     link: str
-    """``tcp://host:port`` or ``rtu:///dev/ttyUSB0?baudrate=115200&parity=N&stopbits=1``."""
+    """``tcp://host:port`` or ``rtu:///dev/ttyUSB0?baudrate=115200&parity=N&stopbits=1`` of a device that is asked;
+    ``serial:///dev/ttyUSB0?...``, ``udp-listen://host:port`` or ``tcp://host:port`` of one that speaks by itself."""
     device_id: Annotated[int, msgspec.Meta(ge=0, le=247)] = 1
     profile: Profile
     rate_hz: Annotated[float, msgspec.Meta(gt=0, le=1000)]
@@ -93,9 +133,17 @@ class DeviceSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     latency_ms: Annotated[float, msgspec.Meta(ge=-1000, le=1000)] = 0.0
     """Sample time minus the time at which the request was sent; negative for a device that answers old values."""
     stuck_after_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] = 2.0
-    """Identical registers for longer than this are a fault (0: never)."""
+    """Identical registers for longer than this are a fault (0: never). In role "crane" they are not: a crane stands
+    still, and its encoders with it."""
     bandwidth_hz: Annotated[float, msgspec.Meta(ge=0, le=10_000)] = 0.0
     """To which the sensor's low-pass is set; 0: as its profile says."""
+    allow: tuple[str, ...] = ()
+    """Networks (CIDR) whose sentences are taken on a ``udp-listen`` link, besides those of this machine."""
+
+    @property
+    def is_asked(self) -> bool:
+        """Whether it is polled over Modbus; else it speaks by itself."""
+        return not self.profile.sentences
 
 
 # ---- codec -----------------------------------------------------------------------------------------------------------
@@ -127,9 +175,9 @@ _KIND: dict[str, str] = {
     **dict.fromkeys(("ax_mps2", "ay_mps2", "az_mps2"), "acceleration"),
     **dict.fromkeys(("roll_rad", "pitch_rad", "yaw_rad"), "angle"),
     **dict.fromkeys(("gx_radps", "gy_radps", "gz_radps"), "angular rate"),
-    **dict.fromkeys(("laser_m", "heave_m"), "length"),
+    **dict.fromkeys(("laser_m", "heave_m", "line_out_m"), "length"),
     "speed_mps": "speed",
-    **dict.fromkeys(("flap_fore_rad", "flap_aft_rad"), "angle"),
+    **dict.fromkeys(("flap_fore_rad", "flap_aft_rad", "slew_rad", "boom_rad", "jib_rad"), "angle"),
     "temperature_c": "temperature",
     "signal": "number",
     "device_time_s": "time",
@@ -152,6 +200,7 @@ _ROLE_QUANTITIES: dict[Role, tuple[Quantity, ...]] = {
     "craft": ("heave_m", "pitch_rad", "speed_mps", "flap_fore_rad", "flap_aft_rad"),
     "heave_sensor": ("heave_m",),
     "pitch_sensor": ("pitch_rad",),
+    "crane": ("slew_rad", "boom_rad", "jib_rad", "line_out_m"),
 }
 _ROLE_NEEDS: dict[Role, tuple[Quantity, ...]] = {
     "imu": ("az_mps2",),
@@ -160,7 +209,14 @@ _ROLE_NEEDS: dict[Role, tuple[Quantity, ...]] = {
     "craft": (),
     "heave_sensor": ("heave_m",),
     "pitch_sensor": ("pitch_rad",),
+    "crane": (),
 }
+
+
+def told_together(profile: Profile) -> list[tuple[Quantity, ...]]:
+    """The quantities of a profile, by the block or sentence that they stand in."""
+    of_blocks = [tuple(field.quantity for field in block.fields) for block in profile.blocks]
+    return of_blocks + [tuple(field.quantity for field in sentence.fields) for sentence in profile.sentences]
 
 
 def role_quantities(role: Role) -> tuple[Quantity, ...]:
@@ -322,6 +378,12 @@ def encode(block: Block, values: Mapping[Quantity, float]) -> list[int]:
 def profile_faults(profile: Profile) -> list[str]:
     """Everything that is wrong with a profile beyond its types, one message each; empty when it is sound."""
     faults: list[str] = []
+    if bool(profile.blocks) == bool(profile.sentences):
+        one = "has both blocks and" if profile.blocks else "has neither blocks nor"
+        faults.append(
+            f"profile {profile.name}: {one} sentences: blocks are for a device that is asked over Modbus, "
+            "sentences for one that speaks by itself"
+        )
     carried: dict[str, str] = {}
     for number, block in enumerate(profile.blocks):
         where = f"profile {profile.name}: block {number} ({block.function}, start {block.start})"
@@ -341,10 +403,20 @@ def profile_faults(profile: Profile) -> list[str]:
             clashes = sorted({taken[register] for register in registers if register in taken})
             faults += [f"{where}: {field.quantity} overlaps {other} (offset {field.offset})" for other in clashes]
             taken.update(dict.fromkeys(registers, field.quantity))
+    for sentence in profile.sentences:
+        where = f"profile {profile.name}: sentence {sentence.header}"
+        names = [value.quantity for value in sentence.fields]
+        faults += [f"{where}: {name} is given twice" for name in sorted({n for n in names if names.count(n) > 1})]
+        faults += [f"{where}: {value.quantity}: {fault}" for value in sentence.fields for fault in _field_faults(value)]
+    headers = [sentence.header for sentence in profile.sentences]
+    faults += [
+        f"profile {profile.name}: sentence {header} is given twice: write its fields together"
+        for header in sorted({header for header in headers if headers.count(header) > 1})
+    ]
     return faults
 
 
-def _field_faults(field: Field) -> list[str]:
+def _field_faults(field: Field | SentenceField) -> list[str]:
     faults = []
     kind = SI[field.unit][1]
     if kind != _KIND[field.quantity]:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Final, Self
 
 import msgspec
 
-from heaved.samples import CraftSample, ImuSample, LaserSample, RatesSample
+from heaved.samples import CraftSample, CraneSample, ImuSample, LaserSample, RatesSample
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -40,9 +40,10 @@ STAGE_COLUMNS: Final = (
     "gx1_radps", "gy1_radps", "gz1_radps",
     "gx2_radps", "gy2_radps", "gz2_radps",
     "heave_sensor_m", "pitch_sensor_deg", "speed_mps", "flap_fore_deg", "flap_aft_deg",
+    "slew_deg", "boom_deg", "jib_deg", "line_out_m",
 )  # fmt: skip
 """Columns of the stages beside the heave: body rates amidships (the same as gx_radps, gy_radps, gz_radps, before which
-they come) and at the crane base, each in its own axes; what a craft's own sensors say."""
+they come) and at the crane base, each in its own axes; what a craft's own sensors say, and a crane's encoders."""
 REQUIRED: Final = ("t_s", "az_mps2")
 IGNORED: Final = (
     "ax2_mps2", "ay2_mps2", "az2_mps2",
@@ -74,7 +75,7 @@ _LONGEST_HEADER: Final = 4096
 """Characters. A first line beyond this is no header of ours, whatever it is."""
 _ALSO_CALLED: Final = {"t": "t_s", "time": "t_s", "timestamp": "t_s", "heading": "yaw_deg", "laser": "laser_m"}
 
-Instant = tuple[ImuSample | None, LaserSample | None, RatesSample | None, CraftSample | None]
+Instant = tuple[ImuSample | None, LaserSample | None, RatesSample | None, CraftSample | None, CraneSample | None]
 
 
 class RecordingError(Exception):
@@ -138,7 +139,8 @@ class Recording:
         return self._raw.tell() if self._raw.seekable() else 0
 
     def instants(self) -> Iterator[Instant]:
-        """The rows, in order: each a sample of the IMU, the laser, the second IMU and the craft, as far as it has them.
+        """The rows, in order: each a sample of the IMU, the laser, the second IMU, the craft and the crane, as far as
+        it has them.
 
         Raises:
             RecordingError: at the row that is malformed; the rows before it have been given.
@@ -198,8 +200,8 @@ class Recording:
                 first.append((t_s, _line(rows)))
                 if len(first) == FIRST_SAMPLES:
                     self._check_interval(first)
-            rates, craft = _staged(t_s, staged) if staged else (None, None)
-            yield imu, None if isnan(laser) else LaserSample(t_s=t_s, laser_m=laser), rates, craft
+            rates, craft, crane = _staged(t_s, staged) if staged else (None, None, None)
+            yield imu, None if isnan(laser) else LaserSample(t_s=t_s, laser_m=laser), rates, craft, crane
         if last_s == -float("inf"):
             raise self._error("has a header but no rows")
         if len(first) < FIRST_SAMPLES:
@@ -287,20 +289,29 @@ def _numbers(cells: tuple[str, ...]) -> list[float] | None:
     return found if is_plain else None
 
 
-def _staged(t_s: float, values: list[float]) -> tuple[RatesSample | None, CraftSample | None]:
+def _staged(t_s: float, values: list[float]) -> tuple[RatesSample | None, CraftSample | None, CraneSample | None]:
     """What the cells of STAGE_COLUMNS say; nothing where all of a device's are blank."""
-    _, _, _, gx, gy, gz, heave, pitch, speed, fore, aft = values
+    _, _, _, gx, gy, gz, heave, pitch, speed, fore, aft, slew, boom, jib, line_out = values
     rates = RatesSample(t_s=t_s, gx_radps=gx, gy_radps=gy, gz_radps=gz) if isfinite(gx + gy + gz) else None
-    if not any(map(isfinite, (heave, pitch, speed, fore, aft))):
-        return rates, None
-    return rates, CraftSample(
-        t_s=t_s,
-        heave_m=heave,
-        pitch_rad=pitch * _RADIANS_PER_DEGREE,
-        speed_mps=speed,
-        flap_fore_rad=fore * _RADIANS_PER_DEGREE,
-        flap_aft_rad=aft * _RADIANS_PER_DEGREE,
-    )
+    craft = crane = None
+    if any(map(isfinite, (heave, pitch, speed, fore, aft))):
+        craft = CraftSample(
+            t_s=t_s,
+            heave_m=heave,
+            pitch_rad=pitch * _RADIANS_PER_DEGREE,
+            speed_mps=speed,
+            flap_fore_rad=fore * _RADIANS_PER_DEGREE,
+            flap_aft_rad=aft * _RADIANS_PER_DEGREE,
+        )
+    if any(map(isfinite, (slew, boom, jib, line_out))):
+        crane = CraneSample(
+            t_s=t_s,
+            slew_rad=slew * _RADIANS_PER_DEGREE,
+            boom_rad=boom * _RADIANS_PER_DEGREE,
+            jib_rad=jib * _RADIANS_PER_DEGREE,
+            line_out_m=line_out,
+        )
+    return rates, craft, crane
 
 
 def _line(rows: Iterator[list[str]]) -> int:

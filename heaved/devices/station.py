@@ -21,7 +21,7 @@ from heaved.devices.profile import (
     role_quantities,
 )
 from heaved.devices.timer import Pace
-from heaved.samples import CraftSample, Fault, ImuSample, LaserSample, RatesSample, Sample
+from heaved.samples import CraftSample, CraneSample, Fault, ImuSample, LaserSample, RatesSample, Sample
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -35,8 +35,9 @@ KINDS: Final[dict[Role, Callable[..., Sample]]] = {
     "craft": CraftSample,
     "heave_sensor": CraftSample,
     "pitch_sensor": CraftSample,
+    "crane": CraneSample,
 }
-
+"""The samples by the role of the device."""
 
 _NOT_ASKED_YET: Final = (
     Fault.TIMEOUT,

@@ -6,18 +6,20 @@ Nothing is advanced here: a moment without a sample is framed like any other, fr
 from __future__ import annotations
 
 from collections import Counter
-from math import hypot, isfinite, nan
+from math import hypot, isfinite, nan, pi, remainder
 from typing import TYPE_CHECKING, Final
 
 import msgspec
+import numpy as np
 
-from heaved.estimation import lever_arm as points
-from heaved.estimation.common.bounds import HEAVE_ACCELERATION_MPS2, HEAVE_M, HEAVE_VELOCITY_MPS, POINT_HEAVE_M
+from heaved.estimation.common.bounds import HEAVE_ACCELERATION_MPS2, HEAVE_M, HEAVE_VELOCITY_MPS
 from heaved.estimation.heave.estimator import Heave, HeaveEstimator
 from heaved.estimation.heave.quality import TUNING as QUALITY
 from heaved.estimation.heave.quality import Facts, judge
 from heaved.estimation.imu.attitude import UNKNOWN, Attitude, predicted
+from heaved.estimation.imu.vertical import NO_LEVEL, NO_RATES
 from heaved.estimation.lever_arm import AttitudeMotion, Point
+from heaved.estimation.point_motion import Ahead, Moment, PointMotions
 from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S
 from heaved.samples import (
     CorrectionState,
@@ -25,6 +27,7 @@ from heaved.samples import (
     HeaveState,
     LaserState,
     MotionFrame,
+    MotionNow,
     PointMotion,
     Quality,
     QuietForecast,
@@ -59,11 +62,18 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     line_per_s: float = 4.0
     """A straight line of a rolling vessel's angles is worse than a prediction by so much of it for each second: half of
     the angle's acceleration times the square of half a second is some three times what predictions are off by then."""
+    behind_s: float = 0.3
+    """Angular accelerations: between the body rates of so long ago and those that are predicted for ..."""
+    ahead_s: tuple[float, float] = (0.3, 0.6)
+    """... as long ahead, on the way to the first horizon in there. In sea S6 that is off by 0.05 of the roll's and by
+    0.1 of the pitch's; without body rates by 0.2 to 0.5."""
     longest_step_s: float = 0.5
     """Delayed heaves further apart show no velocity."""
 
 
 TUNING: Final = Tuning()
+ORDER: Final = 3
+"""Coefficients of a parabola."""
 
 
 class MotionFrames:
@@ -84,13 +94,15 @@ class MotionFrames:
     ) -> None:
         """``rock_horizons_s``: of the predictions."""
         self._vertical, self._heave, self._stages = vertical, heave, stages
-        self._points = point
+        self._points = PointMotions(point, stages) if point else None
         self.resets: Counter[tuple[str, str]] = Counter()
         self._is_beyond = False
         self._delayed: tuple[DelayedHeave, DelayedHeave | None] | None = None
         """The newest of the estimator, and what is published of it."""
         # Between two predictions: the noise of the measured attitude, over 50 ms, would be most of the rate.
         self._rate_between = tuple(rock_horizons_s.index(h) for h in STANDARD_HORIZONS_S[:2])
+        self._bend = _Bend.of(rock_horizons_s)
+        self._parabola = _Parabola.of(rock_horizons_s, heave.lead_s)
 
     def at(
         self,
@@ -106,6 +118,9 @@ class MotionFrames:
         heave = estimator.at(shift_s) if shift_s <= QUALITY.coast_s else None
         if heave is not None:
             heave = self._possible(heave)
+        now = None
+        if estimator.lead_s > 0.0 and heave is not None and (now := estimator.now(shift_s)) is not None:
+            now = self._of_uncertain_time(now) if _is_possible(now) else None
         attitude = self._serving(t_s, rock)
         roll, pitch, yaw = attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad
         fresh = estimator.has_laser and laser.is_fresh(t_s)
@@ -113,7 +128,14 @@ class MotionFrames:
         crane_roll, crane_pitch, crane_yaw = stages.crane_attitude(roll, pitch, yaw)
         if heave is None or quality.heave is HeaveState.INVALID:
             # No number without its uncertainty, and none that is not worth sending.
-            heave = NOTHING
+            heave, now = NOTHING, None
+        points: tuple[PointMotion, ...] = ()
+        points_now: tuple[PointMotion, ...] = ()
+        if self._points is not None:
+            points, points_now = self._point_motions(t_s, heave, now, attitude, rock)
+        is_of_sample = self._vertical.attitude.t_s == t_s
+        surge_mps2, sway_mps2 = self._vertical.level_mps2 if is_of_sample else NO_LEVEL
+        roll_rate, pitch_rate, yaw_rate = self._rates(is_of_sample, rock)
         return MotionFrame(
             t_s=t_s,
             quality=quality,
@@ -128,11 +150,21 @@ class MotionFrames:
             roll_rad=roll,
             pitch_rad=pitch,
             yaw_rad=yaw,
-            points=self._point_motions(heave, self._moving(attitude, t_s, tuple(rock))) if self._points else (),
+            surge_acceleration_mps2=surge_mps2,
+            sway_acceleration_mps2=sway_mps2,
+            roll_rate_radps=roll_rate,
+            pitch_rate_radps=pitch_rate,
+            yaw_rate_radps=yaw_rate,
+            points=points,
             rock=rock,
             quiet=quiet,
             forecast=heave.forecast,
             compensation_lead_s=estimator.lead_s,
+            now=MotionNow(
+                heave_m=now.heave_m, heave_std_m=now.std_m, heave_velocity_mps=now.velocity_mps, points=points_now
+            )
+            if now is not None
+            else None,
             delayed=self._possible_delayed(),
             sea=observer.sea,
             crane_roll_rad=crane_roll,
@@ -150,8 +182,10 @@ class MotionFrames:
         if is_beyond and not self._is_beyond:
             self.resets["frame", "beyond physics"] += 1
         self._is_beyond = is_beyond
-        if is_beyond:
-            return None
+        return None if is_beyond else self._of_uncertain_time(heave)
+
+    def _of_uncertain_time(self, heave: Heave) -> Heave:
+        """With what its velocity makes of the time to which the accelerations are known in its standard deviation."""
         if not self._vertical.force_std_s > 0.0:
             return heave
         late_s, forecast = self._vertical.force_std_s, heave.forecast
@@ -193,8 +227,10 @@ class MotionFrames:
         roll, pitch = last.at(t_s)
         return msgspec.structs.replace(last, roll_rad=roll, pitch_rad=pitch)
 
-    def _moving(self, serving: Attitude, t_s: float, predictions: tuple[RockPrediction, ...]) -> AttitudeMotion:
-        """The same for the moment that the heave of ``t_s`` is for, with rates and standard deviations.
+    def _moving(
+        self, serving: Attitude, t_s: float, predictions: tuple[RockPrediction, ...], lead_s: float
+    ) -> AttitudeMotion:
+        """The same for ``lead_s`` later, with rates and standard deviations.
 
         How well an angle is known is what the predictions for as long ahead are worth: too much for a measured one,
         since it is the whole of what the sensor adds and of what a prediction does.
@@ -204,12 +240,21 @@ class MotionFrames:
         apart_s = later.horizon_s - soon.horizon_s
         roll_rate = (later.roll_rad - soon.roll_rad) / apart_s
         pitch_rate = (later.pitch_rad - soon.pitch_rad) / apart_s
-        roll_std, pitch_std = _stds(predictions, self._heave.lead_s + t_s - serving.measured_s)
+        if lead_s == 0.0 and self._vertical.attitude.t_s == t_s:
+            # Of the sample itself a gyroscope knows more, by ten times.
+            measured = self._vertical.rates_radps
+            if isfinite(measured[0] + measured[1]):
+                roll_rate, pitch_rate, _ = measured
+        roll_std, pitch_std = _stds(predictions, lead_s + t_s - serving.measured_s)
         if (line_s := t_s - serving.t_s) > 0.0:
             factor = TUNING.carried * (1.0 + TUNING.line_per_s * line_s)
             roll_std, pitch_std = factor * roll_std, factor * pitch_std
-        if (lead_s := self._heave.lead_s) > 0.0:
-            roll, pitch = roll + lead_s * roll_rate, pitch + lead_s * pitch_rate
+        if lead_s > 0.0:
+            if self._parabola is None:
+                return AttitudeMotion(nan, nan, nan, nan)
+            roll, roll_rate = self._parabola.at([p.roll_rad for p in predictions])
+            pitch, pitch_rate = self._parabola.at([p.pitch_rad for p in predictions])
+            return AttitudeMotion(roll, pitch, roll_rate, pitch_rate, roll_std, pitch_std)
         return AttitudeMotion(
             roll,
             pitch,
@@ -219,17 +264,105 @@ class MotionFrames:
             pitch_std if isfinite(pitch_std) else serving.pitch_std_rad,
         )
 
-    def _point_motions(self, heave: Heave, attitude: AttitudeMotion) -> tuple[PointMotion, ...]:
-        """Each point, for the moment that the heave is for."""
-        h, v, std_m, crane = heave.heave_m, heave.velocity_mps, heave.std_m, self._stages.crane
-        return tuple([
-            _bounded(
-                points.crane_motion(point, h, v, attitude, crane, std_m)
-                if point.frame == "crane"
-                else points.motion(point, h, v, attitude, std_m)
+    def _point_motions(
+        self, t_s: float, heave: Heave, now: Heave | None, serving: Attitude, rock: Sequence[RockPrediction]
+    ) -> tuple[tuple[PointMotion, ...], tuple[PointMotion, ...]]:
+        """Each point, for the moment that the heave is for, and for ``t_s`` itself where that is another."""
+        assert self._points is not None
+        predictions, lead_s = tuple(rock), self._heave.lead_s
+        upright = self._upright_ahead(t_s, predictions)
+        present = self._upright(self._moving(serving, t_s, upright, 0.0), t_s)
+        led = self._moving(serving, t_s, upright, lead_s) if lead_s > 0.0 else present
+        roll_bend, pitch_bend = self._angular_accelerations(t_s, upright)
+        bent = msgspec.structs.replace(
+            present, roll_acceleration_radps2=roll_bend, pitch_acceleration_radps2=pitch_bend
+        )
+        ahead = Ahead(heave.acceleration_mps2, bent, heave.forecast, upright)
+        foretold = self._points.foretold(t_s, ahead)
+        points = self._points.at(
+            Moment(
+                from_s=t_s,
+                t_s=t_s + lead_s,
+                heave_m=heave.heave_m,
+                std_m=heave.std_m,
+                velocity_mps=heave.velocity_mps,
+                attitude=led,
+            ),
+            ahead,
+            foretold,
+        )
+        if now is None:
+            return points, ()
+        return points, self._points.at(
+            Moment(
+                from_s=t_s,
+                t_s=t_s,
+                heave_m=now.heave_m,
+                std_m=now.std_m,
+                velocity_mps=now.velocity_mps,
+                attitude=present,
+            ),
+            ahead,
+            foretold,
+        )
+
+    def _upright(self, attitude: AttitudeMotion, t_s: float) -> AttitudeMotion:
+        """The attitude of a moment without what the sensor's leans and is late. (How well it is known then is known of
+        the predictions.)
+        """
+        lean, late_s = self._vertical.lean(t_s, self._heave.observer.omega_radps), self._vertical.late_s
+        roll, pitch = attitude.roll_rad - lean.roll_rad, attitude.pitch_rad - lean.pitch_rad
+        if late_s > 0.0 and isfinite(attitude.roll_rate_radps + attitude.pitch_rate_radps):
+            roll, pitch = roll + late_s * attitude.roll_rate_radps, pitch + late_s * attitude.pitch_rate_radps
+        return msgspec.structs.replace(attitude, roll_rad=roll, pitch_rad=pitch)
+
+    def _upright_ahead(self, t_s: float, predictions: tuple[RockPrediction, ...]) -> tuple[RockPrediction, ...]:
+        """The same of what is predicted of the measured roll and pitch."""
+        omega_radps, late_s = self._heave.observer.omega_radps, self._vertical.late_s
+        found = []
+        for number, one in enumerate(predictions):
+            lean = self._vertical.lean(t_s + one.horizon_s, omega_radps)
+            # The last one is late by the slope that leads to it.
+            soon, later = predictions[number : number + 2] if one is not predictions[-1] else predictions[-2:]
+            share = late_s / (later.horizon_s - soon.horizon_s)
+            found.append(
+                RockPrediction(
+                    horizon_s=one.horizon_s,
+                    roll_rad=one.roll_rad - lean.roll_rad + share * (later.roll_rad - soon.roll_rad),
+                    pitch_rad=one.pitch_rad - lean.pitch_rad + share * (later.pitch_rad - soon.pitch_rad),
+                    roll_std_rad=hypot(one.roll_std_rad, lean.roll_std_rad),
+                    pitch_std_rad=hypot(one.pitch_std_rad, lean.pitch_std_rad),
+                )
             )
-            for point in self._points
-        ])  # fmt: skip
+        return tuple(found)
+
+    def _rates(self, is_of_sample: bool, rock: Sequence[RockPrediction]) -> tuple[float, float, float]:
+        """Of roll, pitch and yaw: measured with the sample, else between two predictions."""
+        roll, pitch, yaw = self._vertical.rates_radps if is_of_sample else NO_RATES
+        if isfinite(roll + pitch + yaw):
+            return roll, pitch, yaw
+        soon, later = (rock[i] for i in self._rate_between)
+        apart_s = later.horizon_s - soon.horizon_s
+        turned = later.yaw_rad - soon.yaw_rad
+        return (
+            roll if isfinite(roll) else (later.roll_rad - soon.roll_rad) / apart_s,
+            pitch if isfinite(pitch) else (later.pitch_rad - soon.pitch_rad) / apart_s,
+            yaw if isfinite(yaw) else remainder(turned, 2.0 * pi) / apart_s if isfinite(turned) else nan,
+        )
+
+    def _angular_accelerations(self, t_s: float, predictions: tuple[RockPrediction, ...]) -> tuple[float, float]:
+        """Of roll and pitch at a sample; nan: nothing shows them."""
+        bend = self._bend
+        if bend is None or self._vertical.attitude.t_s != t_s:
+            return nan, nan
+        roll_before, pitch_before = self._vertical.rates_before(t_s - TUNING.behind_s)
+        roll, pitch, _ = self._vertical.rates_radps
+        if not isfinite(roll_before + pitch_before + roll + pitch):
+            return bend.alone([p.roll_rad for p in predictions]), bend.alone([p.pitch_rad for p in predictions])
+        return (
+            bend.from_rate([p.roll_rad for p in predictions], roll_before),
+            bend.from_rate([p.pitch_rad for p in predictions], pitch_before),
+        )
 
     def _quality(self, t_s: float, heave: Heave | None, fresh: bool, doubts: tuple[str, ...]) -> Quality:
         vertical, estimator = self._vertical, self._heave
@@ -276,10 +409,81 @@ def _is_possible(heave: Heave) -> bool:
     )
 
 
-def _bounded(point: PointMotion) -> PointMotion:
-    """A point that knows where it is to some standard deviation and within its bounds, or nothing of it."""
-    is_known = abs(point.heave_m) <= POINT_HEAVE_M and isfinite(point.heave_std_m)
-    return point if is_known else PointMotion(name=point.name)
+class _Bend(msgspec.Struct, frozen=True):
+    """The second derivative of an angle from what is predicted of it."""
+
+    soon: int
+    """Horizons among the predictions, by index: the longest of those that there always are, and one that is longer."""
+    later: int
+    apart_s: float
+    between_s: float
+    """From now to the middle of the two."""
+    nodes: tuple[int, ...]
+    weights: tuple[float, ...]
+    """Of the second derivative of the parabola that fits them best."""
+
+    @classmethod
+    def of(cls, horizons_s: tuple[float, ...]) -> _Bend | None:
+        """None: there is no horizon that suits."""
+        low_s, high_s = TUNING.ahead_s
+        later_s = next((h for h in horizons_s if low_s <= h <= high_s), None)
+        if later_s is None:
+            return None
+        soon_s = STANDARD_HORIZONS_S[-1]
+        fitted_s = (*STANDARD_HORIZONS_S, later_s)
+        curvature = 2.0 * np.linalg.pinv(np.vander(fitted_s, 3, increasing=True))[2]
+        return cls(
+            soon=horizons_s.index(soon_s),
+            later=horizons_s.index(later_s),
+            apart_s=later_s - soon_s,
+            between_s=0.5 * (later_s + soon_s),
+            nodes=tuple(map(horizons_s.index, fitted_s)),
+            weights=tuple(curvature.tolist()),
+        )
+
+    def from_rate(self, angles_rad: Sequence[float], before_radps: float) -> float:
+        """From the rate of a while ago to that which is predicted."""
+        rate = (angles_rad[self.later] - angles_rad[self.soon]) / self.apart_s
+        return (rate - before_radps) / (self.between_s + TUNING.behind_s)
+
+    def alone(self, angles_rad: Sequence[float]) -> float:
+        """Of a sensor without rates."""
+        return sum(weight * angles_rad[i] for i, weight in zip(self.nodes, self.weights, strict=True))
+
+
+class _Parabola(msgspec.Struct, frozen=True):
+    """An angle and its rate between the horizons of predictions: on the parabola through three of them."""
+
+    nodes: tuple[int, ...]
+    """Of the predictions, by index."""
+    values: tuple[float, ...]
+    """Weights of the angle,"""
+    slopes: tuple[float, ...]
+    """and of its rate."""
+
+    @classmethod
+    def of(cls, horizons_s: tuple[float, ...], at_s: float) -> _Parabola | None:
+        """None: no horizon is as long."""
+        # The middle one of the three that there always are is too near the others: their noise would be the rate.
+        spread = [h for h in horizons_s if h not in STANDARD_HORIZONS_S[1:-1]]
+        if len(spread) < ORDER:
+            spread = list(horizons_s)
+        first = next((i for i in range(len(spread) - ORDER + 1) if spread[i + ORDER - 1] >= at_s), None)
+        if first is None:
+            return None
+        nodes_s = spread[first : first + ORDER]
+        # Weights w with w . (1, t, t^2) at the nodes = (1, t, t^2) here, and its derivative.
+        wanted = np.array([[1.0, 0.0], [at_s, 1.0], [at_s * at_s, 2.0 * at_s]])
+        values, slopes = np.linalg.solve(np.vander(nodes_s, increasing=True).T, wanted).T.tolist()
+        return cls(tuple(map(horizons_s.index, nodes_s)), tuple(values), tuple(slopes))
+
+    def at(self, angles_rad: Sequence[float]) -> tuple[float, float]:
+        """Angle and rate."""
+        found = [angles_rad[i] for i in self.nodes]
+        return (
+            sum(weight * angle for weight, angle in zip(self.values, found, strict=True)),
+            sum(weight * angle for weight, angle in zip(self.slopes, found, strict=True)),
+        )
 
 
 def _stds(predictions: Sequence[RockPrediction], ahead_s: float) -> tuple[float, float]:

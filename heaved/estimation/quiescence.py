@@ -21,7 +21,15 @@ from numpy.typing import NDArray
 
 from heaved.estimation import lever_arm
 from heaved.estimation.lever_arm import AttitudeMotion, Point
-from heaved.samples import HeaveForecast, ImuSample, MotionFrame, QuietForecast, QuietWindow, RockPrediction
+from heaved.samples import (
+    HeaveForecast,
+    ImuSample,
+    MotionFrame,
+    PointMotion,
+    QuietForecast,
+    QuietWindow,
+    RockPrediction,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -261,8 +269,14 @@ class PointQuiescence:
         heave_m, rock, forecast = frame.heave_m, frame.rock, frame.forecast
         quiescence = self._quiescence
         is_due = quiescence.is_due(t_s)
+        if self._point is not None and self._point.rides:
+            # Where the crane has it: the frame knows.
+            found = next((p for p in frame.points if p.name == self._point.name), PointMotion(name=self._point.name))
+            there_m, forecast = found.heave_m, found.forecast
+        else:
+            there_m = self._heave(heave_m, roll_rad, pitch_rad)
         ahead = self._ahead(rock, forecast) if is_due else None
-        window = quiescence.step(t_s, roll_rad, pitch_rad, self._heave(heave_m, roll_rad, pitch_rad), ahead)
+        window = quiescence.step(t_s, roll_rad, pitch_rad, there_m, ahead)
         if is_due:
             known = quiescence.probabilities[np.isfinite(quiescence.probabilities)]
             self._latest = QuietForecast(t_s=t_s, window=window, best=float(known.max()) if len(known) else nan)
@@ -279,14 +293,16 @@ class PointQuiescence:
     def _ahead(self, rock: Sequence[RockPrediction], forecast: Sequence[HeaveForecast]) -> MotionForecast:
         """For the horizons of both; heave at the point, errors of heave and attitude taken as independent."""
         heaves = {f"{f.horizon_s:g}": f for f in forecast}
-        x, y = (self._point.forward_m, self._point.port_m) if self._point is not None else (0.0, 0.0)
+        point = self._point if self._point is None or not self._point.rides else None
+        x, y = (point.forward_m, point.port_m) if point is not None else (0.0, 0.0)
         horizons, mean, std = [], [], []
         for r in rock:
             f = heaves.get(f"{r.horizon_s:g}")
             if f is None or not isfinite(r.roll_std_rad + r.pitch_std_rad):
                 continue
             horizons.append(r.horizon_s)
-            mean.append((r.roll_rad, r.pitch_rad, self._heave(f.heave_m, r.roll_rad, r.pitch_rad)))
+            there_m = f.heave_m if point is None else self._heave(f.heave_m, r.roll_rad, r.pitch_rad)
+            mean.append((r.roll_rad, r.pitch_rad, there_m))
             by_lever_m = hypot(y * r.roll_std_rad, x * r.pitch_std_rad)
             std.append((r.roll_std_rad, r.pitch_std_rad, hypot(f.std_m, by_lever_m)))
         return MotionForecast(np.array(horizons), np.array(mean).reshape(-1, 3), np.array(std).reshape(-1, 3))

@@ -1,6 +1,6 @@
-"""The room of the two stages that live beside the heave: the hull's deformation, and the attitude of a craft.
+"""The room of the stages that live beside the heave: the hull's deformation, the attitude of a craft, a moving crane.
 
-Both are off unless configured. They are given copies of what the pipeline is given and nothing of theirs goes back, so
+All are off unless configured. They are given copies of what the pipeline is given and nothing of theirs goes back, so
 whatever befalls them the heave is the same to the bit. An exception in one of them, which is a bug, is caught here and
 nowhere else: it is counted as a reset, and the stage starts anew.
 """
@@ -13,15 +13,30 @@ from typing import TYPE_CHECKING
 
 from heaved.estimation.craft import fusion
 from heaved.estimation.craft.stage import AttitudeStage
+from heaved.estimation.crane import geometry
+from heaved.estimation.crane.estimator import CraneEstimator, Place, Worth
 from heaved.estimation.hull import estimate as hull
 from heaved.estimation.hull.stage import UNKNOWN, HullStage
-from heaved.samples import CraftMotion, CraftSample, Fault, HullAngles, ImuSample, MotionFrame, RatesSample
+from heaved.samples import (
+    CraftMotion,
+    CraftSample,
+    CraneSample,
+    Fault,
+    HeaveState,
+    HullAngles,
+    ImuSample,
+    MotionFrame,
+    RatesSample,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from heaved.estimation.hull.refit import RefitJob, RefitResult
-    from heaved.estimation.lever_arm import Crane
+    from heaved.estimation.lever_arm import Crane, Vector
+
+NO_CRANE = Worth(HeaveState.INVALID, ("no [crane] is configured",))
+FAILED = Worth(HeaveState.INVALID, ("the estimator of the crane failed: see the log",))
 
 
 class Stages:
@@ -35,6 +50,7 @@ class Stages:
         self,
         hull_params: hull.Params | None = None,
         attitude_params: fusion.Params | None = None,
+        crane_params: geometry.Params | None = None,
         *,
         refit_inline: bool = True,
     ) -> None:
@@ -48,6 +64,7 @@ class Stages:
         self._counted: Counter[tuple[str, str]] = Counter()
         self.configure_hull(hull_params or hull.Params())
         self.configure_attitude(attitude_params or fusion.Params())
+        self.configure_crane(crane_params or geometry.Params())
 
     def configure_hull(self, params: hull.Params) -> None:
         """Start the hull stage with these parameters, or end it."""
@@ -59,10 +76,20 @@ class Stages:
         self._attitude_params = params
         self.attitude = AttitudeStage(params) if params.enabled else None
 
+    def configure_crane(self, params: geometry.Params) -> None:
+        """Have a crane of these measures, or none."""
+        self._crane_params = params
+        self._crane = CraneEstimator(params) if params.is_there else None
+
     # --- input -------------------------------------------------------------------------------------------------------
 
-    def push(self, sample: ImuSample | RatesSample | CraftSample) -> None:
+    def push(self, sample: ImuSample | RatesSample | CraftSample | CraneSample) -> None:
         """Take what may concern a stage."""
+        if isinstance(sample, CraneSample):
+            if self._crane is not None:
+                with self._guarded("crane"):
+                    self._crane.push(sample)
+            return
         if isinstance(sample, CraftSample):
             if self.attitude is not None:
                 with self._guarded("attitude"):
@@ -113,15 +140,42 @@ class Stages:
                 return self.hull.crane_attitude(roll_rad, pitch_rad, yaw_rad)
         return UNKNOWN
 
+    # --- the moving crane --------------------------------------------------------------------------------------------
+
+    @property
+    def crane_is_on_base(self) -> bool:
+        """Whether its geometry is given from the crane base, along the axes of the second IMU."""
+        return self._crane_params.frame == "crane"
+
+    def crane_worth(self, t_s: float, *, hook: bool) -> Worth:
+        """What its tip, or its hook, is worth at ``t_s``."""
+        if self._crane is None:
+            return NO_CRANE
+        with self._guarded("crane"):
+            return self._crane.worth(t_s, hook=hook)
+        return FAILED
+
+    def crane_places(self, t_s: float, offsets_m: Sequence[tuple[Vector, bool]]) -> tuple[Place, ...]:
+        """Where points of it are, see :meth:`CraneEstimator.places`; none when that is not known at all."""
+        if self._crane is not None:
+            with self._guarded("crane"):
+                return self._crane.places(t_s, offsets_m)
+        return ()
+
+    # --- what befell them --------------------------------------------------------------------------------------------
+
     @property
     def resets(self) -> Counter[tuple[str, str]]:
         """By (filter, reason); an exception's reason is its name."""
-        return self._counted + self._resets("hull") + self._resets("attitude")
+        return self._counted + self._resets("hull") + self._resets("attitude") + self._crane_resets()
 
     def _resets(self, name: str) -> Counter[tuple[str, str]]:
         """Of the stage that runs."""
         stage = self.hull if name == "hull" else self.attitude
         return Counter({(name, str(reason)): count for reason, count in (stage.resets if stage else {}).items()})
+
+    def _crane_resets(self) -> Counter[tuple[str, str]]:
+        return Counter() if self._crane is None else self._crane.resets
 
     @contextmanager
     def _guarded(self, name: str) -> Iterator[None]:
@@ -130,9 +184,11 @@ class Stages:
             yield
         except Exception as error:  # noqa: BLE001  # whatever befalls a stage, the heave goes on
             self.failure = error
-            self._counted += self._resets(name)
+            self._counted += self._crane_resets() if name == "crane" else self._resets(name)
             self._counted[name, type(error).__name__] += 1
             if name == "hull":
                 self.configure_hull(self._hull_params)
+            elif name == "crane":
+                self.configure_crane(self._crane_params)
             else:
                 self.configure_attitude(self._attitude_params)

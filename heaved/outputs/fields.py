@@ -145,9 +145,19 @@ MOTION: Final = Fields[MotionFrame](
     "lead_s",
     "reference_m",
     *(f"{axis}_deg" for axis in _AXES),
+    *(f"{axis}_rate_degps" for axis in _AXES),
+    "surge_acceleration_mps2",
+    "sway_acceleration_mps2",
     *(f"crane_{axis}_deg" for axis in _AXES),
 )
-POINT: Final = Fields[PointMotion]("heave_m", "heave_std_m", "heave_velocity_mps")
+POINT: Final = Fields[PointMotion](
+    "heave_m",
+    "heave_std_m",
+    "heave_velocity_mps",
+    "heave_acceleration_mps2",
+    "own_height_m",
+    "own_velocity_mps",
+)
 ROCK: Final = Fields[RockPrediction](
     *(f"{axis}_deg" for axis in _AXES),
     *(f"{axis}_std_deg" for axis in _AXES),

@@ -16,7 +16,8 @@ import structlog
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
-from heaved.outputs.listen import Listener, checked_networks, is_allowed
+from heaved.networks import checked_networks, is_allowed
+from heaved.outputs.listen import Listener
 from heaved.samples import HeaveState, MotionFrame
 from heaved.text import printable
 
@@ -70,27 +71,33 @@ def readiness(last_frame: MotionFrame | None, *, now_s: float, fresh_s: float = 
     return Verdict(reasons=tuple(reasons), details=details)
 
 
-class _BoundedServer(web.Server):
-    def __init__(self, *arguments: Any, turned_away: Callable[[], None], **options: Any) -> None:
+class BoundedServer(web.Server):
+    """Serves so many connections at once; more are closed as they come."""
+
+    def __init__(self, *arguments: Any, most: int, turned_away: Callable[[], None], **options: Any) -> None:
+        """``most`` connections; ``turned_away`` is called for each that is closed."""
         super().__init__(*arguments, **options)
+        self._most = most
         self._turned_away = turned_away
 
     def connection_made(self, handler: web.RequestHandler, transport: asyncio.Transport) -> None:
+        """Serve it, or close it."""
         super().connection_made(handler, transport)
-        if len(self.connections) > _MAX_CONNECTIONS:
+        if len(self.connections) > self._most:
             self._turned_away()
             asyncio.get_running_loop().call_soon(transport.abort)  # The handler's task wants to have begun by then.
 
 
-class _Refusal(asyncio.Protocol):
+class Refusal(asyncio.Protocol):
     """Serves a peer that may not connect: what it says is thrown away, and the first of it answered."""
 
-    def __init__(self, refused: set[_Refusal], answer: bytes) -> None:
+    def __init__(self, refused: set[Refusal], answer: bytes) -> None:
         """``refused``: all that are served so."""
         self._refused = refused
         self._answer = answer
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """It may stay for a moment."""
         self._transport = cast("asyncio.Transport", transport)
         self._refused.add(self)
         # Closing at once would reset the connection of a client that is still sending: it would not read the answer.
@@ -98,16 +105,19 @@ class _Refusal(asyncio.Protocol):
         self._end = asyncio.get_running_loop().call_later(patience_s, self.abort)
 
     def data_received(self, _data: bytes) -> None:
+        """Answer the first of it."""
         if self._answer:
             self._transport.write(self._answer)
             self._transport.write_eof()
             self._answer = b""
 
     def connection_lost(self, _error: Exception | None) -> None:
+        """It is gone."""
         self._refused.discard(self)
         self._end.cancel()
 
     def abort(self) -> None:
+        """End it at once."""
         self._transport.abort()
 
 
@@ -136,8 +146,8 @@ class HttpServer:
         self._alive = alive
         self._ready = ready
         self._count_client_error = count_client_error
-        self._server: _BoundedServer | None = None
-        self._refused: set[_Refusal] = set()
+        self._server: BoundedServer | None = None
+        self._refused: set[Refusal] = set()
 
     async def start(self) -> tuple[str, int]:
         """Listen; returns the address that was bound (port 0 lets the system choose one).
@@ -145,8 +155,9 @@ class HttpServer:
         Raises:
             ListenError: the address cannot be bound; says what to do.
         """
-        self._server = _BoundedServer(
+        self._server = BoundedServer(
             self._answer,
+            most=_MAX_CONNECTIONS,
             turned_away=lambda: self._complain("too_many_clients", f"{_MAX_CONNECTIONS} connections are open"),
             access_log=None,
             logger=self._log_of_faults(),
@@ -171,7 +182,7 @@ class HttpServer:
             return self._server()
         message = f"{address} is not in a network of [http] allow"
         self._complain("not_allowed", message)
-        return _Refusal(self._refused, _forbidden(message))
+        return Refusal(self._refused, forbidden(message))
 
     def _complain(self, reason: str, message: str) -> None:
         self._count_client_error(reason)
@@ -216,7 +227,7 @@ def _json(status: int, body: dict[str, Any], headers: dict[str, str] | None = No
     return web.Response(status=status, body=content, content_type="application/json", headers=headers)
 
 
-def _forbidden(message: str) -> bytes:
+def forbidden(message: str) -> bytes:
     """A whole response, for who is not listened to."""
     body = msgspec.json.encode({"error": message}) + b"\n"
     head = (

@@ -11,10 +11,10 @@ from typing import Final
 
 import msgspec
 
-from heaved.samples import CorrectionState, Quality, Vibration
+from heaved.samples import CorrectionState, HeaveState, Quality, Vibration
 
 PROTO_MAJOR: Final = 1
-PROTO_MINOR: Final = 3
+PROTO_MINOR: Final = 4
 
 
 class VersionRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class", tag="VERSION"):
@@ -65,6 +65,14 @@ class PointRecord(msgspec.Struct, frozen=True, gc=False, omit_defaults=True):
     heave_m: float | None = None
     heave_std_m: float | None = None
     heave_velocity_mps: float | None = None
+    heave_acceleration_mps2: float | None = None
+    own_height_m: float | None = None
+    """Over the IMU on the level ship, and how fast the crane changes that; it is not in the heave."""
+    own_velocity_mps: float | None = None
+    forecast: tuple[ForecastRecord, ...] = ()
+    state: HeaveState | None = None
+    """Absent: that of the heave."""
+    reasons: tuple[str, ...] = ()
 
 
 class MotionRecord(
@@ -89,6 +97,12 @@ class MotionRecord(
     roll_deg: float | None = None
     pitch_deg: float | None = None
     yaw_deg: float | None = None
+    roll_rate_degps: float | None = None
+    pitch_rate_degps: float | None = None
+    yaw_rate_degps: float | None = None
+    surge_acceleration_mps2: float | None = None
+    """Forward and to port, in the level frame that turns with the heading."""
+    sway_acceleration_mps2: float | None = None
     crane_roll_deg: float | None = None
     """Attitude of the crane base, once the hull's deformation has converged."""
     crane_pitch_deg: float | None = None
@@ -270,6 +284,22 @@ class DeviceStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     """What is wrong and what to do, for a person."""
 
 
+class OutputStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A configured output beside the stream."""
+
+    name: str
+    kind: str
+    """What it speaks."""
+    link: str
+    up: bool
+    sent: int = 0
+    """Messages since the start, or since its configuration has changed."""
+    lost: dict[str, int] = {}
+    """That did not go out, by reason: ``down``, ``slow``, ``not known``, ..."""
+    detail: str = ""
+    """What is wrong and what to do, for a person."""
+
+
 class ObserverStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """The observer of the heave."""
 
@@ -342,6 +372,7 @@ class StatusRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     heave: HeaveStatus
     quality: Quality
     devices: tuple[DeviceStatus, ...]
+    outputs: tuple[OutputStatus, ...] = ()
     clients: int
     dropped: int
     """Lines dropped for slow clients since the start, all clients together."""

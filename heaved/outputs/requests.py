@@ -18,11 +18,11 @@ ACCEPTED: Final = 'send ?WATCH={"classes":["MOTION","SEA"],"rate_hz":10}, ?STATU
 
 
 class Subscription(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """``?WATCH=``: which classes, and at most how many MOTION lines a second."""
+    """``?WATCH=``: which classes, and at most how many lines of each a second."""
 
     classes: tuple[StreamClass, ...] = ("MOTION",)
     rate_hz: float | None = None
-    """None: every frame."""
+    """None: every line."""
 
 
 class StatusQuery(msgspec.Struct, frozen=True):

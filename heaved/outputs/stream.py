@@ -9,19 +9,19 @@ from __future__ import annotations
 
 import asyncio
 import time
-from math import inf
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import structlog
 
+from heaved.networks import checked_networks, is_allowed
 from heaved.outputs import wire
-from heaved.outputs.listen import Listener, checked_networks, is_allowed
+from heaved.outputs.listen import Listener
 from heaved.outputs.records import ErrorRecord, StatusRecord, VersionRecord
 from heaved.outputs.subscriber import Subscriber
 from heaved.samples import CraftMotion, DelayedHeave, HullAngles, MotionFrame, SeaState
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     import msgspec
 
@@ -86,7 +86,6 @@ class Publisher:
         self._version = version
         self._status = status
         self._sequence = 0
-        self._last_t_s = -inf
         self._served: dict[Subscriber, None] = {}  # A set that keeps the order of arrival.
         self._newest: dict[str, object] = {}
         """Of each slower class, what was published last."""
@@ -123,17 +122,17 @@ class Publisher:
 
     def publish_record(self, record: msgspec.Struct) -> None:
         """Hand a record of another class (STATUS, ...; the class is its tag) to its subscribers."""
-        subscribers = [client for client in self._served if record.__struct_config__.tag in client.classes]
-        if not subscribers:
-            return
-        line = wire.encode_record(record)
+        now_s, name = self.clock(), str(record.__struct_config__.tag)
+        self._send([client for client in self._served if client.wants(name, now_s)], record)
+
+    def _send(self, subscribers: Sequence[Subscriber], record: msgspec.Struct) -> None:
+        line = wire.encode_record(record) if subscribers else b""
         for client in subscribers:
             client.send(line)
 
     def _publish_motion(self, frame: MotionFrame) -> None:
         self._sequence += 1
-        interval_s, self._last_t_s = frame.t_s - self._last_t_s, frame.t_s
-        subscribers = [client for client in self._served if client.wants_motion(frame.t_s, interval_s)]
+        subscribers = [client for client in self._served if client.wants("MOTION", frame.t_s)]
         if not subscribers:
             return
         head = wire.motion_head(frame, seq=self._sequence, utc_s=self._utc_s(frame.t_s))
@@ -145,8 +144,8 @@ class Publisher:
         if found is None or found is self._newest.get(name):
             return
         self._newest[name] = found
-        if any(name in client.classes for client in self._served):
-            self.publish_record(made(found, self._utc_s(found.t_s)))
+        if subscribers := [client for client in self._served if client.wants(name, found.t_s)]:
+            self._send(subscribers, made(found, self._utc_s(found.t_s)))
 
     async def close(self, drain_s: float = 0.5) -> None:
         """Stop listening, give the clients ``drain_s`` to take what is queued for them, close every connection."""

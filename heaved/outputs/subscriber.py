@@ -9,6 +9,7 @@ from math import inf
 from typing import TYPE_CHECKING, Final, Protocol, cast
 
 from heaved.outputs import wire
+from heaved.outputs.due_times import DueTimes
 from heaved.outputs.records import ErrorRecord
 from heaved.outputs.requests import (
     ACCEPTED,
@@ -88,7 +89,7 @@ class Subscriber(asyncio.Protocol):
         """``address``: of the peer."""
         loop = asyncio.get_running_loop()
         self.address = address
-        self.classes: frozenset[str] = frozenset(("MOTION",))
+        self.classes: frozenset[str] = frozenset()
         self.closed: asyncio.Future[None] = loop.create_future()
         self._server = server
         self._transport: asyncio.Transport
@@ -100,8 +101,7 @@ class Subscriber(asyncio.Protocol):
         self._errors = 0
         self._requests = 0
         self._requests_since_s = -inf
-        self._period_s = 0.0
-        self._due_s = -inf
+        self._watch(Subscription())
         self._queue: deque[tuple[bytes, float | None]] = deque()  # (head of a MOTION, its t_s) or (whole line, None)
         self._paused = False
         self._full_since_s = inf
@@ -180,20 +180,9 @@ class Subscriber(asyncio.Protocol):
 
     # --- to the client ---
 
-    def wants_motion(self, t_s: float, interval_s: float) -> bool:
-        """Whether a frame of this time is due, ``interval_s`` after the one before.
-
-        Due times stand ``_period_s`` apart, whatever the frames' own times, so that the mean rate is the wanted one;
-        the frame nearest to a due time is taken.
-        """
-        if "MOTION" not in self.classes:
-            return False
-        if self._period_s > 0.0:
-            if t_s < self._due_s - 0.5 * interval_s:
-                return False
-            next_s = self._due_s + self._period_s
-            self._due_s = next_s if next_s > t_s else t_s + self._period_s
-        return True
+    def wants(self, name: str, t_s: float) -> bool:
+        """Whether it watches class ``name`` and a line of this time is due; to be asked once for each."""
+        return name in self.classes and self._due[name].is_due(t_s)
 
     def send_motion(self, line: bytes, head: bytes, t_s: float) -> bool:
         """Whether ``line`` was written now, instead of ``head`` queued."""
@@ -277,15 +266,18 @@ class Subscriber(asyncio.Protocol):
 
     def _obey(self, request: Request) -> None:
         if isinstance(request, Subscription):
-            self.classes = frozenset(request.classes)
-            self._period_s = 0.0 if request.rate_hz is None else 1.0 / request.rate_hz
-            self._due_s = -inf
+            self._watch(request)
         elif isinstance(request, StatusQuery):
             self.send(self._server.status_line())
         elif isinstance(request, VersionQuery):
             self.send(self._server.greeting())
         else:
             self._complain(request.message)
+
+    def _watch(self, wanted: Subscription) -> None:
+        self.classes = frozenset(wanted.classes)
+        self._period_s = 0.0 if wanted.rate_hz is None else 1.0 / wanted.rate_hz
+        self._due = {name: DueTimes(wanted.rate_hz) for name in self.classes}
 
     def _complain(self, message: str) -> None:
         self._errors += 1

@@ -50,7 +50,7 @@ _motion_record = fields.MOTION.into(
     given=("seq", "time", "mono_s", "compensation_lead_s", "points", "rock", "forecast"),
 )
 """All but its tail."""
-_point_record = fields.POINT.into(PointRecord, "name")
+_point_record = fields.POINT.into(PointRecord, "name", "state", "reasons", given=("forecast",))
 _rock_record = fields.ROCK.into(RockRecord, "horizon_s")
 _forecast_record = fields.FORECAST.into(ForecastRecord, "horizon_s")
 
@@ -87,7 +87,12 @@ def motion_head(frame: MotionFrame, *, seq: int, utc_s: float) -> bytes:
         time=iso_time(utc_s),
         mono_s=_micro(frame.t_s),
         compensation_lead_s=frame.compensation_lead_s or None,
-        points=tuple([_point_record(point) for point in frame.points]),
+        points=tuple(
+            [
+                _point_record(point, forecast=tuple([_forecast_record(one) for one in point.forecast]))
+                for point in frame.points
+            ]
+        ),
         rock=tuple([_rock_record(one) for one in frame.rock]),
         forecast=tuple([_forecast_record(one) for one in frame.forecast]),
     )

@@ -124,6 +124,7 @@ class Call(Enum):
     HULL = "hull"
     """This stage began anew, or ended: Config, JSON."""
     ATTITUDE = "attitude"
+    CRANE = "crane"
 
 
 CALLS: Final = tuple(Call)

@@ -137,7 +137,7 @@ class Rerun:
         self._emit, self._count, self._learning = emit, count, learning
         self._has_laser = any(device.role == "laser" for device in hour.header.layout.devices)
         config = config_of(hour) if config is None else config
-        stages = Stages(config.hull, config.attitude, refit_inline=learning is not None)
+        stages = Stages(config.hull, config.attitude, config.crane, refit_inline=learning is not None)
         self.pipeline = self._assembled(config, stages)
         self.has_begun = False
         self._published_s = -inf
@@ -177,7 +177,7 @@ class Rerun:
         elif call is Call.RESTORED:
             restored = msgspec.msgpack.decode(row.record, type=Restored)
             self.pipeline.restore(restored.state, restored.age_s)
-        elif call in (Call.PIPELINE, Call.HULL, Call.ATTITUDE):
+        elif call in (Call.PIPELINE, Call.HULL, Call.ATTITUDE, Call.CRANE):
             if self._is_as_recorded:
                 self._configure(call, _decoded(self._hour, row.record))
         elif self._learning is None:
@@ -241,6 +241,8 @@ class Rerun:
             stages.configure_hull(config.hull)
         elif call is Call.ATTITUDE:
             stages.configure_attitude(config.attitude)
+        elif call is Call.CRANE:
+            stages.configure_crane(config.crane)
         else:
             learned = self.pipeline.state()
             self._has_laser = config.has_laser

@@ -200,7 +200,7 @@ def _replay_csv(source: Path, out: Path | None, config: Config, until_s: float, 
     tally = Tally()
     with Recording(source) as recording, BlockingTrainer() as trainer, writing(out) as file:
         table = Table(config, file.write)
-        pipeline = assembled(config, Stages(config.hull, config.attitude), has_laser=recording.has_laser)
+        pipeline = assembled(config, Stages(config.hull, config.attitude, config.crane), has_laser=recording.has_laser)
         for number, sample in enumerate(_samples(recording, until_s, tally), start=1):
             frame = pipeline.step(sample)
             if (past := pipeline.fit_due()) is not None:
@@ -238,8 +238,8 @@ def assembled(config: Config, stages: Stages, *, has_laser: bool) -> Pipeline:
 def _samples(recording: Recording, until_s: float, tally: Tally) -> Iterator[Sample]:
     """All samples up to ``until_s``, in order."""
     first_s = nan
-    for imu, laser, rates, craft in recording.instants():
-        sample = imu or laser or rates or craft
+    for imu, laser, rates, craft, crane in recording.instants():
+        sample = imu or laser or rates or craft or crane
         if sample is not None:
             first_s = sample.t_s if isnan(first_s) else first_s
             if sample.t_s - first_s > until_s:
@@ -247,7 +247,7 @@ def _samples(recording: Recording, until_s: float, tally: Tally) -> Iterator[Sam
             tally.duration_s = sample.t_s - first_s
         tally.rows += 1
         # The IMU last: a row is one instant, and what the others say is known when its frame is made.
-        for reading in (laser, rates, craft, imu):
+        for reading in (laser, rates, craft, crane, imu):
             if reading is not None:
                 yield reading
 

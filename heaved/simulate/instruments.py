@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from heaved.samples import CraftSample, Fault, ImuSample, LaserSample, Sample
+from heaved.simulate.crane import CraneAtWork, CraneSensors
 from heaved.simulate.gyro_shaking import GyroLine, GyroShake
 from heaved.simulate.hydrofoil import CraftShake, CraftShaking, Passage, Voyage
 from heaved.simulate.second_imu import CraneBase, SecondImu
@@ -182,9 +183,10 @@ class Instruments:
 
     def __init__(
         self, sea: MotionSource, *, sensor: str | ImuModel = "A", laser: str = "on", shake: str | Shake = NONE,
-        seed: int = 1, base: CraneBase | None = None, voyage: Voyage | None = None,
+        seed: int = 1, base: CraneBase | None = None, voyage: Voyage | None = None, crane: CraneAtWork | None = None,
     ) -> None:  # fmt: skip
-        """``base``: of a second IMU. ``voyage``: of a craft, whose sensors share no sea with the others.
+        """``base``: of a second IMU. ``voyage``: of a craft, whose sensors share no sea with the others. ``crane``: by
+        default one at work.
 
         Raises:
             ValueError: unknown ``sensor`` (:data:`SENSORS`), ``laser`` pattern (:func:`laser_pattern`) or ``shake``
@@ -205,6 +207,8 @@ class Instruments:
         )
         """What turns the feet of the IMU amidships turns those at the crane base as much."""
         self._craft: dict[str, CraftSensors] = {}
+        self.crane = crane or CraneAtWork(seed=seed)
+        self._encoders: dict[str, CraneSensors] = {}
 
     def read(self, device: DeviceSpec, t_s: float) -> Sample:
         """What ``device`` measures at ``t_s``, seconds from the start of the simulation."""
@@ -214,6 +218,10 @@ class Instruments:
             return self._lasers[device.name].read(t_s)
         if device.role == "imu2":
             return self.second_imu(device).read(t_s)
+        if device.role == "crane":
+            if device.name not in self._encoders:
+                self._encoders[device.name] = CraneSensors(self.crane, seed=self._seed, name=device.name)
+            return self._encoders[device.name].read(t_s)
         if device.role != "imu":
             return self._craft_sensors(device).read(t_s) if self._voyage else CraftSample(t_s=t_s)
         if device.name not in self._imus:

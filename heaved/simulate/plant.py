@@ -59,6 +59,8 @@ class SimulatedPlant:
         self._bus_of: dict[str, str] = {}  # by name of the device
         links: dict[str, Link] = {}
         for device in devices:
+            if not device.is_asked:
+                raise ValueError(f"{device.name} speaks by itself: only devices that are asked are simulated")
             link = parse_link(device.link)
             bus = bus_key(link)
             if links.setdefault(bus, link) != link:

@@ -1,7 +1,8 @@
 """A recording in place of a simulated sea, and recordings of simulated seas as files.
 
 Columns are those of a recording: ``t_s``, ``ax_mps2 ay_mps2 az_mps2``, ``roll_deg pitch_deg yaw_deg``, ``gx_radps
-gy_radps gz_radps``, ``laser_m``; a blank is a missing reading. Here they are read leniently, for the simulator alone.
+gy_radps gz_radps``, ``laser_m``, ``slew_deg boom_deg jib_deg line_out_m``; a blank is a missing reading. Here they are
+read leniently, for the simulator alone.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from heaved.samples import CraftSample, Fault, ImuSample, LaserSample, Sample
+from heaved.samples import CraftSample, CraneSample, Fault, ImuSample, LaserSample, Sample
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -39,6 +40,15 @@ _COLUMNS: tuple[tuple[str, str, float, int], ...] = (
     ("gz_radps", "gz_radps", 1.0, 6),
     ("laser_m", "laser_m", 1.0, 4),
 )
+_CRANE_COLUMNS: tuple[tuple[str, str, float], ...] = (
+    ("slew_deg", "slew_rad", math.pi / 180.0),
+    ("boom_deg", "boom_rad", math.pi / 180.0),
+    ("jib_deg", "jib_rad", math.pi / 180.0),
+    ("line_out_m", "line_out_m", 1.0),
+)
+_READ = tuple((header, quantity, unit) for header, quantity, unit, _ in _COLUMNS) + _CRANE_COLUMNS
+_TURNING = ("yaw_rad", "slew_rad")
+"""Angles that pass a full turn."""
 
 
 def write_recording(path: Path, recording: Recording) -> None:
@@ -88,7 +98,7 @@ def read_recording(path: Path) -> dict[str, Array]:
     """
     with path.open(newline="", encoding="utf-8") as file:
         rows = csv.DictReader(file)
-        cells: dict[str, list[float]] = {header: [] for header, *_ in _COLUMNS if header in (rows.fieldnames or ())}
+        cells: dict[str, list[float]] = {header: [] for header, *_ in _READ if header in (rows.fieldnames or ())}
         for number, row in enumerate(rows, start=2):
             for header, column in cells.items():
                 text = (row[header] or "").strip()
@@ -98,7 +108,7 @@ def read_recording(path: Path) -> dict[str, Array]:
                     raise ValueError(f"{path}, line {number}, column {header}: {text!r} is not a number") from None
     if not cells.get("t_s"):
         raise ValueError(f"{path} is no recording: it needs a header row with the column t_s, and rows below it")
-    columns = {quantity: np.array(cells[header]) * unit for header, quantity, unit, _ in _COLUMNS if header in cells}
+    columns = {quantity: np.array(cells[header]) * unit for header, quantity, unit in _READ if header in cells}
     if not np.all(np.diff(columns["t_s"]) > 0.0):
         raise ValueError(f"{path}: t_s must be present in every row and increase from row to row")
     return columns
@@ -123,7 +133,7 @@ class Player:
             if quantity == "t_s" or not np.any(there):
                 continue
             # A heading that passes north must not be interpolated through south.
-            values = np.unwrap(column[there]) if quantity == "yaw_rad" else column[there]
+            values = np.unwrap(column[there]) if quantity in _TURNING else column[there]
             self._present[quantity] = t[there], values
 
     def read(self, device: DeviceSpec, t_s: float) -> Sample:
@@ -132,6 +142,14 @@ class Player:
         if device.role == "laser":
             laser = self._value("laser_m", at)
             return LaserSample(t_s=t_s, laser_m=laser, fault=Fault.EXCEPTION if math.isnan(laser) else Fault.NONE)
+        if device.role == "crane":
+            return CraneSample(
+                t_s=t_s,
+                slew_rad=self._value("slew_rad", at) % (2.0 * math.pi),  # 0..2 pi, as registers hold it
+                boom_rad=self._value("boom_rad", at),
+                jib_rad=self._value("jib_rad", at),
+                line_out_m=self._value("line_out_m", at),
+            )
         if device.role != "imu":
             return CraftSample(t_s=t_s)  # A recording of the heave has none of theirs.
         return ImuSample(

@@ -19,6 +19,7 @@ from heaved.outputs.records import (
     HeaveStatus,
     MotionRecord,
     ObserverStatus,
+    OutputStatus,
     StatusRecord,
     VersionRecord,
 )
@@ -53,6 +54,23 @@ LASER_DOWN = DeviceStatus(
     detail="rtu:///dev/ttyUSB0: no answer: check the cable",
 )
 IMU = make_status().devices[0]
+DP = OutputStatus(
+    name="dp",
+    kind="EM3000",
+    link="tcp-listen://0.0.0.0:5000",
+    up=True,
+    sent=1234,
+    detail="listening, nobody is connected",
+)
+PLC_DOWN = OutputStatus(
+    name="plc",
+    kind="TSS1",
+    link="/dev/ttyUSB2 (9600 8N1)",
+    up=False,
+    sent=77,
+    lost={"down": 12, "slow": 3},
+    detail="/dev/ttyUSB2 is not there: plug the adapter in",
+)
 
 
 @pytest.mark.parametrize(
@@ -67,6 +85,8 @@ IMU = make_status().devices[0]
         ),
         (snapshot(make_status(quality=quality(HeaveState.SETTLING)), motion()), CheckState.WARNING, "heave settling"),
         (snapshot(make_status(devices=(IMU, LASER_DOWN)), motion()), CheckState.WARNING, "down: laser"),
+        (snapshot(make_status(outputs=(DP, PLC_DOWN)), motion()), CheckState.WARNING, "down: output plc"),
+        (snapshot(make_status(outputs=(DP,)), motion()), CheckState.OK, "OK - heave valid"),
         (
             snapshot(make_status(quality=quality(HeaveState.INVALID, "no IMU")), motion()),
             CheckState.CRITICAL,
@@ -169,6 +189,16 @@ def test_table_names_what_shakes_and_the_noise() -> None:
     assert "sensor" not in table(snapshot(make_status(observer=ObserverStatus(name="sea"))))
 
 
+def test_table_of_outputs() -> None:
+    text = table(snapshot(make_status(outputs=(DP, PLC_DOWN))))
+    assert re.search(r"^output +speaks +link +state +sent +lost$", text, re.MULTILINE)
+    assert re.search(r"^dp +EM3000 +tcp-listen://0.0.0.0:5000 +up +1234 +-$", text, re.MULTILINE)
+    assert re.search(r"^plc +TSS1 +/dev/ttyUSB2 \(9600 8N1\) +DOWN +77 +down 12, slow 3$", text, re.MULTILINE)
+    assert "  plc: /dev/ttyUSB2 is not there: plug the adapter in" in text
+    assert "  dp: listening, nobody is connected" in text
+    assert "output" not in table(snapshot(make_status()))
+
+
 def test_table_of_a_daemon_that_knows_nothing_yet() -> None:
     status = make_status(heave=HeaveStatus(), devices=(), rate_hz=None, quality=quality(HeaveState.SETTLING))
     text = table(snapshot(status))
@@ -213,6 +243,7 @@ def test_nothing_of_a_daemon_commands_the_terminal() -> None:
 
     status = make_status(
         devices=(LASER_DOWN,),
+        outputs=(PLC_DOWN,),
         config_file="/etc",
         state_file="/var",
         observer=ObserverStatus(name="sea", frequencies_hz=(0.1,)),

@@ -17,8 +17,9 @@ from hypothesis import strategies as st
 from heaved.config import Config
 from heaved.config.read import ConfigError, data_directory, load, parse
 from heaved.config.rules import cautions, rate_faults
-from heaved.devices.profile import Block, DeviceSpec, Field, Profile
+from heaved.devices.profile import Block, DeviceSpec, Field, Profile, Sentence, SentenceField
 from heaved.estimation.lever_arm import Point
+from heaved.outputs.telegrams.spec import OutputSpec
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -93,7 +94,7 @@ FAULTS: dict[str, tuple[str, str]] = {
     "wrong type": ('[stream]\nport = "5570"', "stream.port: Expected `int`, got `str` (got '5570')"),
     "out of range": ("[stream]\nport = 70000", "stream.port: Expected `int` <= 65535 (got 70000)"),
     "no such choice": ('[heave]\nobserver = "kalman"', "heave.observer: must be 'harmonic' or 'sea' (got 'kalman')"),
-    "no such role": (LASER.replace('role = "laser"', 'role = "gps"'), "'heave_sensor' or 'pitch_sensor' (got 'gps')"),
+    "no such role": (LASER.replace('role = "laser"', 'role = "gps"'), "'pitch_sensor' or 'crane' (got 'gps')"),
     "neither sign": ("[laser]\nsign = 2", "laser.sign: must be 1 or -1 (got 2)"),
     "nan": ("[heave]\nmax_gap_s = nan", "heave.max_gap_s: "),
     "nan in a list": ("[heave]\nband_hz = [nan, 0.6]", "heave.band_hz: must be finite"),
@@ -184,7 +185,7 @@ FAULTS: dict[str, tuple[str, str]] = {
     "http off-host": ('[http]\nhost = "::"', "http.host: :: listens beyond this machine"),
     "host is a name": ('[stream]\nhost = "ship.example"', "stream.host: 'ship.example' is no IP address"),
     "allow is no network": ('[stream]\nallow = ["10.0.0.1/8"]', "stream.allow[0]: 10.0.0.1/8 has host bits set"),
-    "one port twice": ("[http]\nport = 5570", "http.port: 5570 is also stream.port"),
+    "one port twice": ("[http]\nport = 5570", "http.port: port 5570 is also that of stream.port"),
 }
 
 
@@ -362,7 +363,7 @@ def test_the_bandwidth_of_the_device_comes_before_that_of_its_profile() -> None:
     assert cautions(read(text)) == []
 
 
-@pytest.mark.parametrize("name", ["heaved.toml", "demo.toml", "hull.toml", "hydrofoil.toml"])
+@pytest.mark.parametrize("name", ["heaved.toml", "demo.toml", "sensors.toml", "hull.toml", "hydrofoil.toml"])
 def test_packaged_files_need_no_caution(name: str) -> None:
     assert cautions(load(data_directory() / name)) == []
 
@@ -412,11 +413,11 @@ def test_a_rate_that_the_line_cannot_carry_is_a_fault_of_the_plan() -> None:
 
 # ---- hostile input ---------------------------------------------------------------------------------------------------
 
-ARRAYS = ("device", "point")
+ARRAYS = ("device", "point", "output")
 """Tables of which there may be several."""
 
 _KEYS = sorted(
-    {field.name for kind in (Config, DeviceSpec, Profile, Block, Field, Point)
+    {field.name for kind in (Config, DeviceSpec, Profile, Block, Field, Point, OutputSpec)
        for field in msgspec.structs.fields(kind)}
     | {field.name for table in Config() .__struct_fields__ if table not in ARRAYS
        for field in msgspec.structs.fields(getattr(Config(), table))}
@@ -538,13 +539,13 @@ def test_the_default_file_documents_devices_and_profiles() -> None:
     for field in msgspec.structs.fields(DeviceSpec):
         assert field.name in device
         if not field.required and field.name != "device_id":
-            assert device[field.name] == field.default
-    for kind in (Profile, Block, Field):
+            assert msgspec.convert(device[field.name], field.type) == field.default
+    for kind in (Profile, Block, Field, Sentence, SentenceField):
         for field in msgspec.structs.fields(kind):
             assert re.search(rf"(?m)^#.*\b{field.name}\b", text), f"{field.name} of {kind.__name__} is not documented"
 
 
-@pytest.mark.parametrize("name", ["heaved.toml", "demo.toml"])
+@pytest.mark.parametrize("name", ["heaved.toml", "sensors.toml"])
 def test_packaged_files_are_sound(name: str) -> None:
     config = load(data_directory() / name)
     assert [device.role for device in config.device] == ["imu", "laser"]

@@ -10,6 +10,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from heaved.daemon.metrics import Metrics
+from heaved.outputs.output import OutputHealth
 from heaved.samples import (
     CorrectionState,
     CraftMotion,
@@ -75,6 +76,10 @@ CONTRACT = {
     ("heaved_state_loads", "counter", ("result",)),
     ("heaved_client_errors", "counter", ("reason",)),
     ("heaved_config_reloads", "counter", ("result",)),
+    ("heaved_output_up", "gauge", ("output",)),
+    ("heaved_output_messages", "counter", ("output",)),
+    ("heaved_output_lost", "counter", ("output", "reason")),
+    ("heaved_output_connections", "counter", ("output",)),
 }
 
 
@@ -128,6 +133,7 @@ def exercise(metrics: Metrics) -> None:
     metrics.state_saves.labels("saved").inc()
     metrics.state_loads.labels("restored").inc()
     metrics.config_reloads.labels("applied").inc()
+    metrics.have_outputs(lambda: [OutputHealth("dp", "EM3000", "udp://10.0.0.9:5000")])
 
 
 def own_labels(family: Metric) -> tuple[str, ...]:
@@ -325,7 +331,7 @@ def test_scores_of_predictions_that_are_not_made_are_nan() -> None:
 
 def test_every_gauge_of_the_estimators_can_become_nan() -> None:
     """A new one must be in the table above."""
-    kept = {"heaved_build_info", "heaved_device_up", "heaved_quality", "heaved_clients"}
+    kept = {"heaved_build_info", "heaved_device_up", "heaved_output_up", "heaved_quality", "heaved_clients"}
     assert {name for name, kind, _ in CONTRACT if kind == "gauge"} - kept == ALL
 
 
@@ -365,3 +371,25 @@ def test_attitude_predictions_and_quiet_windows() -> None:
     metrics.record_quiet(QuietForecast(t_s=6.0, best=0.3))
     assert math.isnan(value(metrics, "heaved_quiet_start_seconds"))
     assert value(metrics, "heaved_quiet_confidence_ratio") == 0.3
+
+
+def test_outputs_are_read_when_they_are_asked_for() -> None:
+    metrics = Metrics("1.2.3")
+    health = OutputHealth("dp", "EM3000", "udp://10.0.0.9:5000")
+    outputs = [health]
+    metrics.have_outputs(lambda: outputs)
+    assert value(metrics, "heaved_output_up", output="dp") == 0
+    for reason in ("down", "slow", "not known"):  # From the start: a rate would miss the first one.
+        assert value(metrics, "heaved_output_lost_total", output="dp", reason=reason) == 0
+    health.up()
+    health.sent += 5
+    health.lost["slow"] += 2
+    health.lost["odd"] += 1
+    assert value(metrics, "heaved_output_up", output="dp") == 1
+    assert value(metrics, "heaved_output_connections_total", output="dp") == 1
+    assert value(metrics, "heaved_output_messages_total", output="dp") == 5
+    assert value(metrics, "heaved_output_lost_total", output="dp", reason="slow") == 2
+    assert value(metrics, "heaved_output_lost_total", output="dp", reason="odd") == 1
+    assert dict(health.lost) == {"slow": 2, "odd": 1}  # Reading has changed nothing.
+    outputs.clear()
+    assert not families(metrics)["heaved_output_up"].samples

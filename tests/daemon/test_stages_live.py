@@ -19,6 +19,7 @@ from heaved.estimation.craft import fusion
 from heaved.estimation.craft.dynamics import Vessel
 from heaved.estimation.hull import estimate as hull
 from heaved.outputs import wire
+from heaved.simulate.crane import CraneBuild, height_m
 from heaved.simulate.faults import FaultKind, PlannedFault
 from heaved.simulate.hydrofoil import Passage
 from heaved.simulate.instruments import Instruments
@@ -180,7 +181,7 @@ async def test_a_reload_switches_a_stage_without_touching_the_heave(tmp_path: Pa
 
     def write(text: str) -> None:
         listens = f'[stream]\nport = 0\n[http]\nport = 0\n[state]\ndirectory = "{tmp_path}"\n'
-        path.write_text(listens + (data_directory() / "demo.toml").read_text() + text)
+        path.write_text(listens + (data_directory() / "sensors.toml").read_text() + text)
 
     write("")
     async with running(load(path), path) as daemon:
@@ -203,3 +204,44 @@ async def test_a_reload_switches_a_stage_without_touching_the_heave(tmp_path: Pa
         write("")
         await daemon.reload()
         assert daemon.acquisition.pipeline.stages.attitude is None
+
+
+async def test_the_tip_of_a_simulated_crane_is_on_the_stream_and_a_reload_moves_it(tmp_path: Path) -> None:
+    path = tmp_path / "heaved.toml"
+    listens = f'[stream]\nport = 0\n[http]\nport = 0\n[state]\ndirectory = "{tmp_path}"\n'
+    packaged = listens + (data_directory() / "demo.toml").read_text().partition("[[output]]")[0]
+    config = load(data_directory() / "demo.toml")
+    instruments = Instruments(Rolling(), seed=1)
+    plant = SimulatedPlant(config.device, instruments, any_port=True)
+    await plant.start()
+    try:
+        text = packaged
+        for device, reached in zip(config.device, plant.devices, strict=True):
+            text = text.replace(device.link, reached.link)
+        path.write_text(text)
+        async with running(load(path), path) as daemon, asyncio.timeout(2.0 * PATIENCE_S):
+            known = 0
+            async for record in watching(daemon, "MOTION"):
+                tip, hook = record["points"]
+                known += "own_height_m" in tip
+                if known > 20:
+                    break
+            # The crane rests for five seconds before it begins.
+            true_m = height_m(CraneBuild(), instruments.crane.at(0.0).at, 0.0, 0.0)
+            assert tip["own_height_m"] == pytest.approx(true_m, abs=0.5)
+            assert hook["own_height_m"] < tip["own_height_m"] - 5.0
+            stages = daemon.acquisition.pipeline.stages
+            pipeline = daemon.acquisition.pipeline
+            path.write_text(text.replace("pedestal_m = [20.0, -6.0, 8.0]", "pedestal_m = [20.0, -6.0, 108.0]"))
+            await daemon.reload()
+            assert daemon.acquisition.pipeline is pipeline, "the heave goes on"
+            assert daemon.acquisition.pipeline.stages is stages
+            async for record in watching(daemon, "MOTION"):
+                tip, _ = record["points"]
+                if tip.get("own_height_m", 0.0) > 100.0:
+                    break
+            path.write_text(text.replace('role = "crane"', 'role = "laser"'))
+            await daemon.reload()
+            assert metric(daemon, 'heaved_config_reloads_total{result="refused"}') == 1
+    finally:
+        await plant.stop()

@@ -12,7 +12,8 @@ from heaved.daemon.metrics import Metrics
 from heaved.daemon.status import status_line, status_record
 from heaved.daemon.utc_clock import UtcClock
 from heaved.outputs import wire
-from heaved.outputs.records import HeaveStatus, StatusRecord
+from heaved.outputs.output import OutputHealth
+from heaved.outputs.records import HeaveStatus, OutputStatus, StatusRecord
 from heaved.samples import (
     CorrectionState,
     Fault,
@@ -24,7 +25,7 @@ from heaved.samples import (
     Vibration,
 )
 
-CONFIG = load(data_directory() / "demo.toml")
+CONFIG = load(data_directory() / "sensors.toml")
 QUALITY = Quality(heave=HeaveState.VALID, laser=LaserState.VALID, correction=CorrectionState.OFF)
 
 
@@ -42,13 +43,14 @@ def acquisition() -> Acquisition:
     return acquisition
 
 
-def record_of(acquisition: Acquisition) -> StatusRecord:
+def record_of(acquisition: Acquisition, *outputs: OutputHealth) -> StatusRecord:
     return status_record(
         acquisition,
         CONFIG,
         now_s=110.0,
         started_s=100.0,
         utc=UtcClock(lambda: 0.0, lambda: 1.7e9),
+        outputs=outputs,
         clients=2,
         dropped=0,
         config_file=None,
@@ -63,6 +65,28 @@ def test_before_the_first_frame_and_poll_it_is_whole_json(acquisition: Acquisiti
     assert wire.decode(line)["quality"] == {
         "heave": "invalid", "laser": "off", "correction": "off", "reasons": ["no frame yet"],
     }  # fmt: skip
+
+
+def test_outputs(acquisition: Acquisition) -> None:
+    well, broken = OutputHealth("dp", "EM3000", "udp://10.0.0.9:5000"), OutputHealth("plc", "TSS1", "/dev/ttyUSB2")
+    well.up()
+    well.sent = 1000
+    broken.down("/dev/ttyUSB2 is not there: plug the adapter in")
+    broken.lost["down"] = 7
+    record = record_of(acquisition, well, broken)
+    assert record.outputs == (
+        OutputStatus(name="dp", kind="EM3000", link="udp://10.0.0.9:5000", up=True, sent=1000),
+        OutputStatus(
+            name="plc",
+            kind="TSS1",
+            link="/dev/ttyUSB2",
+            up=False,
+            lost={"down": 7},
+            detail="/dev/ttyUSB2 is not there: plug the adapter in",
+        ),
+    )
+    assert status_line(record).endswith("laser down (not polled yet), output plc down")
+    assert msgspec.json.decode(wire.encode_record(record), type=StatusRecord).outputs == record.outputs
 
 
 def test_devices(acquisition: Acquisition) -> None:

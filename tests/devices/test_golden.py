@@ -87,6 +87,11 @@ FRAMES = [
         "heaved-sim-craft", "craft", "01 03 0000 000a", "01 03 14 3f000000 3d800000 41900000 be000000 3e000000",
         {"heave_m": 0.5, "pitch_rad": 0.0625, "speed_mps": 18.0, "flap_fore_rad": -0.125, "flap_aft_rad": 0.125},
     ),
+    (
+        # 350.25 deg, 60.5 deg, -12.34 deg, 70.123 m
+        "heaved-sim-crane", "crane", "01 03 0000 0005", "01 03 0a 88d1 17a2 fb2e 0001 11eb",
+        {"slew_rad": 6.113015705, "boom_rad": 1.055924197, "jib_rad": -0.215373630, "line_out_m": 70.123},
+    ),
 ]  # fmt: skip
 
 

@@ -187,6 +187,7 @@ def test_every_fault_of_the_lines_is_reported_at_once() -> None:
         ("tcp://h:502", socket.gaierror(-3, "x"), "no name server answers: check the network, or write the IP"),
         ("tcp://h:502", TimeoutError(), "nobody answers"),
         ("tcp://h:502", ConnectionRefusedError(), "port 502"),
+        ("tcp://h:502", PermissionError(1, "Operation not permitted"), "IPAddressAllow"),
         ("tcp://h:502", OSError(errno.ENETUNREACH, "Network is unreachable"), "Network is unreachable"),
     ],
 )

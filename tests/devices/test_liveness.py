@@ -322,6 +322,23 @@ def test_a_slave_that_refuses_longer_reads_is_read_in_parts() -> None:
     assert slave.plan(10.16, 12, (2, 4, 6, 8)) == (8, 4)
 
 
+@pytest.mark.parametrize(
+    ("role", "field", "found"),
+    [
+        ("laser", Field(quantity="laser_m", offset=0, unit="m"), Fault.STUCK),
+        ("crane", Field(quantity="boom_rad", offset=0, unit="rad"), Fault.NONE),
+    ],
+)
+def test_a_crane_that_stands_still_has_no_frozen_encoder(role: str, field: Field, found: Fault) -> None:
+    """The same registers of a laser are stuck after two seconds; a clock that stands is stale for either."""
+    clock = Field(quantity="device_time_s", offset=1, unit="s")
+    spec = device("tcp://h:1", role=role, profile=Profile(name="p", blocks=(Block(start=0, fields=(field, clock)),)))
+    check = LivenessCheck(spec)
+    faults = [check.judge({field.quantity: 1.0, "device_time_s": 0.1 * k}, 0.1 * k)[0] for k in range(100)]
+    assert faults[-1] is found
+    assert check.judge({field.quantity: 1.0, "device_time_s": 9.9}, 20.0)[0] is Fault.STALE
+
+
 def test_no_read_goes_beyond_what_may_be_asked_for() -> None:
     """125 registers (Modbus application protocol, 6.3), and register 65535."""
     slave = settled()

@@ -30,7 +30,7 @@ HEADER = "t_s,az_mps2,laser_m\n"
 def read_recording(path: Path) -> Iterator[tuple[ImuSample | None, LaserSample | None]]:
     """Its rows, as far as they concern the heave."""
     with Recording(path) as recording:
-        for imu, laser, _, _ in recording.instants():
+        for imu, laser, *_ in recording.instants():
             yield imu, laser
 
 

@@ -11,7 +11,19 @@ import pytest
 from evidence.rock.quiescence import judge, report
 from numpy.typing import NDArray
 
-from heaved.estimation.quiescence import MotionForecast, Params, Quiescence
+from heaved.estimation.lever_arm import Point
+from heaved.estimation.quiescence import MotionForecast, Params, PointQuiescence, Quiescence
+from heaved.samples import (
+    CorrectionState,
+    HeaveForecast,
+    HeaveState,
+    ImuSample,
+    LaserState,
+    MotionFrame,
+    PointMotion,
+    Quality,
+    RockPrediction,
+)
 
 if TYPE_CHECKING:
     from heaved.samples import QuietWindow
@@ -126,6 +138,27 @@ def test_a_forecast_that_tells_is_used() -> None:
             for q, score in right.items():
                 score.append((q.probabilities[0] - float(coming.max() < 0.5)) ** 2)
     assert np.mean(right[informed]) < 0.3 * np.mean(right[blind])
+
+
+@pytest.mark.parametrize(("tip_m", "least", "most"), [(0.1, 0.9, 1.0), (2.0, 0.0, 0.1)])
+def test_on_a_crane_that_moves_the_frame_says_how_the_point_does(tip_m: float, least: float, most: float) -> None:
+    """The vessel by itself is at times quiet and at times not; the tip always is, or never."""
+    params = Params(duration_s=2.0, look_ahead_s=4.0, heave_limit_m=0.5, enabled=True, point="tip")
+    quiescence = PointQuiescence(params, Point(name="tip", frame="boom"))
+    rng = np.random.default_rng(5)
+    ahead = tuple(RockPrediction(horizon_s=h, roll_rad=0.0, pitch_rad=0.0, roll_std_rad=0.0, pitch_std_rad=0.0)
+                  for h in (1.0, 2.0))  # fmt: skip
+    valid = Quality(heave=HeaveState.VALID, laser=LaserState.OFF, correction=CorrectionState.OFF)
+    for second, heave_m in enumerate(rng.choice([0.0, 3.0], 900).tolist()):
+        t_s = float(second)
+        point = PointMotion(
+            name="tip",
+            heave_m=tip_m,
+            forecast=tuple(HeaveForecast(horizon_s=h, heave_m=tip_m, std_m=0.01) for h in (1.0, 2.0)),
+        )
+        frame = MotionFrame(t_s=t_s, quality=valid, heave_m=heave_m, points=(point,), rock=ahead)
+        quiescence.step(ImuSample(t_s=t_s, roll_rad=0.0, pitch_rad=0.0), frame)
+    assert least <= quiescence.at(899.0).best <= most
 
 
 @pytest.mark.parametrize("table", [{"limit": 1}, {"duration_s": 0.0}, {"min_confidence": 1.0}, {"heave_limit_m": -1.0}])

@@ -13,15 +13,9 @@ from typing import TYPE_CHECKING
 import pytest
 from structlog.testing import capture_logs
 
+from heaved.networks import checked_networks, is_allowed, is_loopback_host, parse_networks
 from heaved.outputs import listen as listen_module
-from heaved.outputs.listen import (
-    Listener,
-    ListenError,
-    checked_networks,
-    is_allowed,
-    is_loopback_host,
-    parse_networks,
-)
+from heaved.outputs.listen import Listener, ListenError
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator

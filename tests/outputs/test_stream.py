@@ -6,6 +6,7 @@ import asyncio
 import itertools
 import random
 import socket
+from collections import Counter
 
 import msgspec
 import pytest
@@ -17,6 +18,7 @@ from heaved.outputs.listen import ListenError
 from heaved.outputs.records import DelayedRecord, SeaRecord, StatusRecord
 from heaved.outputs.stream import Publisher
 from heaved.outputs.subscriber import Subscriber
+from heaved.samples import CraftMotion, DelayedHeave, HullAngles, SeaState
 
 
 async def connect_slow(served: Served) -> socket.socket:
@@ -36,7 +38,7 @@ async def until_clients(served: Served, count: int) -> None:
 async def test_version_comes_first_then_every_frame_at_once(serve: Serve) -> None:
     served = await serve()
     peer = Peer(*await asyncio.open_connection(served.host, served.port))
-    assert await peer.record() == {"class": "VERSION", "release": "1.2.3", "proto_major": 1, "proto_minor": 3}
+    assert await peer.record() == {"class": "VERSION", "release": "1.2.3", "proto_major": 1, "proto_minor": 4}
     served.publish(3)
     records = await peer.records(3)
     assert [(record["class"], record["seq"], record["dropped"]) for record in records] == [
@@ -246,6 +248,61 @@ async def test_watch_thins_out_to_the_wanted_mean_rate(
     assert len(seqs) == pytest.approx(min(10.0 * rate_hz, 1000.0), abs=1.0)
     gaps = {after - before for before, after in itertools.pairwise(seqs)}
     assert max(gaps) - min(gaps) <= 1 + (jitter_s > 0.0)
+
+
+async def test_the_wanted_rate_holds_for_every_class(serve: Serve, connect: Connect) -> None:
+    """HULL comes 10 times a second, ATTITUDE 20 times, STATUS a little less than once."""
+    served = await serve(queue_frames=10_000)
+    each, every, rare = [await connect(served) for _ in range(3)]
+    classes = '"classes":["MOTION","HULL","ATTITUDE","DELAYED","STATUS","SEA"]'
+    await each.ask(f'?WATCH={{{classes},"rate_hz":1}}')
+    await every.ask(f"?WATCH={{{classes}}}")
+    await rare.ask(f'?WATCH={{{classes},"rate_hz":0.1}}')
+    for peer in (each, every, rare):
+        assert await peer.settle() == []
+    for k in range(2000):  # 100 s of frames at 20 Hz.
+        served.clock.now_s = t_s = 0.05 * k
+        served.publisher.publish(
+            msgspec.structs.replace(make_frame(t_s), delayed=DelayedHeave(t_s=t_s - 60.0, heave_m=0.5, std_m=0.01))
+        )
+        hull = HullAngles(t_s=t_s, state="converged") if k % 2 == 0 else None
+        served.publisher.publish_stages(hull, make_attitude(t_s))
+        if k % 21 == 0:
+            served.publisher.publish_record(make_status())
+        if k % 600 == 0:
+            served.publisher.publish_slow(msgspec.structs.replace(make_frame(t_s), sea=make_sea(t_s)))
+    counts = [Counter(record["class"] for record in await peer.settle()) for peer in (each, every, rare)]
+    assert counts[1] == {"MOTION": 2000, "HULL": 1000, "ATTITUDE": 2000, "DELAYED": 2000, "STATUS": 96, "SEA": 4}
+    assert counts[0] == {"MOTION": 100, "HULL": 100, "ATTITUDE": 100, "DELAYED": 100, "STATUS": 96, "SEA": 4}
+    # That of 99.75 s is the nearest to 100 s, too.
+    assert counts[2] == {"MOTION": 10, "HULL": 10, "ATTITUDE": 10, "DELAYED": 10, "STATUS": 11, "SEA": 4}
+
+
+def make_attitude(t_s: float) -> CraftMotion:
+    return CraftMotion(
+        t_s=t_s,
+        heave_m=0.5,
+        heave_velocity_mps=0.1,
+        pitch_rad=0.01,
+        pitch_rate_radps=0.0,
+        heave_std_m=0.02,
+        heave_velocity_std_mps=0.05,
+        pitch_std_rad=0.001,
+        pitch_rate_std_radps=0.01,
+    )
+
+
+def make_sea(t_s: float) -> SeaState:
+    return SeaState(
+        t_s=t_s,
+        window_s=300.0,
+        significant_height_m=2.0,
+        peak_period_s=8.0,
+        mean_period_s=7.0,
+        systems=(),
+        frequencies_hz=(0.1,),
+        spectrum_m2phz=(1.0,),
+    )
 
 
 async def test_a_client_that_has_closed_its_side_is_served_on(serve: Serve, connect: Connect) -> None:

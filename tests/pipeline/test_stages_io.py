@@ -19,7 +19,7 @@ from heaved.cli import main
 from heaved.client import report
 from heaved.config import Config
 from heaved.config.read import ConfigError, data_directory, load, load_to_run, parse
-from heaved.config.rules import rate_faults, stage_faults
+from heaved.config.rules import cautions, rate_faults, stage_faults
 from heaved.daemon.metrics import Metrics
 from heaved.devices.liveness import Contact
 from heaved.devices.profile import Quantity, encode, profile_faults
@@ -38,6 +38,7 @@ from heaved.samples import (
     CorrectionState,
     CraftMotion,
     CraftSample,
+    CraneSample,
     Fault,
     HeaveState,
     HullAngles,
@@ -58,6 +59,14 @@ RATES = """fields = [
   { quantity = "gz_radps", offset = 4, type = "float32", unit = "rad/s" },
   { quantity = "az_mps2", offset = 6, type = "float32", unit = "m/s2" },
 ]"""
+
+
+ENCODERS = """fields = [
+  { quantity = "slew_rad", offset = 0, unit = "deg", scale = 0.1 },
+  { quantity = "boom_rad", offset = 1, unit = "deg", scale = 0.1 },
+]"""
+ON_BOOM = '[crane]\nboom_length_m = 40\n[[point]]\nname = "tip"\nframe = "boom"\n'
+ON_HOOK = ON_BOOM.replace('"boom"', '"hook"')
 
 
 def device(role: str, fields: str) -> str:
@@ -110,6 +119,16 @@ LACKS: dict[str, tuple[str, str]] = {
         "[attitude]\nenabled = true\n" + device("craft", one("speed_mps", "kn")),
         "attitude.source",
     ),
+    "no crane": (ON_BOOM, "point[0].frame: 'boom' needs the readings of a device of role \"crane\""),
+    "a crane of nothing but a slew": (
+        ON_BOOM + device("crane", one("slew_rad", "deg")),
+        "has no boom_rad; if that joint is fixed, set crane.boom_fixed_deg",
+    ),
+    "a jib that nobody reads": (
+        ON_BOOM.replace("= 40", "= 40\njib_length_m = 9") + device("crane", ENCODERS),
+        "has no jib_rad; if that joint is fixed, set crane.jib_fixed_deg",
+    ),
+    "a hook without its line": (ON_HOOK + device("crane", ENCODERS), "has no line_out_m"),
     "own without an IMU": ('[attitude]\nenabled = true\nsource = "own"', "attitude.source"),
 }
 
@@ -199,6 +218,15 @@ def test_with_their_devices_there_is_no_fault() -> None:
     assert stage_faults(both) == []
     own = read('[attitude]\nenabled = true\nsource = "own"\n' + device("imu", RATES))
     assert stage_faults(own) == []
+    assert stage_faults(read(ON_BOOM + device("crane", ENCODERS))) == []
+    pinned = ON_BOOM.replace("= 40", "= 40\njib_length_m = 9\njib_fixed_deg = 0")
+    assert stage_faults(read(pinned + device("crane", ENCODERS))) == []
+
+
+def test_a_crane_that_is_read_for_nothing_is_worth_a_caution() -> None:
+    (told,) = cautions(read(device("crane", ENCODERS)))
+    assert told.startswith("device[0].role: its readings go nowhere")
+    assert cautions(read(ON_BOOM + device("crane", ENCODERS))) == []
 
 
 FAULTS: dict[str, tuple[str, str]] = {
@@ -212,6 +240,19 @@ FAULTS: dict[str, tuple[str, str]] = {
     "so3 from zero": ('[hull]\nstart = "zero"', "hull.start: "),
     "no such method": ('[hull]\nmethod = "ekf"', "hull.method: must be 'so3', 'ckf' or 'ukf'"),
     "a point on a crane that is not known": ('[[point]]\nname = "tip"\nframe = "crane"', "point[0].frame: "),
+    "a point on a moving crane that is not described": (
+        '[[point]]\nname = "tip"\nframe = "boom"',
+        "point[0].frame: 'boom' needs [crane]: its boom_length_m is not given",
+    ),
+    "a hook that is pushed aside": (ON_HOOK + "port_m = 2", "point[0].port_m: the hook hangs plumb"),
+    "a crane on a base that is not known": (
+        '[crane]\nframe = "crane"\nboom_length_m = 9',
+        'crane.frame: "crane" needs [hull] enabled',
+    ),
+    "a crane of no falls": ("[crane]\nfalls = 0", "crane.falls: Expected `int` >= 1 (got 0)"),
+    "a crane that is measured in millimetres": ("[crane]\nboom_length_m = 40000", "crane.boom_length_m: Expected"),
+    "a crane of no use": (device("crane", one("signal", "1")), "of no use in role 'crane'"),
+    "a line in degrees": (device("crane", one("line_out_m", "deg")), "measures angle, not length"),
     "two angles of three": ("[hull]\nmount_deg = [1.0, 2.0]", "hull.mount_deg: "),
     "a wave that does not oscillate": (
         "[attitude.wave]\nheave_peak_radps = 1.0\nheave_decay_radps = 2.0",
@@ -233,7 +274,14 @@ def test_each_fault_is_named_with_its_path(name: str) -> None:
     assert expected in fault
 
 
-@pytest.mark.parametrize(("name", "roles"), [("hull.toml", ["imu", "laser", "imu2"]), ("hydrofoil.toml", ["craft"])])
+@pytest.mark.parametrize(
+    ("name", "roles"),
+    [
+        ("hull.toml", ["imu", "laser", "imu2"]),
+        ("hydrofoil.toml", ["craft"]),
+        ("demo.toml", ["imu", "laser", "crane"]),
+    ],
+)
 def test_packaged_files_are_sound(name: str, roles: list[str]) -> None:
     config = load_to_run(data_directory() / name)
     assert [spec.role for spec in config.device] == roles
@@ -255,6 +303,8 @@ def test_packaged_files_are_sound(name: str, roles: list[str]) -> None:
         (device("craft", one("speed_mps", "kn")), {"speed_mps": 10.0 * 1852.0 / 3600.0}, {"speed_mps": 5.144444}),
         (device("heave_sensor", one("heave_m", "cm")), {"heave_m": 0.5}, {"heave_m": 0.5}),
         (device("pitch_sensor", one("pitch_rad", "deg")), {"pitch_rad": -0.1}, {"pitch_rad": -0.1}),
+        (device("crane", one("boom_rad", "deg")), {"boom_rad": math.pi / 4}, {"boom_rad": math.pi / 4}),
+        (device("crane", one("line_out_m", "cm")), {"line_out_m": 12.5}, {"line_out_m": 12.5}),
     ],
 )
 def test_a_role_makes_samples_of_its_own_kind(
@@ -266,7 +316,7 @@ def test_a_role_makes_samples_of_its_own_kind(
     decoded = station.codecs[0].decode(encode(spec.profile.blocks[0], values))
     result = station.result(Reading(5.0, decoded.values), 5.0, 5.0, 5.001, 1)
     sample = result.sample
-    assert isinstance(sample, RatesSample if spec.role == "imu2" else CraftSample)
+    assert isinstance(sample, {"imu2": RatesSample, "crane": CraneSample}.get(spec.role, CraftSample))
     assert sample.t_s == 5.0
     found = {name: value for name, value in msgspec.structs.asdict(sample).items() if name in expected}
     assert found == pytest.approx(expected, rel=1e-6)
@@ -289,19 +339,23 @@ def instants(tmp_path: Path, text: str) -> list[Any]:
 
 def test_the_columns_of_the_stages_become_their_samples(tmp_path: Path) -> None:
     header = ",".join(("t_s", "az_mps2", "gx_radps", *STAGE_COLUMNS))
-    (row, bare) = instants(tmp_path, f"{header}\n1,9.8,7,1,2,3,4,5,6,0.5,90,18,-45,30\n2,9.8,7,,,,4,,6,,,,,\n")
-    imu, laser, rates, craft = row
+    cells = "1,9.8,7,1,2,3,4,5,6,0.5,90,18,-45,30,350,60,,12.5"
+    (row, bare) = instants(tmp_path, f"{header}\n{cells}\n2,9.8,7,,,,4,,6,,,,,,,,,\n")
+    imu, laser, rates, craft, crane = row
     assert (imu.gx_radps, imu.gy_radps, imu.gz_radps) == (1.0, 2.0, 3.0)
     assert laser is None
     assert rates == RatesSample(t_s=1.0, gx_radps=4.0, gy_radps=5.0, gz_radps=6.0)
     assert (craft.t_s, craft.heave_m, craft.pitch_rad, craft.speed_mps) == (1.0, 0.5, math.pi / 2, 18.0)
     assert (craft.flap_fore_rad, craft.flap_aft_rad) == pytest.approx((-math.pi / 4, math.pi / 6))
-    assert bare[1:] == (None, None, None)
+    assert (crane.t_s, crane.slew_rad, crane.boom_rad) == (1.0, math.radians(350.0), math.radians(60.0))
+    assert math.isnan(crane.jib_rad)
+    assert crane.line_out_m == 12.5
+    assert bare[1:] == (None, None, None, None)
     assert math.isnan(bare[0].gx_radps)
 
 
 def test_without_midships_columns_the_rates_of_the_imu_are_those(tmp_path: Path) -> None:
-    ((imu, _, rates, _),) = instants(tmp_path, "t_s,az_mps2,gx_radps,gx2_radps,gy2_radps,gz2_radps\n1,9.8,7,4,5,6\n")
+    ((imu, _, rates, *_),) = instants(tmp_path, "t_s,az_mps2,gx_radps,gx2_radps,gy2_radps,gz2_radps\n1,9.8,7,4,5,6\n")
     assert imu.gx_radps == 7.0
     assert rates.gz_radps == 6.0
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import msgspec
 import numpy as np
@@ -15,7 +15,7 @@ from recorded_hours import OFFSET_S, Scribe, frame_at, result_of, write_recordin
 
 from heaved.config.read import data_directory, load, packaged_profiles
 from heaved.daemon.recorded import FramePacker, PollPacker, device_of
-from heaved.devices.profile import BlockCodec, DeviceSpec, block_registers
+from heaved.devices.profile import BlockCodec, DeviceSpec, Role, block_registers, role_quantities
 from heaved.devices.station import KINDS
 from heaved.recorder.layout import FRAMES, SAMPLES, Column, Header, Layout
 from heaved.recorder.messages import HEAD, Kind, MessageError, Splitter, packed
@@ -43,8 +43,8 @@ def header_of(devices: tuple[DeviceSpec, ...]) -> Header:
 DEVICES = tuple(
     DeviceSpec(name=f"device{i}", role=role, link="tcp://127.0.0.1:1", profile=profile, rate_hz=1.0)
     for i, profile in enumerate(packaged_profiles())
-    for role in ("imu", "laser", "craft")
-    if any(field.quantity in ("az_mps2", "laser_m", "heave_m") for block in profile.blocks for field in block.fields)
+    for role in get_args(Role)
+    if profile.blocks and set(role_quantities(role)) & {f.quantity for block in profile.blocks for f in block.fields}
 )
 
 

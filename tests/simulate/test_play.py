@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from heaved.devices.profile import Block, DeviceSpec, Field, Profile
-from heaved.samples import Fault, ImuSample, LaserSample
+from heaved.samples import CraneSample, Fault, ImuSample, LaserSample
 from heaved.simulate.play import Player, read_recording, write_recording, write_truth
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import record
@@ -90,3 +90,15 @@ def test_what_is_no_recording_is_refused(tmp_path: Path, text: str, message: str
     path.write_text(text)
     with pytest.raises(ValueError, match=message):
         read_recording(path)
+
+
+def test_a_cranes_record_is_played_with_its_slew_across_north(tmp_path: Path) -> None:
+    path = tmp_path / "crane.csv"
+    path.write_text("t_s,az_mps2,slew_deg,boom_deg,line_out_m\n0,9.8,359,60,10\n0.1,9.8,1,61,12\n0.2,9.8,3,62,14\n")
+    crane = DeviceSpec(name="crane", role="crane", link="tcp://h:1", profile=PROFILE, rate_hz=10.0)
+    sample = Player(read_recording(path)).read(crane, 0.05)
+    assert isinstance(sample, CraneSample)
+    assert math.remainder(sample.slew_rad, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)
+    assert math.degrees(sample.boom_rad) == pytest.approx(60.5)
+    assert sample.line_out_m == pytest.approx(11.0)
+    assert math.isnan(sample.jib_rad)

@@ -44,7 +44,7 @@ SEA = heave.Params(), SavedState(sea=SWELL), {"sea": SeaParams(stages=4)}
 
 def demo_config(directory: Path, **changes: Any) -> Config:
     """The demo's devices; ephemeral ports; the state in ``directory``; no trainer unless ``changes`` say so."""
-    config = load(data_directory() / "demo.toml")
+    config = load(data_directory() / "sensors.toml")
     defaults = {
         "stream": StreamParams(port=0),
         "http": HttpParams(port=0),

@@ -16,6 +16,7 @@ BRIEF = {
     "rock": ["--blocks", "1", "--rates", "5"],
     "fusion": ["--repeats", "1", "--ticks", "2"],
     "sigma": ["--repeats", "1", "--ticks", "2"],
+    "telegrams": ["--repeats", "1", "--ticks", "1"],
     "training": ["--seconds", "0.2", "--rows", "300"],
 }
 """The hull takes its time: 40 s of record and a refit."""

@@ -92,11 +92,18 @@ class HeaveEstimator:
 
     def at(self, shift_s: float) -> Heave | None:
         """What is known for ``shift_s`` after the last sample, the configured lead added; None: nothing yet."""
+        return self._at(shift_s, self.lead_s)
+
+    def now(self, shift_s: float) -> Heave | None:
+        """The same without the lead, and without forecasts."""
+        return self._at(shift_s, 0.0, are_forecasts_wanted=False)
+
+    def _at(self, shift_s: float, lead_s: float, *, are_forecasts_wanted: bool = True) -> Heave | None:
         observer, taught = self.observer, self.laser.lead
         scale = self.laser.std_scale(self.t_s + shift_s)
-        moment_s = shift_s + self.lead_s
+        moment_s = shift_s + lead_s
         gain, no_less = taught.gain, scale if scale > 1.0 else 1.0
-        std_m = gain * observer.error_std_m(moment_s, scale if self.lead_s == 0.0 else no_less)
+        std_m = gain * observer.error_std_m(moment_s, scale if lead_s == 0.0 else no_less)
         if not isfinite(std_m):
             return None
         motion = observer.at(moment_s, taught.learned_s)
@@ -110,7 +117,7 @@ class HeaveEstimator:
             observer_m=observer_m,
             correction_m=correction_m,
             lead_s=observer.design_lead_s + taught.learned_s,
-            forecast=observer.forecast(shift_s, taught.learned_s, no_less, gain),
+            forecast=observer.forecast(shift_s, taught.learned_s, no_less, gain) if are_forecasts_wanted else (),
         )
 
     def delayed(self) -> DelayedHeave | None:

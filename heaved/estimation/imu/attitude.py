@@ -123,7 +123,7 @@ class AttitudePropagator:
         self.latest = UNKNOWN
         self._line_s = TUNING.line_s
         """For so long a straight line is as good as it has to be."""
-        self._t_s = self._roll_rate = self._pitch_rate = nan
+        self._t_s = self._roll_rate = self._pitch_rate = self._yaw_rate = nan
         """The latest body rates."""
         self._from: Attitude | None = None
         """What the next comparison begins with,"""
@@ -155,6 +155,11 @@ class AttitudePropagator:
             return self._roll_rate, self._pitch_rate
         return self.latest.roll_rate_radps, self.latest.pitch_rate_radps
 
+    @property
+    def yaw_rate_radps(self) -> float:
+        """The same of the heading, from body rates that are believed; nan: there are none."""
+        return self._yaw_rate if self.are_rates_measured else nan
+
     def step(self, sample: ImuSample, measured: Attitude | None, rock: Sequence[RockPrediction]) -> None:
         """Take a sample, the angles that were read with it (None: no new ones) and the predictions from it."""
         t_s, before_s, now = sample.t_s, self._t_s, measured if measured is not None else self.latest
@@ -184,7 +189,7 @@ class AttitudePropagator:
         if not isfinite(sample.gx_radps + sample.gy_radps + sample.gz_radps):
             return nan, nan
         t_s, before_s, roll_rate, pitch_rate = sample.t_s, self._t_s, self._roll_rate, self._pitch_rate
-        self._roll_rate, self._pitch_rate, _ = angle_rates(sample, roll_rad, pitch_rad)
+        self._roll_rate, self._pitch_rate, self._yaw_rate = angle_rates(sample, roll_rad, pitch_rad)
         self._t_s = t_s
         if not t_s - before_s <= TUNING.rates_apart_s:
             return nan, nan

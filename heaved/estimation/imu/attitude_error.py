@@ -30,7 +30,7 @@ Where nothing shows them they stay nothing, which they may well be; how far they
 
 from __future__ import annotations
 
-from math import inf, nan
+from math import cos, exp, hypot, inf, nan, sin, sqrt
 from typing import Final
 
 import msgspec
@@ -46,6 +46,8 @@ Array = NDArray[np.float64]
 
 LEAN: Final = slice(MEANS, MEANS + 2)
 """Columns of the record beside those of :func:`attitude_fit.runs`: the integrals as they stood,"""
+ACROSS, ALONG = range(MEANS - 1, MEANS + 1)
+"""Of these, among the means of a row,"""
 TAKEN: Final = MEANS + 2
 """what has been taken out of the vertical acceleration,"""
 TURNED: Final = MEANS + 3
@@ -59,6 +61,29 @@ class Amendment(msgspec.Struct, frozen=True, eq=False):
     """(n,) increasing,"""
     more_mps2: Array
     """(n,)"""
+
+
+class Lean(msgspec.Struct, frozen=True, gc=False):
+    """What measured angles are off by, and how well that is known, rad."""
+
+    roll_rad: float = 0.0
+    pitch_rad: float = 0.0
+    roll_std_rad: float = 0.0
+    pitch_std_rad: float = 0.0
+
+
+MEAN_S: Final = 60.0
+"""The integrals are known but for what is slow in them. It is their mean of so long: of no vessel that stays at work is
+the mean acceleration along or across another than nothing."""
+OF_LEAN: Final = 0.12
+"""What that leaves of a lean: a wave of 12 s is in it by a sixteenth, and what a level bias that is being learned
+makes of the integrals is no straight line."""
+SETTLED: Final = 4.0
+"""So many times as long it takes to know that; before, it is known less by as much as is lacking."""
+SHOWN: Final = 2.0
+"""Standard deviations from which the record has shown a lean, or a lateness, to whoever wants the angles themselves."""
+COHERENT: Final = 3.0
+"""Radians of the waves over which they have lost most of what they have in common with now."""
 
 
 class AttitudeError:
@@ -85,6 +110,11 @@ class AttitudeError:
         self._rise_x = self._rise_y = 0.0
         """and how that rises, rad."""
         self._row, self._until_s, self._look_s = nan, -inf, nan
+        self._means = [0.0, 0.0, 0.0, 0.0]
+        """Of the two integrals, and of these means,"""
+        self._square_along = self._square_across = 0.0
+        """and mean squares of what is left."""
+        self._followed_s = 0.0
         self._samples: list[tuple[float, ...]] = []
         """Of the row that has begun."""
         self._are_rates_measured = True
@@ -107,6 +137,7 @@ class AttitudeError:
             self._across += elapsed_s * (0.5 * (y + self._off_y) - self._rise_y)
         else:
             self._along = self._across = 0.0
+            self._means, self._followed_s = [0.0, 0.0, 0.0, 0.0], 0.0
         self._off_x, self._off_y = x, y
         k, late_s, along, across = self.lean_per_s, self.late_s, self._along, self._across
         # The sensor has compared angle and apparent vertical of one moment.
@@ -120,12 +151,64 @@ class AttitudeError:
             self._are_rates_measured = False
         return up_mps2 - error
 
+    def _follow(self, along: float, across: float) -> None:
+        """Keep what is slow in the integrals, and the size of the rest, from their means over a row. The mean of a
+        while, and once more the mean of that, are behind a slope by as much each: twice the one less the other is not.
+        """
+        self._followed_s += TUNING.row_s
+        share = TUNING.row_s / min(self._followed_s, MEAN_S)
+        means = self._means
+        means[0] += share * (along - means[0])
+        means[1] += share * (across - means[1])
+        means[2] += share * (means[0] - means[2])
+        means[3] += share * (means[1] - means[3])
+        along += means[2] - 2.0 * means[0]
+        across += means[3] - 2.0 * means[1]
+        self._square_along += share * (along * along - self._square_along)
+        self._square_across += share * (across * across - self._square_across)
+
+    @property
+    def _waves(self) -> tuple[float, float]:
+        """The integrals without what is slow."""
+        along, across, of_along, of_across = self._means
+        return self._along - 2.0 * along + of_along, self._across - 2.0 * across + of_across
+
+    def lean(self, t_s: float, omega_radps: float) -> Lean:
+        """By how much roll and pitch, as they are measured at a moment at or after the last sample, lean.
+
+        That is k times the integrals less their means: of waves that is the whole of it. ``omega_radps``: of the waves,
+        by which the lean goes on to a later moment, as far as they have something in common with now.
+        """
+        since_s = t_s - self._t_s
+        if not -TUNING.hole_s <= since_s:
+            return Lean()
+        std = sqrt(float(self.covariance[0, 0]))
+        k = self.lean_per_s if self.lean_per_s > SHOWN * std else 0.0
+        settling = max(SETTLED * MEAN_S / max(self._followed_s, MEAN_S), 1.0)
+        doubt = hypot(std, OF_LEAN * k * settling)
+        if k == 0.0:
+            return Lean(0.0, 0.0, std * sqrt(self._square_across), std * sqrt(self._square_along))
+        turned = omega_radps * max(since_s, 0.0)
+        left = exp(-((turned / COHERENT) ** 2))
+        c, s = left * cos(turned), left * (sin(turned) / omega_radps if omega_radps > 0.0 else since_s)
+        along, across = self._waves
+        along = c * along + s * (self._off_x - self._rise_x)
+        across = c * across + s * (self._off_y - self._rise_y)
+        lost = hypot(doubt, k * sqrt(1.0 - left * left))
+        return Lean(k * across, k * along, lost * sqrt(self._square_across), lost * sqrt(self._square_along))
+
+    @property
+    def angles_late_s(self) -> float:
+        """By which the angles are late. Where it is less than nothing it is the accelerometers that are."""
+        return self.late_s if self.late_s > SHOWN * sqrt(float(self.covariance[1, 1])) else 0.0
+
     def _close(self, t_s: float) -> None:
         """Keep the row that has ended, and look at them all when it is time to."""
         if self._samples:
             means = [sum(column) / len(self._samples) for column in zip(*self._samples, strict=True)]
             self.record.push((self._row, *means, float(self._are_rates_measured)))
             self._samples, self._are_rates_measured = [], True
+            self._follow(means[ALONG], means[ACROSS])
             if t_s >= self._look_s:
                 self._look_s = t_s + TUNING.every_s
                 self._look()
@@ -143,6 +226,8 @@ class AttitudeError:
         across, along = (last.lean[-1] - rows[-1, LEAN]).tolist()
         self._across += across
         self._along += along
+        shifts = (along, across, along, across)
+        self._means = [mean + shift for mean, shift in zip(self._means, shifts, strict=True)]
         self._rise_y, self._rise_x = last.rise.tolist()
         turned = rows[:, TURNED] == 1.0
         solution = self._learn(runs, runs if turned.all() else attitude_fit.runs(rows[turned]))

@@ -15,7 +15,7 @@ import msgspec
 from heaved.estimation.common.ring import History
 from heaved.estimation.common.sample_rate import Arrivals
 from heaved.estimation.imu.attitude import Attitude, AttitudePropagator, level_acceleration
-from heaved.estimation.imu.attitude_error import Amendment, AttitudeError
+from heaved.estimation.imu.attitude_error import Amendment, AttitudeError, Lean
 from heaved.estimation.imu.attitude_fit import Noise
 from heaved.estimation.imu.conditioning import NOTHING, Conditioned
 from heaved.estimation.imu.level_bias import LevelBias
@@ -24,6 +24,8 @@ from heaved.samples import GRAVITY_MPS2, Fault, RockPrediction
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+NO_LEVEL: Final = (nan, nan)
+NO_RATES: Final = (nan, nan, nan)
 TOO_TILTED: Final = "no attitude or no horizontal acceleration: too much tilt in the acceleration to use it"
 
 
@@ -71,6 +73,7 @@ class Vertical:
         notes: what there is to say of the IMU beside that.
         withheld: why accelerations that are there are not given; empty: they are.
         force_std_s: how well the time is known at which the accelerations were measured.
+        level_mps2: acceleration forward and to port in the level frame, of the last sample; nan: not known.
     """
 
     def __init__(self, max_rate_hz: float) -> None:
@@ -79,8 +82,10 @@ class Vertical:
         self.notes = NOTHING
         self.withheld = ""
         self.force_std_s = 0.0
+        self.level_mps2 = NO_LEVEL
         self._propagator = AttitudePropagator()
         self._attitudes = History(int(max_rate_hz))
+        self._rates = History(int(max_rate_hz))
         self._t_s = nan
         self._tilt_removed, self._tilt_since_s = False, nan
         self._tilted_s = nan
@@ -98,9 +103,12 @@ class Vertical:
         ``bias_mps2``: of the vertical accelerometer, likewise.
         """
         self.fault, self.notes, self.force_std_s = readings.fault, readings.notes, readings.force_std_s
+        self.level_mps2 = NO_LEVEL
         if (attitude := readings.attitude) is not None:
             self._attitudes.push((attitude.t_s, attitude.roll_rad, attitude.pitch_rad))
         self._propagator.step(readings.sample, attitude, rock)
+        if self._propagator.are_rates_measured:
+            self._rates.push((readings.sample.t_s, *self._propagator.rates))
         t_s, sample = readings.force_t_s, readings.sample
         if not isfinite(t_s):
             return None
@@ -117,6 +125,7 @@ class Vertical:
         roll, pitch = self._attitude_of_acceleration(t_s - lag_s)
         level_bias, propagator, error = self._level_bias, self._propagator, self._attitude_error
         x, y, up = level_acceleration(ax - level_bias.x_mps2, ay - level_bias.y_mps2, az, roll, pitch)
+        self.level_mps2 = x, y
         # Angles moved back to where the accelerometers are would seem late against the gyroscopes.
         are_of_gyros = propagator.are_rates_measured and lag_s == 0.0
         up = error.step(t_s, x, y, up, roll, pitch, *propagator.rates, are_rates_measured=are_of_gyros)
@@ -159,6 +168,26 @@ class Vertical:
     def attitude(self) -> Attitude:
         """Roll, pitch and yaw of the last sample, or of when they were last known."""
         return self._propagator.latest
+
+    @property
+    def rates_radps(self) -> tuple[float, float, float]:
+        """Derivatives of roll, pitch and yaw at the last sample, from its body rates; nan: it has none to believe."""
+        propagator = self._propagator
+        return (*propagator.rates, propagator.yaw_rate_radps) if propagator.are_rates_measured else NO_RATES
+
+    def rates_before(self, t_s: float) -> tuple[float, float]:
+        """The first two at an earlier moment, within a second or so."""
+        found = self._rates.at(t_s)
+        return (nan, nan) if found is None else (found[1], found[2])
+
+    def lean(self, t_s: float, omega_radps: float) -> Lean:
+        """What the measured angles of a moment are off by, see :meth:`AttitudeError.lean`."""
+        return self._attitude_error.lean(t_s, omega_radps)
+
+    @property
+    def late_s(self) -> float:
+        """By which the measured angles are late."""
+        return self._attitude_error.angles_late_s
 
     def serves(self, t_s: float) -> bool:
         """Whether that attitude may be published for a moment, on a straight line."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import StrEnum
-from math import asin, cos, sin
+from math import asin, cos, nan, sin
 from typing import Annotated, Final
 
 import msgspec
@@ -65,6 +65,12 @@ class Settling(StrEnum):
     ERROR = "error"
 
 
+TRANSDUCER_LETTERS: Final = 16
+"""Most letters of an identifier of XDR."""
+Transducer = Annotated[str, msgspec.Meta(pattern=rf"^[A-Za-z0-9_]{{1,{TRANSDUCER_LETTERS}}}\Z")]
+"""An identifier of XDR: nothing in it ends a field or a sentence."""
+
+
 class OutputSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One ``[[output]]``. What is None is as the format has it."""
 
@@ -86,7 +92,7 @@ class OutputSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     settling: Settling = Settling.DEGRADED
     ins_good: Annotated[int, msgspec.Meta(ge=0, le=9)] = 1
     """Last field of PASHR while all is well; makers differ (1 or 0)."""
-    transducers: tuple[str, str, str] = ("HEAVE", "PTCH", "ROLL")
+    transducers: tuple[Transducer, Transducer, Transducer] = ("HEAVE", "PTCH", "ROLL")
     """Identifiers of XDR for heave, pitch and roll."""
     allow: tuple[str, ...] = ()
     """Networks (CIDR) from which may connect to a ``tcp-listen`` link, besides loopback."""
@@ -108,7 +114,8 @@ class Format(msgspec.Struct, frozen=True, kw_only=True):
     """For people."""
     encode: Callable[[Motion, OutputSpec], bytes]
     """Of a motion whose signs are the reader's already; the whole of what is sent at one moment, ends of line included.
-    Whatever the numbers, it gives a telegram that says what is known and nothing else."""
+    Whatever the numbers, it gives a telegram that says what is known and nothing else. Empty: something is not known,
+    and the format has no way to say so; nothing is sent, so that the reader's own time-out acts."""
     longest_bytes: int
     lead: Lead
     """What is usual: NONE where it tells its time of validity, else TRANSMISSION."""
@@ -123,7 +130,8 @@ def as_read(motion: Motion, spec: OutputSpec, signs: Signs) -> Motion:
     """The same motion with the signs and the roll that the reader expects."""
     changed: dict[str, float] = {}
     if (spec.roll_convention or signs.convention) is RollConvention.TSS:
-        changed["roll_rad"] = asin(sin(motion.roll_rad) * cos(motion.pitch_rad))
+        is_known = motion.has_attitude
+        changed["roll_rad"] = asin(sin(motion.roll_rad) * cos(motion.pitch_rad)) if is_known else nan
     if (spec.roll_positive or signs.roll) is RollPositive.STARBOARD_UP:
         changed["roll_rad"] = -changed.get("roll_rad", motion.roll_rad)
         changed["roll_rate_radps"] = -motion.roll_rate_radps

@@ -262,7 +262,7 @@ async def _live(name: str, setting: Setting, folder: Path) -> Trial:
     made = controllers(setting)
     epochs_s: dict[Stream, float] = {}
     ages_s: list[float] = []
-    devices = load(data_directory() / "demo.toml").device
+    devices = load(data_directory() / "sensors.toml").device
     async with AsyncExitStack() as stack:
         ports: dict[Stream, int] = {}
         for number, stream in enumerate(dict.fromkeys(controller.stream for controller in made)):
