@@ -6,6 +6,8 @@ import asyncio
 import itertools
 import os
 import signal
+import sys
+from asyncio.subprocess import DEVNULL, PIPE
 from collections import Counter
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -13,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
-from running import PATIENCE_S, SWELL, demo_config, running
+from running import PATIENCE_S, SWELL, demo_config, plant_of, running
 
 from heaved.config import RecordingParams
 from heaved.config.read import data_directory, load
@@ -24,6 +26,7 @@ from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.params import SeaParams
 from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.hull import estimate as hull
+from heaved.outputs import wire
 from heaved.recorder.layout import FRAMES, Call
 from heaved.recorder.read import frame_values, open_recorded
 from heaved.replay.live import LiveRecording, Rerun
@@ -83,6 +86,16 @@ async def until(holds: Callable[[], object]) -> None:
     async with asyncio.timeout(4.0 * PATIENCE_S):
         while not holds():  # noqa: ASYNC110  # What is waited for happens in a device, a process, a file.
             await asyncio.sleep(0.05)
+
+
+def device_tables(config: Config, *roles: str) -> str:
+    """``[[device]]`` as TOML, of these roles; of all, if none is named."""
+    return "".join(
+        f'[[device]]\nname = "{one.name}"\nrole = "{one.role}"\nlink = "{one.link}"\n'
+        f'device_id = {one.device_id}\nrate_hz = {one.rate_hz}\nprofile = "{one.profile.name}"\n'
+        for one in config.device
+        if not roles or one.role in roles
+    )
 
 
 def health_of(daemon: Daemon) -> OutputHealth:
@@ -145,13 +158,8 @@ async def test_a_replay_follows_a_new_configuration_where_the_daemon_did(tmp_pat
         def write(text: str) -> None:
             tables = f'[stream]\nport = 0\n[http]\nport = 0\n[state]\ndirectory = "{tmp_path / "state"}"\n'
             tables += '[recording]\nenabled = true\nvessel = "Test"\n[correction]\nenabled = false\n'
-            devices = "".join(
-                f'[[device]]\nname = "{one.name}"\nrole = "{one.role}"\nlink = "{one.link}"\n'
-                f'device_id = {one.device_id}\nrate_hz = {one.rate_hz}\nprofile = "{one.profile.name}"\n'
-                for one in daemon.config.device
-                if one.role != "laser" or "laser" in text
-            )
-            path.write_text(tables + devices + text)
+            roles = ("imu", "imu2", "laser") if "laser" in text else ("imu", "imu2")
+            path.write_text(tables + device_tables(daemon.config, *roles) + text)
 
         await until(lambda: len(frames) > 100)
         write(
@@ -170,6 +178,44 @@ async def test_a_replay_follows_a_new_configuration_where_the_daemon_did(tmp_pat
     assert calls[Call.PIPELINE] == 2
     assert calls[Call.HULL] == 2
     assert_same(found, frames)
+
+
+async def test_a_daemon_that_is_killed_has_all_on_the_disk_but_the_last_second(tmp_path: Path) -> None:
+    """A process of its own, kill -9; a client has seen what it published."""
+    config, path = demo_config(tmp_path), tmp_path / "heaved.toml"
+    seen_s: list[float] = []
+    async with plant_of(config) as (_, config):
+        tables = f'[stream]\nport = 0\n[http]\nenabled = false\n[state]\ndirectory = "{tmp_path}"\n'
+        path.write_text(tables + "[recording]\nenabled = true\n" + device_tables(config))
+        daemon = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", "heaved", "run", "--config", str(path), stdout=PIPE, stderr=DEVNULL
+        )
+        try:
+            assert daemon.stdout is not None
+            _, where = (await daemon.stdout.readline()).decode().split()
+            reader, writer = await asyncio.open_connection(*where.split(":"))
+            directory = tmp_path / "recordings"
+            async with asyncio.timeout(4.0 * PATIENCE_S):
+                while len(seen_s) < 300 or not list(directory.glob("*.frames.arrows")):
+                    record = wire.decode(await reader.readline())
+                    if record["class"] == "MOTION":
+                        seen_s.append(record["mono_s"])
+            recorder = _recorder_of(daemon.pid)
+            daemon.kill()
+            await daemon.wait()
+            writer.close()
+            # Its end is that of the recorder's stdin, which then writes what it was given, and ends.
+            await until(lambda: not Path(f"/proc/{recorder}/cmdline").exists())
+        finally:
+            if daemon.returncode is None:
+                daemon.kill()
+                await daemon.wait()
+    frames, calls, _, remarks = again(directory)
+    assert remarks == []
+    assert frames[-1].t_s > seen_s[-1] - 1.0
+    assert calls[Call.POLL] > len(frames)
+    told = {round(frame.t_s, 6) for frame in frames}
+    assert all(round(t_s, 6) in told for t_s in seen_s if t_s <= frames[-1].t_s)
 
 
 async def test_a_recorder_that_is_killed_is_started_again_and_the_stream_goes_on(tmp_path: Path) -> None:
