@@ -262,6 +262,7 @@ class Converter:
                         self._convert(path)
                     elif path.name.endswith(".tmp"):
                         path.unlink(missing_ok=True)
+        pa.default_memory_pool().release_unused()  # An hour's columns are much, and the next hour is an hour away.
 
     def _convert(self, path: Path) -> None:
         try:

@@ -180,6 +180,29 @@ async def test_a_replay_follows_a_new_configuration_where_the_daemon_did(tmp_pat
     assert_same(found, frames)
 
 
+async def test_other_limits_take_effect_at_once(tmp_path: Path) -> None:
+    """Another process has the directory then: the first has ended, and what it had is on the disk."""
+    config, path = recording_config(tmp_path), tmp_path / "heaved.toml"
+    async with published(config, path) as (daemon, frames):
+        first = health_of(daemon)
+        await until(lambda: first.is_up)
+        tables = f'[stream]\nport = 0\n[http]\nport = 0\n[state]\ndirectory = "{tmp_path / "state"}"\n'
+        tables += '[recording]\nenabled = true\nvessel = "Test"\nmax_gb = 1.0\n[correction]\nenabled = false\n'
+        path.write_text(tables + device_tables(daemon.config))
+        await daemon.reload()
+        assert health_of(daemon) is not first
+        await until(lambda: health_of(daemon).is_up)
+        told = len(frames)
+        await until(lambda: len(frames) > told + 50)
+        path.write_text(path.read_text().replace("enabled = true", "enabled = false"))
+        await daemon.reload()
+        assert daemon._outputs.health == []
+    found, _, _, remarks = again(recording_directory(config))
+    assert all("calls are missing" in remark for remark in remarks)
+    assert found[-1].t_s > frames[told].t_s
+    assert frames[0].t_s == found[0].t_s
+
+
 async def test_a_daemon_that_is_killed_has_all_on_the_disk_but_the_last_second(tmp_path: Path) -> None:
     """A process of its own, kill -9; a client has seen what it published."""
     config, path = demo_config(tmp_path), tmp_path / "heaved.toml"
