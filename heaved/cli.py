@@ -401,6 +401,55 @@ def export(
     _say(msgspec.json.encode(done).decode() if json else printable_lines(str(done)), err=to_stderr)
 
 
+@app.command()
+def report(
+    recording: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, as for replay.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="The page; FILE.report.html beside it by default.")
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="Parameters of the estimators; no device is needed.")] = None,
+    png: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write the figures into this directory, too, as PNG.")
+    ] = None,
+    until: Annotated[float | None, typer.Option(min=0.0, help="Stop after so many seconds of the recording.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the numbers as one JSON object.")] = False,
+) -> None:
+    """Make a page of a recording: what the sea was, how well what was known, and what was wrong."""
+    import shlex
+    from datetime import UTC, datetime
+
+    from heaved.config import Config
+
+    parameters = Config() if config is None else _load(config)
+    from heaved.devices.recording import RecordingError
+    from heaved.report.report import ReportError, json_text
+    from heaved.report.report import report as make_report
+
+    target = recording.with_name(f"{recording.stem}.report.html") if out is None else out
+    options = [
+        *(["--config", str(config)] if config else []),
+        *(["--until", f"{until:g}"] if until is not None else []),
+    ]
+    try:
+        with _progress() as progress:
+            found = make_report(
+                recording,
+                target,
+                parameters,
+                made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC"),
+                command=shlex.join(["heaved", "report", str(recording), *options]),
+                config_name="" if config is None else config.name,
+                png_directory=png,
+                until_s=inf if until is None else until,
+                progress=progress,
+            )
+    except (RecordingError, ReportError, OSError) as error:
+        _fail(str(error), 1)
+    if json:
+        _say(json_text(found))
+    _say(f"written to {target}", err=True)
+
+
 def _beside(recording: Path, ending: str) -> Path:
     """The file beside a recording that is called like it."""
     whole = recording.resolve()

@@ -23,7 +23,20 @@ from heaved.config.read import data_directory
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-COMMANDS = ("run", "demo", "status", "watch", "page", "wait", "check-config", "probe", "replay", "export", "sim")
+COMMANDS = (
+    "run",
+    "demo",
+    "status",
+    "watch",
+    "page",
+    "wait",
+    "check-config",
+    "probe",
+    "replay",
+    "export",
+    "report",
+    "sim",
+)
 
 
 @pytest.fixture
@@ -331,7 +344,7 @@ def test_replay_of_what_is_no_recording(tmp_path: Path, capsys: pytest.CaptureFi
         (["--sensor", "Z"], "unknown sensor 'Z': choose one of"),
         (["--shake", "quake"], "unknown shake 'quake': choose one of line-1.3, line-3.1,"),
         (["--fault", "laser:boom@1+1"], "unknown kind 'boom'; choose one of"),
-        (["--fault", "sonar:dropout@1+1"], "there is no device 'sonar'; there are imu, laser"),
+        (["--fault", "sonar:dropout@1+1"], "there is no device 'sonar'; there are crane, imu, laser"),
         (["--play", "/nonexistent.csv"], "/nonexistent.csv: No such file or directory"),
     ],
     ids=lambda value: "".join(value)[:20],

@@ -22,7 +22,8 @@ import msgspec
 
 from heaved.config import Config
 from heaved.devices.recording import Recording
-from heaved.estimation.heave.sea.refit import SeaWindow, look
+from heaved.estimation.heave.observer import Verdict
+from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow, look
 from heaved.estimation.stages import Stages
 from heaved.pipeline import Pipeline, assemble
 from heaved.recorder.found import is_recorded, need_reader
@@ -196,28 +197,86 @@ def _within_a_run(name: str, failure: str) -> str:
 
 
 def _replay_csv(source: Path, out: Path | None, config: Config, until_s: float, progress: Progress | None) -> Summary:
-    begun_s = time.monotonic()
-    tally = Tally()
-    with Recording(source) as recording, BlockingTrainer() as trainer, writing(out) as file:
+    with replaying(source, config) as run, writing(out) as file:
         table = Table(config, file.write)
-        pipeline = assembled(config, Stages(config.hull, config.attitude, config.crane), has_laser=recording.has_laser)
+        for _, frame in run.steps(until_s=until_s, progress=progress):
+            if frame is not None:
+                table.push(frame)
+        table.flush()
+    return run.summary()
+
+
+@contextmanager
+def replaying(source: Path, config: Config) -> Iterator[Run]:
+    """The recording ``source``, ready to go through the pipeline.
+
+    Raises:
+        RecordingError: the recording is malformed.
+    """
+    with Recording(source) as recording, BlockingTrainer() as trainer:
+        yield Run(recording, trainer, config)
+
+
+class Run:
+    """A recording on its way through the pipeline. Go once over its :meth:`steps`.
+
+    Attributes:
+        recording: the open file.
+        pipeline: its state is that after the sample given last.
+        fit: of the sea, that was taken over last; None: none yet.
+    """
+
+    def __init__(self, recording: Recording, trainer: BlockingTrainer, config: Config) -> None:
+        self.recording = recording
+        self.pipeline = assembled(
+            config, Stages(config.hull, config.attitude, config.crane), has_laser=recording.has_laser
+        )
+        self.fit: SeaFit | None = None
+        self._trainer = trainer
+        self._tally = Tally()
+        self._begun_s = time.monotonic()
+
+    def steps(
+        self, *, until_s: float = inf, progress: Progress | None = None
+    ) -> Iterator[tuple[Sample, MotionFrame | None]]:
+        """Each sample of the recording, and the frame that it gives: one of the IMU does.
+
+        until_s: seconds of the recording, from its first row, after which to stop.
+
+        Raises:
+            RecordingError: at the row that is malformed.
+        """
+        recording, pipeline, tally = self.recording, self.pipeline, self._tally
         for number, sample in enumerate(_samples(recording, until_s, tally), start=1):
             frame = pipeline.step(sample)
             if (past := pipeline.fit_due()) is not None:
-                tally.fits[_fit(pipeline, past, tally)] += 1
+                tally.fits[self._fit(past)] += 1
             if (window := pipeline.training_due()) is not None:
-                tally.trainings[pipeline.accept(trainer.fit(window))] += 1
+                tally.trainings[pipeline.accept(self._trainer.fit(window))] += 1
             if frame is not None:
                 tally.count(frame.t_s, frame.quality)
-                table.push(frame)
+            yield sample, frame
             if progress is not None and number % PROGRESS_SAMPLES == 0:
                 progress(recording.read_bytes, recording.total_bytes)
         if progress is not None:
             progress(recording.read_bytes, recording.total_bytes)
-        table.flush()
-    if (spared := pipeline.summary().windows_with_nothing_to_learn) > 0:
-        tally.trainings[NOTHING_TO_LEARN] = spared
-    return tally.summary(time.monotonic() - begun_s)
+
+    def _fit(self, past: SeaWindow) -> str:
+        try:
+            fit = look(past)
+        except Exception as error:  # The daemon's fitter would die of it, too: what was learned stays.  # noqa: BLE001
+            self._tally.failure = repr(error)
+            return "failed"
+        verdict = self.pipeline.accept_fit(fit)
+        if verdict is Verdict.ACCEPTED:
+            self.fit = fit
+        return verdict
+
+    def summary(self) -> Summary:
+        """What has been done so far."""
+        if (spared := self.pipeline.summary().windows_with_nothing_to_learn) > 0:
+            self._tally.trainings[NOTHING_TO_LEARN] = spared
+        return self._tally.summary(time.monotonic() - self._begun_s)
 
 
 def assembled(config: Config, stages: Stages, *, has_laser: bool) -> Pipeline:
@@ -252,15 +311,6 @@ def _samples(recording: Recording, until_s: float, tally: Tally) -> Iterator[Sam
                 yield reading
 
 
-def _fit(pipeline: Pipeline, past: SeaWindow, tally: Tally) -> str:
-    try:
-        fit = look(past)
-    except Exception as error:  # The daemon's fitter would die of it, too: what was learned stays.  # noqa: BLE001
-        tally.failure = repr(error)
-        return "failed"
-    return pipeline.accept_fit(fit)
-
-
 class Tally:
     """What is counted while a recording goes through the pipeline; see :class:`Summary`."""
 
@@ -280,7 +330,7 @@ class Tally:
         """One frame."""
         self._quality[quality.heave] += 1
         for text in quality.reasons:
-            kind = _without_numbers(text)
+            kind = without_numbers(text)
             reason = self._reasons.get(kind)
             if reason is None:
                 reason = self._reasons[kind] = _CountedReason(text, t_s)
@@ -320,7 +370,8 @@ class _CountedReason(msgspec.Struct):
 
 
 @lru_cache(maxsize=256)
-def _without_numbers(text: str) -> str:
+def without_numbers(text: str) -> str:
+    """What a reason is, whatever the numbers in it."""
     return _NUMBER.sub("…", text)
 
 
