@@ -403,11 +403,11 @@ def export(
 
 @app.command()
 def report(
-    recording: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, as for replay.")],
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="As for replay.")],
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="The page; FILE.report.html beside it by default.")
     ] = None,
-    config: Annotated[Path | None, typer.Option(help="Parameters of the estimators; no device is needed.")] = None,
+    config: Annotated[Path | None, typer.Option(help="Parameters of the estimators, as for replay.")] = None,
     png: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write the figures into this directory, too, as PNG.")
     ] = None,
@@ -418,14 +418,13 @@ def report(
     import shlex
     from datetime import UTC, datetime
 
-    from heaved.config import Config
-
-    parameters = Config() if config is None else _load(config)
+    parameters = None if config is None else _load(config)
     from heaved.devices.recording import RecordingError
+    from heaved.recorder.found import RecordedError
     from heaved.report.report import ReportError, json_text
     from heaved.report.report import report as make_report
 
-    target = recording.with_name(f"{recording.stem}.report.html") if out is None else out
+    target = _beside(recording, ".report.html") if out is None else out
     options = [
         *(["--config", str(config)] if config else []),
         *(["--until", f"{until:g}"] if until is not None else []),
@@ -443,7 +442,7 @@ def report(
                 until_s=inf if until is None else until,
                 progress=progress,
             )
-    except (RecordingError, ReportError, OSError) as error:
+    except (RecordingError, RecordedError, ReportError, OSError) as error:
         _fail(str(error), 1)
     if json:
         _say(json_text(found))

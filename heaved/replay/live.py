@@ -6,8 +6,9 @@ all the rest is a pure function of these, so the frames come out the same, to th
 
 from __future__ import annotations
 
+import time
 from functools import partial
-from math import inf
+from math import inf, isfinite, isnan, nan
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -15,15 +16,15 @@ import msgspec
 from heaved.config import Config
 from heaved.estimation.heave.observer import Verdict
 from heaved.estimation.heave.saved_state import SavedState
-from heaved.estimation.heave.sea.refit import SeaFit, look
+from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow, look
 from heaved.estimation.hull.refit import RefitJob, RefitResult, refit
 from heaved.estimation.stages import Stages
 from heaved.recorder.calls import Restored
 from heaved.recorder.found import RecordedError
 from heaved.recorder.layout import SAMPLES, Call
 from heaved.recorder.read import Hour, Recorded, Row, open_recorded, rows_of
-from heaved.replay.replay import assembled
-from heaved.samples import ImuSample, MotionFrame, TrainedNetwork
+from heaved.replay.replay import NOTHING_TO_LEARN, Summary, Tally, assembled
+from heaved.samples import Fault, ImuSample, MotionFrame, TrainedNetwork
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -44,19 +45,25 @@ class LiveRecording:
     Attributes:
         config: in force when it begins.
         remarks: what a person should know of it.
+        progress: is told now and then how much of it has been read.
     """
 
-    def __init__(self, path: Path, progress: Progress | None = None) -> None:
-        """``progress`` is told now and then how much of it has been read.
-
+    def __init__(self, path: Path) -> None:
+        """
         Raises:
             RecordedError: it is not one.
         """
-        self._progress = progress
+        self.progress: Progress | None = None
         self._recorded: Recorded = open_recorded(path, SAMPLES)
         self.remarks = list(self._recorded.remarks)
         self.config = config_of(self._recorded.hours[0])
         self._read_bytes = 0
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """What was measured: a device and a quantity each."""
+        layout = self._recorded.hours[0].header.layout
+        return tuple(f"{device.name}.{column.name}" for device in layout.devices for column in device.columns)
 
     def runs(self) -> Iterator[tuple[Hour, Iterator[Row]]]:
         """Each run of the daemon: its first hour, and all its rows."""
@@ -73,9 +80,9 @@ class LiveRecording:
                         "follows is the same only once the filters have forgotten it"
                     )
                 expected = row.seq + 1
-                if self._progress is not None and number % PROGRESS_ROWS == 0:
+                if self.progress is not None and number % PROGRESS_ROWS == 0:
                     read = self._read_bytes + hour.size_bytes * number // hour.rows
-                    self._progress(read, self._recorded.size_bytes)
+                    self.progress(read, self._recorded.size_bytes)
                 yield row
             self._read_bytes += hour.size_bytes
 
@@ -106,12 +113,24 @@ class Learning:
         """``count`` is told ``fits`` or ``trainings``, and what became of one."""
         self._trainer, self._count = trainer, count
 
-    def look_after(self, pipeline: Pipeline) -> None:
-        """Do what is due."""
+    def look_after(self, pipeline: Pipeline) -> SeaFit | None:
+        """Do what is due; the fit that was accepted, if one was."""
+        accepted = None
         if (past := pipeline.fit_due()) is not None:
-            self._count("fits", pipeline.accept_fit(look(past)))
+            fit = _looked(past)
+            verdict = Verdict.FAILED if fit is None else pipeline.accept_fit(fit)
+            self._count("fits", verdict)
+            accepted = fit if verdict is Verdict.ACCEPTED else None
         if (window := pipeline.training_due()) is not None:
             self._count("trainings", pipeline.accept(self._trainer.fit(window)))
+        return accepted
+
+
+def _looked(past: SeaWindow) -> SeaFit | None:
+    try:
+        return look(past)
+    except Exception:  # The daemon's fitter would die of it, too: what was learned stays.  # noqa: BLE001
+        return None
 
 
 class Rerun:
@@ -120,6 +139,7 @@ class Rerun:
     Attributes:
         pipeline: as the daemon had it.
         has_begun: a call was made.
+        fit: of the sea, that was taken over last; None: none yet.
     """
 
     def __init__(
@@ -140,6 +160,7 @@ class Rerun:
         stages = Stages(config.hull, config.attitude, config.crane, refit_inline=learning is not None)
         self.pipeline = self._assembled(config, stages)
         self.has_begun = False
+        self.fit: SeaFit | None = None
         self._published_s = -inf
         self._job: RefitJob | None = None
         self._refit: RefitResult | None = None
@@ -190,7 +211,9 @@ class Rerun:
             self._count("trainings", self._accepted(partial(self.pipeline.accept, network)))
         elif row.call is Call.FIT:
             fit = msgspec.msgpack.decode(row.record, type=SeaFit)
-            self._count("fits", self._accepted(partial(self.pipeline.accept_fit, fit)))
+            verdict = self._accepted(partial(self.pipeline.accept_fit, fit))
+            self._count("fits", verdict)
+            self.fit = fit if verdict is Verdict.ACCEPTED else self.fit
         else:
             job, self._job = self._job, None
             if job is not None and self.pipeline.stages.due_refit is job:
@@ -224,7 +247,7 @@ class Rerun:
     def _look_after_work(self) -> None:
         """What the daemon hands out after each poll: handing out is part of the estimators' state."""
         if self._learning is not None:
-            self._learning.look_after(self.pipeline)
+            self.fit = self._learning.look_after(self.pipeline) or self.fit
             return
         self.pipeline.training_due()
         self.pipeline.fit_due()
@@ -251,3 +274,96 @@ class Rerun:
                 self.pipeline.restore(learned)
             except ValueError:
                 self._count("errors", "what was learned does not fit the new configuration")
+
+
+class RecordedRun:
+    """A daemon's recording on its way through the pipeline; the same to whoever follows it as
+    :class:`heaved.replay.replay.Run`.
+
+    Attributes:
+        recording: what is replayed.
+        config: of its beginning.
+        number: of the run of the daemon that is being replayed, from 1 on.
+    """
+
+    def __init__(self, recording: LiveRecording, trainer: BlockingTrainer, config: Config | None, learn: bool) -> None:
+        """``config``: in place of the recorded ones; None: those. ``learn``: anew, instead of taking the models."""
+        self.recording = recording
+        self.config = config or recording.config
+        self.number = 0
+        self._other, self._trainer, self._learn = config, trainer, learn
+        self._tally = Tally()
+        self._begun_s = time.monotonic()
+        self._rerun: Rerun | None = None
+
+    @property
+    def pipeline(self) -> Pipeline:
+        """Its state is that after the step given last."""
+        assert self._rerun is not None
+        return self._rerun.pipeline
+
+    @property
+    def fit(self) -> SeaFit | None:
+        """Of the sea, that was taken over last; None: none yet."""
+        return None if self._rerun is None else self._rerun.fit
+
+    def steps(
+        self, *, until_s: float = inf, progress: Progress | None = None
+    ) -> Iterator[tuple[Sample, MotionFrame | None]]:
+        """Each sample, and the frame that the daemon published of it. For a frame that was made without a sample, one
+        of the IMU that says so.
+
+        until_s: seconds of the recording, from its first call, after which to stop.
+
+        Raises:
+            RecordedError: something in it cannot be read.
+        """
+        self.recording.progress = progress
+        for hour, rows in self.recording.runs():
+            self.number += 1
+            made: list[MotionFrame] = []
+            learning = Learning(self._trainer, self._tally.became) if self._learn else None
+            rerun = self._rerun = Rerun(hour, self._other, made.append, self._tally.became, learning)
+            for row in self._rows(rerun, hour, rows, until_s):
+                rerun.take(row)
+                for frame in made:
+                    self._tally.count(frame.t_s, frame.quality)
+                frame_or_none = made[0] if made else None
+                made.clear()
+                if row.sample is not None:
+                    yield row.sample, frame_or_none
+                elif frame_or_none is not None:
+                    yield ImuSample(t_s=row.t_s, fault=Fault.TIMEOUT), frame_or_none
+            if (spared := rerun.pipeline.summary().windows_with_nothing_to_learn) > 0:
+                self._tally.trainings[NOTHING_TO_LEARN] += spared
+            if self._tally.duration_s >= until_s:
+                return
+
+    def _rows(self, rerun: Rerun, hour: Hour, rows: Iterator[Row], until_s: float) -> Iterator[Row]:
+        """Those up to ``until_s``; a run whose beginning is not there begins with what was known then."""
+        tally = self._tally
+        before_s, first_s = tally.duration_s, nan
+        for row in rows:
+            if row.seq > 0 and not rerun.has_begun:
+                tally.remarks.append(_within_a_run(hour.path.name, rerun.warm_up()))
+            if isfinite(row.t_s):
+                first_s = row.t_s if isnan(first_s) else first_s
+                elapsed_s = before_s + row.t_s - first_s
+                if elapsed_s > until_s:
+                    tally.duration_s = until_s
+                    return
+                tally.duration_s = max(tally.duration_s, elapsed_s)
+            tally.rows += row.sample is not None
+            yield row
+
+    def summary(self) -> Summary:
+        """What has been done so far."""
+        return self._tally.summary(time.monotonic() - self._begun_s, self.recording.remarks)
+
+
+def _within_a_run(name: str, failure: str) -> str:
+    warm = f"and nothing can be taken from the run before ({failure})" if failure else "with what a restart would know"
+    return (
+        f"{name} begins within a run of the daemon: the replay begins {warm}, and is the same as what the daemon "
+        "published once the filters have settled"
+    )

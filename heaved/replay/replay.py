@@ -12,10 +12,10 @@ import re
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
-from math import inf, isfinite, isnan, nan
+from math import inf, isnan, nan
 from typing import TYPE_CHECKING, Final, TextIO
 
 import msgspec
@@ -35,8 +35,7 @@ from heaved.workers.process import BlockingTrainer
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from heaved.recorder.read import Row
-    from heaved.replay.live import Rerun
+    from heaved.replay.live import RecordedRun
 
 
 PROGRESS_SAMPLES: Final = 64
@@ -141,65 +140,13 @@ def replay(
     """
     if out is not None and out.exists() and out.samefile(source):
         raise OutputError(f"{out} is the recording itself: name another file with -o")
-    if is_recorded(source):
-        return _replay_recorded(source, out, config, learn_anew or config is not None, until_s, progress)
-    return _replay_csv(source, out, config or Config(), until_s, progress)
-
-
-def _replay_recorded(
-    source: Path, out: Path | None, config: Config | None, learn: bool, until_s: float, progress: Progress | None
-) -> Summary:
-    need_reader(source)
-    from heaved.replay.live import Learning, LiveRecording, Rerun  # What they read with need not be installed.
-
-    begun_s = time.monotonic()
-    tally = Tally()
-    recording = LiveRecording(source, progress)
-    with BlockingTrainer() as trainer, writing(out) as file:
-        table = Table(config or recording.config, file.write)
-
-        def emit(frame: MotionFrame) -> None:
-            tally.count(frame.t_s, frame.quality)
-            table.push(frame)
-
-        for hour, rows in recording.runs():
-            table.begin_run()
-            rerun = Rerun(hour, config, emit, tally.became, Learning(trainer, tally.became) if learn else None)
-            if not _run_again(rerun, rows, hour.path.name, tally, until_s):
-                break
-        table.flush()
-    tally.remarks += recording.remarks
-    return tally.summary(time.monotonic() - begun_s)
-
-
-def _run_again(rerun: Rerun, rows: Iterator[Row], name: str, tally: Tally, until_s: float) -> bool:
-    """One run of the daemon; False: ``until_s`` was reached."""
-    before_s, first_s = tally.duration_s, nan
-    for row in rows:
-        if row.seq > 0 and not rerun.has_begun:
-            tally.remarks.append(_within_a_run(name, rerun.warm_up()))
-        if isfinite(row.t_s):
-            first_s = row.t_s if isnan(first_s) else first_s
-            if before_s + row.t_s - first_s > until_s:
-                return False
-            tally.duration_s = max(tally.duration_s, before_s + row.t_s - first_s)
-        tally.rows += row.sample is not None
-        rerun.take(row)
-    return True
-
-
-def _within_a_run(name: str, failure: str) -> str:
-    warm = f"and nothing can be taken from the run before ({failure})" if failure else "with what a restart would know"
-    return (
-        f"{name} begins within a run of the daemon: the replay begins {warm}, and is the same as what the daemon "
-        "published once the filters have settled"
-    )
-
-
-def _replay_csv(source: Path, out: Path | None, config: Config, until_s: float, progress: Progress | None) -> Summary:
-    with replaying(source, config) as run, writing(out) as file:
-        table = Table(config, file.write)
+    with replaying(source, config, learn_anew=learn_anew) as run, writing(out) as file:
+        table = Table(run.config, file.write)
+        number = run.number
         for _, frame in run.steps(until_s=until_s, progress=progress):
+            if run.number != number:
+                number = run.number
+                table.begin_run()
             if frame is not None:
                 table.push(frame)
         table.flush()
@@ -207,14 +154,22 @@ def _replay_csv(source: Path, out: Path | None, config: Config, until_s: float, 
 
 
 @contextmanager
-def replaying(source: Path, config: Config) -> Iterator[Run]:
-    """The recording ``source``, ready to go through the pipeline.
+def replaying(source: Path, config: Config | None = None, *, learn_anew: bool = False) -> Iterator[Run | RecordedRun]:
+    """The recording ``source``, ready to go through the pipeline; ``config`` and ``learn_anew`` as for :func:`replay`.
 
     Raises:
-        RecordingError: the recording is malformed.
+        RecordingError, RecordedError: the recording is malformed.
     """
+    if is_recorded(source):
+        need_reader(source)
+        from heaved.replay.live import LiveRecording, RecordedRun  # What they read with need not be installed.
+
+        live = LiveRecording(source)
+        with BlockingTrainer() as trainer:
+            yield RecordedRun(live, trainer, config, learn_anew or config is not None)
+        return
     with Recording(source) as recording, BlockingTrainer() as trainer:
-        yield Run(recording, trainer, config)
+        yield Run(recording, trainer, config or Config())
 
 
 class Run:
@@ -222,12 +177,16 @@ class Run:
 
     Attributes:
         recording: the open file.
+        config: of the pipeline.
+        number: of the run that it is of; a CSV is one.
         pipeline: its state is that after the sample given last.
         fit: of the sea, that was taken over last; None: none yet.
     """
 
     def __init__(self, recording: Recording, trainer: BlockingTrainer, config: Config) -> None:
         self.recording = recording
+        self.config = config
+        self.number = 1
         self.pipeline = assembled(
             config, Stages(config.hull, config.attitude, config.crane), has_laser=recording.has_laser
         )
@@ -341,8 +300,8 @@ class Tally:
         """``fits``, ``trainings`` or ``errors``: what became of one."""
         {"fits": self.fits, "trainings": self.trainings, "errors": self.errors}[what][result] += 1
 
-    def summary(self, elapsed_s: float) -> Summary:
-        """``elapsed_s``: by the clock on the wall."""
+    def summary(self, elapsed_s: float, remarks: Sequence[str] = ()) -> Summary:
+        """``elapsed_s``: by the clock on the wall. ``remarks``: on the recording."""
         return Summary(
             rows=self.rows,
             frames=self._quality.total(),
@@ -356,7 +315,11 @@ class Tally:
                 Reason(text=one.text, varies=one.varies, frames=one.frames, first_s=one.first_s)
                 for one in sorted(self._reasons.values(), key=lambda one: -one.frames)
             ),
-            remarks=(*self.remarks, *(f"{count} times an error: {what}" for what, count in self.errors.items())),
+            remarks=(
+                *self.remarks,
+                *remarks,
+                *(f"{count} times an error: {what}" for what, count in self.errors.items()),
+            ),
         )
 
 

@@ -28,6 +28,7 @@ from heaved.recorder.found import RecordedError
 from heaved.recorder.layout import Call
 from heaved.replay.live import LiveRecording, Rerun
 from heaved.replay.replay import OutputError, replay
+from heaved.report.report import report
 from heaved.samples import LaserSample, TrainedNetwork
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import LASER_DISTANCE_M, record
@@ -262,6 +263,13 @@ def test_calls_that_are_missing_are_said(made: Made, tmp_path: Path) -> None:
     remarks = replay(part, tmp_path / "out.csv").remarks
     assert len(remarks) == 1
     assert re.search(r"\d+ calls are missing before t_s \d+", remarks[0])
+
+
+def test_a_report_is_made_of_it_as_of_a_csv(made: Made, tmp_path: Path) -> None:
+    found = report(made.directory, tmp_path / "out.html", None, made="today", command="heaved report")
+    assert found.frames == len(made.frames)
+    assert "imu.az_mps2" in found.source.columns
+    assert (tmp_path / "out.html").stat().st_size > 10_000
 
 
 def test_a_result_may_not_be_the_recording(made: Made) -> None:
