@@ -31,6 +31,7 @@ from heaved.devices.profile import decode, encode
 from heaved.devices.station import KINDS, PollResult
 from heaved.estimation.heave.sea.refit import look
 from heaved.recorder import messages
+from heaved.recorder.calls import pack_fit
 from heaved.recorder.files import to_parquet
 from heaved.recorder.layout import CALLS, Call, Header, Settings
 from heaved.recorder.messages import Kind, Splitter, packed
@@ -119,9 +120,7 @@ def write(directory: Path, config: Config, minutes: float, sea: str) -> dict[str
         if (past := pipeline.fit_due()) is not None:
             fit = look(past)
             pipeline.accept_fit(fit)
-            candidates = tuple(msgspec.structs.replace(one, steady_covariance=b"") for one in fit.candidates)
-            record = msgspec.msgpack.encode(msgspec.structs.replace(fit, candidates=candidates))
-            body = messages.CALL.pack(seq, CALLS.index(Call.FIT), t_s) + record
+            body = messages.CALL.pack(seq, CALLS.index(Call.FIT), t_s) + pack_fit(fit)
             tell(packed(Kind.CALL, body), t_s)
             seq += 1
     recorder.close(t_s)
@@ -177,7 +176,8 @@ def main() -> int:
     config = load(data_directory() / "demo.toml")
     profile = next(one for one in packaged_profiles() if one.name == given.imu)
     imu = msgspec.structs.replace(config.device[0], profile=profile)
-    config = msgspec.structs.replace(config, device=(imu, *config.device[1:]))
+    laser = next(device for device in config.device if device.role == "laser")
+    config = msgspec.structs.replace(config, device=(imu, laser), point=(), crane=type(config.crane)())
     with tempfile.TemporaryDirectory() as name:
         took_s = write(Path(name), config, given.minutes, given.sea)
         roles = {device.name: device.role for device in config.device}

@@ -29,7 +29,7 @@ from heaved.daemon.recorded import FramePacker, PollPacker, layout_of
 from heaved.daemon.state import state_directory
 from heaved.outputs.output import OutputHealth
 from heaved.recorder import messages
-from heaved.recorder.calls import Restored
+from heaved.recorder.calls import Restored, pack_fit
 from heaved.recorder.layout import CALLS, Call, Header, Layout, Report, Settings
 from heaved.recorder.messages import Kind, packed
 
@@ -121,9 +121,7 @@ class Journal:
 
     def fit(self, fit: SeaFit) -> None:
         """The pipeline is given a fit of the sea."""
-        # What the next fit could begin with is much, and of no use to who does not make it.
-        candidates = tuple(msgspec.structs.replace(one, steady_covariance=b"") for one in fit.candidates)
-        self._call(Call.FIT, nan, msgspec.structs.replace(fit, candidates=candidates))
+        self._call(Call.FIT, nan, pack_fit(fit) if self._output is not None else b"")
 
     def refit(self, *, is_made: bool) -> None:
         """The hull's stage is given a refit, or told that it came to nothing."""

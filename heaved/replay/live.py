@@ -19,7 +19,7 @@ from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow, look
 from heaved.estimation.hull.refit import RefitJob, RefitResult, refit
 from heaved.estimation.stages import Stages
-from heaved.recorder.calls import Restored
+from heaved.recorder.calls import Restored, unpack_fit
 from heaved.recorder.found import RecordedError
 from heaved.recorder.layout import SAMPLES, Call
 from heaved.recorder.read import Hour, Recorded, Row, open_recorded, rows_of
@@ -210,7 +210,7 @@ class Rerun:
             network = msgspec.msgpack.decode(row.record, type=TrainedNetwork)
             self._count("trainings", self._accepted(partial(self.pipeline.accept, network)))
         elif row.call is Call.FIT:
-            fit = msgspec.msgpack.decode(row.record, type=SeaFit)
+            fit = unpack_fit(row.record)
             verdict = self._accepted(partial(self.pipeline.accept_fit, fit))
             self._count("fits", verdict)
             self.fit = fit if verdict is Verdict.ACCEPTED else self.fit
