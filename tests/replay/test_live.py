@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import msgspec
 import numpy as np
 import pytest
-from recorded_hours import OFFSET_S, Desk, Scribe, result_of
+from recorded_hours import OFFSET_S, Desk, Scribe, frame_at, result_of
 from running import demo_config
 
 from heaved.config import RecordingParams
@@ -22,6 +22,7 @@ from heaved.daemon.recording import Journal, RecordingOutput
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, lead
 from heaved.estimation.heave.laser.network import Network, Output
+from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.heave.sea.refit import look
 from heaved.recorder.files import to_parquet, whole_batches
 from heaved.recorder.found import RecordedError
@@ -40,7 +41,6 @@ if TYPE_CHECKING:
 
     from heaved.config import Config
     from heaved.devices.profile import DeviceSpec
-    from heaved.estimation.heave.saved_state import SavedState
     from heaved.samples import MotionFrame, Sample, TrainingWindow
 
 EAGER: dict[str, Any] = {
@@ -270,6 +270,16 @@ def test_a_report_is_made_of_it_as_of_a_csv(made: Made, tmp_path: Path) -> None:
     assert found.frames == len(made.frames)
     assert "imu.az_mps2" in found.source.columns
     assert (tmp_path / "out.html").stat().st_size > 10_000
+
+
+def test_samples_alone_are_kept_if_that_is_asked(tmp_path: Path) -> None:
+    config = demo_config(tmp_path, recording=RecordingParams(enabled=True, what="samples"))
+    journal = Journal(lambda: OFFSET_S, SavedState)
+    output = journal.output_of(config)
+    output.publish(frame_at(1.0, 1))
+    assert output._rows == 0
+    journal.coasted(1.0)
+    assert output._rows == 1
 
 
 def test_a_result_may_not_be_the_recording(made: Made) -> None:
