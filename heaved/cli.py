@@ -326,23 +326,41 @@ def probe(
 
 @app.command()
 def replay(
-    recording: Annotated[Path, typer.Argument(metavar="IN.csv", help="t_s, az_mps2 and what else was measured.")],
+    recording: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RECORDING",
+            help="A CSV with t_s, az_mps2 and what else was measured; or the directory of a daemon's [recording], or a "
+            "file of it.",
+        ),
+    ],
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="Result; IN.heaved.csv beside it by default, - for standard output."),
     ] = None,
-    config: Annotated[Path | None, typer.Option(help="Parameters of the estimators; no device is needed.")] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            help="Parameters of the estimators, no device is needed; by default those that a daemon recorded, with "
+            "what it had learned."
+        ),
+    ] = None,
     until: Annotated[float | None, typer.Option(min=0.0, help="Stop after so many seconds of the recording.")] = None,
+    learn_anew: Annotated[
+        bool, typer.Option("--learn-anew", help="Do not take the models of a daemon's recording: learn from it again.")
+    ] = False,
 ) -> None:
-    """Run a recording through the daemon's pipeline: causal, and the same to the byte every time."""
-    from heaved.config import Config
+    """Run a recording through the daemon's pipeline: causal, and the same to the byte every time.
 
-    parameters = Config() if config is None else _load(config)
+    Of a daemon's recording the frames come out as the daemon published them.
+    """
+    parameters = None if config is None else _load(config)
     from heaved.devices.recording import RecordingError
+    from heaved.recorder.found import RecordedError
     from heaved.replay.replay import OutputError
     from heaved.replay.replay import replay as run_replay
 
-    target = recording.with_name(f"{recording.stem}.heaved.csv") if out is None else out
+    target = _beside(recording, ".heaved.csv") if out is None else out
     to_stdout = target == Path("-")
     try:
         with _progress() as progress:
@@ -350,10 +368,11 @@ def replay(
                 recording,
                 None if to_stdout else target,
                 parameters,
+                learn_anew=learn_anew,
                 until_s=inf if until is None else until,
                 progress=progress,
             )
-    except (RecordingError, OutputError, OSError) as error:
+    except (RecordingError, RecordedError, OutputError, OSError) as error:
         _fail(str(error), 1)
     _say(str(summary), err=True)
     if out is None:
@@ -361,12 +380,41 @@ def replay(
 
 
 @app.command()
+def export(
+    recording: Annotated[
+        Path, typer.Argument(metavar="RECORDING", help="The directory of a daemon's [recording], or a file of it.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="OUT.csv or OUT.nc (netCDF); - for CSV on standard output.")],
+    every: Annotated[float, typer.Option(min=0.0, help="Seconds; the first frame in each such span, 0: all.")] = 0.0,
+    columns: Annotated[
+        str, typer.Option(help="Names, with commas between; all for every one; by default those of a replay.")
+    ] = "",
+    json: Annotated[bool, typer.Option("--json", help="Say what was written as one JSON object.")] = False,
+) -> None:
+    """Write what a daemon has recorded as CSV or netCDF, with UTC."""
+    import msgspec
+
+    from heaved.recorder.found import RecordedError
+    from heaved.replay.export import export as run_export
+    from heaved.replay.replay import OutputError
+
+    names = [name.strip() for name in columns.split(",") if name.strip()]
+    try:
+        with _progress("export") as progress:
+            done = run_export(recording, out, columns=names, every_s=every, progress=progress)
+    except (RecordedError, OutputError) as error:
+        _fail(str(error), 1)
+    to_stderr = not json or out == Path("-")
+    _say(msgspec.json.encode(done).decode() if json else printable_lines(str(done)), err=to_stderr)
+
+
+@app.command()
 def report(
-    recording: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, as for replay.")],
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="As for replay.")],
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="The page; FILE.report.html beside it by default.")
     ] = None,
-    config: Annotated[Path | None, typer.Option(help="Parameters of the estimators; no device is needed.")] = None,
+    config: Annotated[Path | None, typer.Option(help="Parameters of the estimators, as for replay.")] = None,
     png: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write the figures into this directory, too, as PNG.")
     ] = None,
@@ -377,14 +425,13 @@ def report(
     import shlex
     from datetime import UTC, datetime
 
-    from heaved.config import Config
-
-    parameters = Config() if config is None else _load(config)
+    parameters = None if config is None else _load(config)
     from heaved.devices.recording import RecordingError
+    from heaved.recorder.found import RecordedError
     from heaved.report.report import ReportError, json_text
     from heaved.report.report import report as make_report
 
-    target = recording.with_name(f"{recording.stem}.report.html") if out is None else out
+    target = _beside(recording, ".report.html") if out is None else out
     options = [
         *(["--config", str(config)] if config else []),
         *(["--until", f"{until:g}"] if until is not None else []),
@@ -402,15 +449,21 @@ def report(
                 until_s=inf if until is None else until,
                 progress=progress,
             )
-    except (RecordingError, ReportError, OSError) as error:
+    except (RecordingError, RecordedError, ReportError, OSError) as error:
         _fail(str(error), 1)
     if json:
         _say(json_text(found))
     _say(f"written to {target}", err=True)
 
 
+def _beside(recording: Path, ending: str) -> Path:
+    """The file beside a recording that is called like it."""
+    whole = recording.resolve()
+    return whole.with_name(f"{whole.name if whole.is_dir() else whole.stem}{ending}")
+
+
 @contextmanager
-def _progress() -> Iterator[Progress | None]:
+def _progress(what: str = "replay") -> Iterator[Progress | None]:
     """A bar on standard error if that is a terminal."""
     if not sys.stderr.isatty():
         yield None
@@ -419,7 +472,7 @@ def _progress() -> Iterator[Progress | None]:
     from rich.progress import Progress as Bar
 
     with Bar(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("replay", total=None)
+        task = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 

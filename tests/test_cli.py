@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from recorded_hours import Scribe, write_recording
 
 from heaved import __version__, cli
 from heaved.cli import main
@@ -22,7 +23,20 @@ from heaved.config.read import data_directory
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-COMMANDS = ("run", "demo", "status", "watch", "page", "wait", "check-config", "probe", "replay", "report", "sim")
+COMMANDS = (
+    "run",
+    "demo",
+    "status",
+    "watch",
+    "page",
+    "wait",
+    "check-config",
+    "probe",
+    "replay",
+    "export",
+    "report",
+    "sim",
+)
 
 
 @pytest.fixture
@@ -288,6 +302,27 @@ def test_replay_to_a_reader_that_goes_away_is_said_in_one_line(tmp_path: Path, r
     result = subprocess.run(command, stdout=theirs, stderr=subprocess.PIPE, text=True, timeout=60, check=False)
     os.close(theirs)
     assert (result.returncode, result.stderr) == (1, "standard output: cannot be written: Broken pipe\n")
+
+
+def test_a_recording_of_a_daemon_is_replayed_and_exported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    directory = tmp_path / "recordings"
+    write_recording(directory, Scribe(tmp_path), 3)
+    assert main(["replay", str(directory)]) == 0
+    said = capsys.readouterr().err
+    assert "300 frames" in said
+    assert f"written to {tmp_path / 'recordings.heaved.csv'}" in said
+    assert main(["export", str(directory), "-o", str(tmp_path / "out.nc"), "--every", "1", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["vessel"], told["rows"], told["out"]) == ("Test", 3, str(tmp_path / "out.nc"))
+    assert main(["export", str(directory), "-o", "-", "--columns", "heave_m"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert (lines[0], len(lines)) == ("t_s,time,heave_m", 301)
+    assert main(["export", str(tmp_path / "nowhere"), "-o", str(tmp_path / "out.csv")]) == 1
+    assert "made by heaved replay" in capsys.readouterr().err
+    (tmp_path / "empty").mkdir()
+    for command in (["replay", str(tmp_path / "empty")], ["export", str(tmp_path / "empty"), "-o", "x.csv"]):
+        assert main(command) == 1
+        assert "holds no recording" in capsys.readouterr().err
 
 
 def test_replay_of_what_is_no_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

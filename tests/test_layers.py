@@ -51,6 +51,8 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("outputs/learner.py", "import torch\n", "heaved.outputs.learner -> torch"),
         ("workers/poller.py", "import pymodbus\n", "heaved.workers.poller -> pymodbus"),
         ("outputs/gauges.py", "import prometheus_client\n", "heaved.outputs.gauges -> prometheus_client"),
+        ("workers/columns.py", "import pyarrow\n", "heaved.workers.columns -> pyarrow"),
+        ("daemon/columns.py", "import heaved.recorder.tables\n", "heaved.daemon.columns -> heaved.recorder.tables"),
         ("client/plots.py", "import matplotlib\n", "heaved.client.plots -> matplotlib"),
         ("config/outlook.py", "import heaved.daemon.daemon\n", "heaved.config.outlook"),
     ],

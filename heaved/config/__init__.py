@@ -6,7 +6,7 @@ How a file becomes a :class:`Config` is in :mod:`heaved.config.read`; that every
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 
@@ -71,6 +71,21 @@ class RuntimeParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """SCHED_FIFO priority of the event loop; 0: ordinary scheduling."""
 
 
+class RecordingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[recording]``: what is kept on disk."""
+
+    enabled: bool = False
+    directory: str = ""
+    """Empty: ``recordings`` in that of ``[state]``."""
+    vessel: Annotated[str, msgspec.Meta(max_length=64)] = ""
+    """Who it is of, so that nobody mixes them up ashore; empty: the name of this machine."""
+    what: Literal["all", "samples"] = "all"
+    """"samples": what was polled and learned, of which a replay makes all the rest again."""
+    max_gb: Annotated[float, msgspec.Meta(ge=0.1, le=1e6)] = 20.0
+    """The oldest hours are deleted so that all together stay below."""
+    max_days: Annotated[float, msgspec.Meta(ge=0.1, le=36500)] = 90.0
+
+
 class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The whole configuration."""
 
@@ -88,6 +103,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     output: tuple[OutputSpec, ...] = ()
     stream: StreamParams = StreamParams()
     http: HttpParams = HttpParams()
+    recording: RecordingParams = RecordingParams()
     registers: RegistersParams = RegistersParams()
     mqtt: MqttParams = MqttParams()
     influx: InfluxParams = InfluxParams()

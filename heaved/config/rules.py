@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import ipaddress
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -105,6 +106,7 @@ def rule_faults(file: Written) -> list[str]:
         faults += [fault for fault in line_faults(tuple(devices.values())) if fault not in overload]
     for name, table in (("stream", config.stream), ("http", config.http)):
         faults += _listen_faults(name, table.host, table.allow)
+    faults += _recording_faults(config)
     found = output_faults(
         file.listed("output"),
         file.outputs,
@@ -405,6 +407,15 @@ def _link_faults(path: str, link: str, schemes: Collection[str]) -> list[str]:
     except ValueError as error:
         return [f"{path}.link: {error}"]
     return []
+
+
+def _recording_faults(config: Config) -> list[str]:
+    directory, faults = config.recording.directory, []
+    if directory and not directory.startswith(("/", "~")):
+        faults.append(f"recording.directory: {directory!r} must be an absolute path: the daemon runs anywhere")
+    if config.recording.enabled and importlib.util.find_spec("pyarrow") is None:
+        faults.append("recording.enabled: needs pyarrow, which is not installed: pip install 'heaved[recording]'")
+    return faults
 
 
 def _listen_faults(table: str, host: str, allow: tuple[str, ...], key: str = "host") -> list[str]:

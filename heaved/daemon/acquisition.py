@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from heaved.daemon.metrics import DeviceMetrics, Metrics
+    from heaved.daemon.recording import Journal
     from heaved.devices.bus import PollResult
     from heaved.devices.profile import DeviceSpec
     from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
@@ -60,10 +61,11 @@ class Acquisition:
         publish_stages: Callable[[], None] = lambda: None,
         alive: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.monotonic,
+        journal: Journal | None = None,
     ) -> None:
         """``publish``, ``train``, ``fit`` and ``refit`` must only hand over, ``publish_stages`` looks after each poll
         for what the stages have to say, ``alive`` is told of each that shows the IMU alive; ``clock`` is that of the
-        samples.
+        samples. ``journal`` is told each call into the pipeline, in order.
         """
         self.pipeline = pipeline
         self.health: dict[str, DeviceHealth] = {}
@@ -89,6 +91,7 @@ class Acquisition:
         self._refit_job: RefitJob | None = None
         """Of the hull, under way."""
         self._clock = clock
+        self._journal = journal
         self._rate = RateMeter()
         self._published_s = -inf
         """Validity of the last frame."""
@@ -140,6 +143,8 @@ class Acquisition:
                 self._live_s = now_s
                 self._alive()
         # The frame is out: what nobody waits for.
+        if self._journal is not None:
+            self._journal.polled(result)
         self._publish_stages()
         self._account(result)
         self._offer_work()
@@ -157,12 +162,17 @@ class Acquisition:
         is_excused = started_s - self._held_up_s < self.period_s and silent_periods < _EXCUSED_PERIODS
         if silent_periods < _MISSING_PERIODS or is_excused:
             return False
-        frame = self._coast(started_s - self._lag_s)
+        t_s = started_s - self._lag_s
+        frame = self._coast(t_s)
+        if self._journal is not None:
+            self._journal.coasted(t_s)
         now_s = self._clock()
         return frame is not None and self._emit(frame, now_s, now_s - started_s)
 
     def accept(self, network: TrainedNetwork) -> None:
         """Hand a training's result to the pipeline, which decides whether it is used."""
+        if self._journal is not None:
+            self._journal.network(network)
         try:
             result = self.pipeline.accept(network)
         except Exception as error:  # A bug in an estimator must not take the stream down.  # noqa: BLE001
@@ -179,6 +189,8 @@ class Acquisition:
 
     def accept_fit(self, fit: SeaFit) -> None:
         """Hand a fit of the sea to the pipeline."""
+        if self._journal is not None:
+            self._journal.fit(fit)
         try:
             result = self.pipeline.accept_fit(fit)
         except Exception as error:  # Likewise.  # noqa: BLE001
@@ -195,6 +207,8 @@ class Acquisition:
         """Hand a refit of the hull's flexure to its stage, if that still waits for it; None: it came to nothing."""
         job, self._refit_job = self._refit_job, None
         if job is not None and self.pipeline.stages.due_refit is job:
+            if self._journal is not None:
+                self._journal.refit(is_made=result is not None)
             used = self.pipeline.stages.accept(result)
             _log.info("refit of the hull's flexure", result="accepted" if used else "of no use")
 

@@ -2,9 +2,9 @@
 
 Start: listen, restore the state, poll, train, then READY once frames flow (with or without sensors).
 Stop (SIGTERM, SIGINT): no more polls, clients get what is queued, the state is saved; within two seconds.
-SIGHUP: the configuration file is read again; ``[[device]]``, ``[[output]]`` and the estimators' tables take effect at
-once, the others (``[stream]``, ``[http]``, ``[state]``, ``[runtime]``) with the next start. A file with faults changes
-nothing.
+SIGHUP: the configuration file is read again; ``[[device]]``, the tables of the estimators and of the outputs beside the
+stream take effect at once, the others (``[stream]``, ``[http]``, ``[state]``, ``[runtime]``) with the next start. A
+file with faults changes nothing.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from heaved.daemon.logs import configure_logging
 from heaved.daemon.metrics import RENEWED_S, Metrics
 from heaved.daemon.outputs import TABLES, Outputs
 from heaved.daemon.realtime import freeze_memory, set_real_time
+from heaved.daemon.recording import Journal
 from heaved.daemon.sdnotify import Notifier
 from heaved.daemon.signals import Signals
 from heaved.daemon.state import Memory, StateFile, state_directory
@@ -48,6 +49,7 @@ from heaved.outputs.http import HttpServer, liveness, readiness
 from heaved.outputs.listen import ListenError
 from heaved.outputs.stream import Publisher
 from heaved.pipeline import Pipeline, assemble
+from heaved.recorder.layout import Call
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -101,6 +103,7 @@ class Daemon:
         self.metrics = Metrics(__version__)
         self.utc = UtcClock(clock, realtime)
         self.workers = Workers(lambda: self.acquisition, self.metrics)
+        self._journal = Journal(lambda: self.utc.offset_s, self._learned)
         self.acquisition: Acquisition = Acquisition(
             make_pipeline(config),
             metrics=self.metrics,
@@ -111,6 +114,7 @@ class Daemon:
             publish_stages=self._publish_stages,
             alive=self._is_alive,
             clock=clock,
+            journal=self._journal,
         )
         self._heartbeat = Heartbeat(self._beat)
         self.memory = Memory(
@@ -134,7 +138,7 @@ class Daemon:
         self._fed_s = -1.0
         self._fed_frames = 0
         self._publisher = self._make_publisher()
-        self._outputs = Outputs(self.utc.utc_s, clock, self.status)
+        self._outputs = Outputs(self.utc.utc_s, clock, self.status, self._journal.output_of)
         self.metrics.have_outputs(lambda: self._outputs.health)
         self._http = self._make_http() if config.http.enabled else None
 
@@ -156,9 +160,9 @@ class Daemon:
             raise
         await self.memory.restore(self._take_up)
         self._is_restored = True
+        await self._outputs.have(self.config, _CANCEL_S)  # Before the first poll: a recording has all of them.
         await self._poll_devices()
         await self.workers.have(self.config)
-        await self._outputs.have(self.config, _CANCEL_S)
         self._heartbeat.start(self.acquisition.period_s)
         self._supervise("housekeeping", self._keep_house)
         self._supervise("state", partial(self.memory.keep_saving, self.config.state.save_period_s))
@@ -195,6 +199,7 @@ class Daemon:
         changed = [key for key in self._buses if self._buses[key] != wanted.get(key)]
         await cancelled([self._tasks.pop(f"bus {key}") for key in changed], _CANCEL_S)
         self.acquisition.set_devices(self.config.device)
+        self._journal.renewed(self.config)
         for fault in rate_faults(self.config):
             _log.warning("the line cannot carry the poll rates", detail=fault)
         for key in wanted.keys() - (self._buses.keys() - set(changed)):
@@ -232,16 +237,21 @@ class Daemon:
         self.config = msgspec.structs.replace(new, **later)
         for table in later:
             _log.warning(f"[{table}] has changed: restart the daemon to bring it into force")
+        # The devices are those of before until they are polled otherwise.
+        self._journal.renewed(msgspec.structs.replace(self.config, device=old.device))
         if any(getattr(new, table) != getattr(old, table) for table in _AT_ONCE) or new.has_laser != old.has_laser:
             self._replace_pipeline()
             await self.workers.have(self.config)
         if new.hull != old.hull:
             self.acquisition.pipeline.stages.configure_hull(new.hull)
+            self._journal.configured(Call.HULL, self.config)
             await self.workers.have(self.config)
         if new.attitude != old.attitude:
             self.acquisition.pipeline.stages.configure_attitude(new.attitude)
+            self._journal.configured(Call.ATTITUDE, self.config)
         if new.crane != old.crane:
             self.acquisition.pipeline.stages.configure_crane(new.crane)
+            self._journal.configured(Call.CRANE, self.config)
         if any(getattr(new, table) != getattr(old, table) for table in TABLES):
             await self._outputs.have(self.config, _CANCEL_S)
         if new.device != old.device:
@@ -260,6 +270,7 @@ class Daemon:
         except Exception as error:  # Whatever is in a file must not keep the daemon from starting.
             self.acquisition.pipeline = make_pipeline(self.config, self.acquisition.pipeline.stages)
             raise error if isinstance(error, ValueError) else ValueError(repr(error)) from error
+        self._journal.restored(state, age_s)
 
     def _learned(self) -> SavedState:
         """What a restart shall remember."""
@@ -273,6 +284,7 @@ class Daemon:
             _log.warning("what was learned does not fit the new parameters: estimators start cold", reason=str(error))
             self.acquisition.accepted_s = self.acquisition.fitted_s = nan
         self.acquisition.pipeline = pipeline
+        self._journal.configured(Call.PIPELINE, self.config)
         self._resets_seen.clear()
 
     # ---- periodic work -----------------------------------------------------------------------------------------------

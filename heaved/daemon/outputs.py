@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from heaved.outputs.telegrams.spec import OutputSpec
     from heaved.samples import MotionFrame
 
-TABLES: Final = ("output", "registers", "point", "mqtt", "influx")
+TABLES: Final = ("output", "registers", "point", "mqtt", "influx", "recording")
 """Of the configuration, whose change makes outputs anew."""
 
 _log = structlog.get_logger(__name__)
@@ -35,12 +35,17 @@ class Outputs:
     """All of them. One that fails, which is a bug, is counted and said once, and costs the others nothing."""
 
     def __init__(
-        self, utc_s: Callable[[float], float], clock: Callable[[], float], status: Callable[[], StatusRecord]
+        self,
+        utc_s: Callable[[float], float],
+        clock: Callable[[], float],
+        status: Callable[[], StatusRecord],
+        recording: Callable[[Config], Output] | None = None,
     ) -> None:
         """``utc_s``: UTC, seconds since 1970, of a time on ``clock``, the monotonic clock of the frames. ``status``:
-        makes the STATUS of now.
+        makes the STATUS of now. ``recording`` makes the output that records, which is told more than frames; None:
+        nothing is recorded.
         """
-        self._utc_s, self._clock, self._status = utc_s, clock, status
+        self._utc_s, self._clock, self._status, self._recording = utc_s, clock, status, recording
         self._running: dict[object, Output] = {}
         self._tasks: dict[object, asyncio.Task[None]] = {}
         self._bugs: set[str] = set()
@@ -90,6 +95,8 @@ class Outputs:
             wanted["mqtt", msgspec.json.encode(config.mqtt)] = partial(MqttOutput, config.mqtt, **told)
         if config.influx.enabled:
             wanted["influx", msgspec.json.encode(config.influx)] = partial(InfluxOutput, config.influx, **told)
+        if config.recording.enabled and self._recording is not None:
+            wanted[config.recording] = partial(self._recording, config)
         return wanted
 
     def _telegrams(self, spec: OutputSpec) -> Callable[[], Output]:

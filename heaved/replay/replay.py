@@ -1,7 +1,8 @@
 """Replay: a recording through the very pipeline of the daemon, causal and repeatable to the byte.
 
-Nothing here depends on the time of day or on how fast the machine is: the pipeline hands over a training window at a
-time of the recording, replay waits for the network, and the pipeline judges it before the next sample.
+Nothing here depends on the time of day or on how fast the machine is. Of a CSV, the pipeline hands over a training
+window at a time of the recording, replay waits for the network, and the pipeline judges it before the next sample. What
+a daemon has recorded has its models with it, and where it took them: see :mod:`heaved.replay.live`.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import re
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
 from math import inf, isnan, nan
@@ -19,11 +20,13 @@ from typing import TYPE_CHECKING, Final, TextIO
 
 import msgspec
 
+from heaved.config import Config
 from heaved.devices.recording import Recording
 from heaved.estimation.heave.observer import Verdict
 from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow, look
 from heaved.estimation.stages import Stages
 from heaved.pipeline import Pipeline, assemble
+from heaved.recorder.found import is_recorded, need_reader
 from heaved.replay.table import Table
 from heaved.samples import HeaveState, MotionFrame, Quality, Sample
 from heaved.text import printable
@@ -32,7 +35,8 @@ from heaved.workers.process import BlockingTrainer
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from heaved.config import Config
+    from heaved.replay.live import RecordedRun
+
 
 PROGRESS_SAMPLES: Final = 64
 """Progress is told after so many."""
@@ -83,6 +87,8 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """What the last fit that could not be made died of, if one did: a fault of the program."""
     reasons: tuple[Reason, ...] = ()
     """What frames said of their quality, the most frequent first."""
+    remarks: tuple[str, ...] = ()
+    """What should be known of the recording."""
 
     def __str__(self) -> str:
         speed = self.duration_s / self.elapsed_s if self.elapsed_s > 0.0 else inf
@@ -99,6 +105,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
             f"({speed:.0f} x real time)\n"
             f"{self.frames} frames: {shares or 'no row has az_mps2'}\n"
             f"fits of the sea: {fitted or 'none'}; training windows: {trained or 'none'}{self._told_reasons()}"
+            + "".join(f"\nremark: {printable(remark)}" for remark in self.remarks)
         )
 
     def _told_reasons(self) -> str:
@@ -112,21 +119,34 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def replay(
-    source: Path, out: Path | None, config: Config, *, until_s: float = inf, progress: Progress | None = None
+    source: Path,
+    out: Path | None,
+    config: Config | None = None,
+    *,
+    learn_anew: bool = False,
+    until_s: float = inf,
+    progress: Progress | None = None,
 ) -> Summary:
     """Run the recording ``source`` through the pipeline; the result goes to ``out``, or to standard output if None.
 
+    config: None: of what a daemon has recorded, as it was recorded; of a CSV, the defaults.
+    learn_anew: what a daemon has recorded is learned from again, instead of taking its models; so it is with another
+        configuration in any case, to which they need not fit.
     until_s: seconds of the recording, from its first row, after which to stop.
 
     Raises:
-        RecordingError: the recording is malformed; nothing is written.
+        RecordingError, RecordedError: the recording is malformed; nothing is written.
         OutputError: the result cannot be written; nothing is left behind.
     """
     if out is not None and out.exists() and out.samefile(source):
         raise OutputError(f"{out} is the recording itself: name another file with -o")
-    with replaying(source, config) as run, _writing(out) as file:
-        table = Table(config, file.write)
+    with replaying(source, config, learn_anew=learn_anew) as run, writing(out) as file:
+        table = Table(run.config, file.write)
+        number = run.number
         for _, frame in run.steps(until_s=until_s, progress=progress):
+            if run.number != number:
+                number = run.number
+                table.begin_run()
             if frame is not None:
                 table.push(frame)
         table.flush()
@@ -134,14 +154,22 @@ def replay(
 
 
 @contextmanager
-def replaying(source: Path, config: Config) -> Iterator[Run]:
-    """The recording ``source``, ready to go through the pipeline.
+def replaying(source: Path, config: Config | None = None, *, learn_anew: bool = False) -> Iterator[Run | RecordedRun]:
+    """The recording ``source``, ready to go through the pipeline; ``config`` and ``learn_anew`` as for :func:`replay`.
 
     Raises:
-        RecordingError: the recording is malformed.
+        RecordingError, RecordedError: the recording is malformed.
     """
+    if is_recorded(source):
+        need_reader(source)
+        from heaved.replay.live import LiveRecording, RecordedRun  # What they read with need not be installed.
+
+        live = LiveRecording(source)
+        with BlockingTrainer() as trainer:
+            yield RecordedRun(live, trainer, config, learn_anew or config is not None)
+        return
     with Recording(source) as recording, BlockingTrainer() as trainer:
-        yield Run(recording, trainer, config)
+        yield Run(recording, trainer, config or Config())
 
 
 class Run:
@@ -149,13 +177,19 @@ class Run:
 
     Attributes:
         recording: the open file.
+        config: of the pipeline.
+        number: of the run that it is of; a CSV is one.
         pipeline: its state is that after the sample given last.
         fit: of the sea, that was taken over last; None: none yet.
     """
 
     def __init__(self, recording: Recording, trainer: BlockingTrainer, config: Config) -> None:
         self.recording = recording
-        self.pipeline = _pipeline(config, recording.has_laser)
+        self.config = config
+        self.number = 1
+        self.pipeline = assembled(
+            config, Stages(config.hull, config.attitude, config.crane), has_laser=recording.has_laser
+        )
         self.fit: SeaFit | None = None
         self._trainer = trainer
         self._tally = Tally()
@@ -204,7 +238,8 @@ class Run:
         return self._tally.summary(time.monotonic() - self._begun_s)
 
 
-def _pipeline(config: Config, has_laser: bool) -> Pipeline:
+def assembled(config: Config, stages: Stages, *, has_laser: bool) -> Pipeline:
+    """The pipeline of a configuration."""
     return assemble(
         heave=config.heave,
         laser=config.laser,
@@ -213,7 +248,7 @@ def _pipeline(config: Config, has_laser: bool) -> Pipeline:
         has_laser=has_laser,
         point=config.point,
         lead_s=config.compensation.lead_s,
-        stages=Stages(config.hull, config.attitude, config.crane),
+        stages=stages,
         quiet=config.quiet,
     )
 
@@ -244,6 +279,8 @@ class Tally:
         self.trainings: Counter[str] = Counter()
         self.fits: Counter[str] = Counter()
         self.failure = ""
+        self.remarks: list[str] = []
+        self.errors: Counter[str] = Counter()
         self._quality: Counter[HeaveState] = Counter()
         self._reasons: dict[str, _CountedReason] = {}
         """By their texts without the numbers."""
@@ -259,8 +296,12 @@ class Tally:
             reason.frames += 1
             reason.varies |= text != reason.text
 
-    def summary(self, elapsed_s: float) -> Summary:
-        """``elapsed_s``: by the clock on the wall."""
+    def became(self, what: str, result: str) -> None:
+        """``fits``, ``trainings`` or ``errors``: what became of one."""
+        {"fits": self.fits, "trainings": self.trainings, "errors": self.errors}[what][result] += 1
+
+    def summary(self, elapsed_s: float, remarks: Sequence[str] = ()) -> Summary:
+        """``elapsed_s``: by the clock on the wall. ``remarks``: on the recording."""
         return Summary(
             rows=self.rows,
             frames=self._quality.total(),
@@ -273,6 +314,11 @@ class Tally:
             reasons=tuple(
                 Reason(text=one.text, varies=one.varies, frames=one.frames, first_s=one.first_s)
                 for one in sorted(self._reasons.values(), key=lambda one: -one.frames)
+            ),
+            remarks=(
+                *self.remarks,
+                *remarks,
+                *(f"{count} times an error: {what}" for what, count in self.errors.items()),
             ),
         )
 
@@ -293,7 +339,7 @@ def without_numbers(text: str) -> str:
 
 
 @contextmanager
-def _writing(out: Path | None) -> Iterator[TextIO]:
+def writing(out: Path | None) -> Iterator[TextIO]:
     """A file that appears under its name only when it is whole; pipes and devices are written as they are.
 
     Raises:

@@ -93,6 +93,11 @@ class Table:
         self._most_rows = int(2.0 * config.heave.sea.delay_s * FASTEST_HZ)
         write(",".join(self.names) + "\n")
 
+    def begin_run(self) -> None:
+        """What follows is of another run of the daemon, whose clock may have begun anew."""
+        self.flush()
+        self._delayed = DelayedColumn()
+
     def push(self, frame: MotionFrame) -> None:
         """Add the row of a frame."""
         numbers = self._numbers(

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from heaved.estimation.heave.sea.model import SeaModel
     from heaved.estimation.heave.sea.refit import SeaFit
     from heaved.pipeline import Pipeline
+    from heaved.replay.live import RecordedRun
     from heaved.replay.replay import Run
 
 Array = NDArray[np.float64]
@@ -212,7 +213,7 @@ class Collector:
 
     # --- step by step ------------------------------------------------------------------------------------------------
 
-    def take(self, run: Run, sample: Sample, frame: MotionFrame | None) -> None:
+    def take(self, run: Run | RecordedRun, sample: Sample, frame: MotionFrame | None) -> None:
         """One step of the replay."""
         kind = type(sample)
         told = self._samples.setdefault(kind, [])

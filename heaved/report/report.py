@@ -31,7 +31,7 @@ class ReportError(Exception):
 def report(
     source: Path,
     out: Path,
-    config: Config,
+    config: Config | None,
     *,
     made: str,
     command: str,
@@ -42,11 +42,12 @@ def report(
 ) -> Findings:
     """Run ``source`` through the pipeline and write the page ``out``; the figures also as PNG into a directory.
 
+    config: None: of what a daemon has recorded, as it was recorded; of a CSV, the defaults.
     made: when, for the page. command: that makes the same report again. config_name: the file of ``config``; empty:
     there is none, all of it is default.
 
     Raises:
-        RecordingError: the recording is malformed; nothing is written.
+        RecordingError, RecordedError: the recording is malformed; nothing is written.
         ReportError: matplotlib is missing, or something cannot be written.
     """
     # First of all: who lacks it shall not wait for the whole replay to be told.
@@ -61,8 +62,9 @@ def report(
     _check_writable(out)
     if png_directory is not None:
         _make(png_directory)
-    collector = Collector(config)
     with replaying(source, config) as run:
+        config = run.config
+        collector = Collector(config)
         for sample, frame in run.steps(until_s=until_s, progress=progress):
             collector.take(run, sample, frame)
         columns, learned = run.recording.columns, run.pipeline.summary()

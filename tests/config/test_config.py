@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import re
 import tomllib
@@ -101,6 +102,15 @@ FAULTS: dict[str, tuple[str, str]] = {
     "a number beyond floats": (f"[heave]\nmax_gap_s = {10**400}", "heave.max_gap_s: "),
     "band upside down": ("[heave]\nband_hz = [0.6, 0.04]", "heave.band_hz: must be a lower and a higher frequency"),
     "horizon twice": ("[heave]\nforecast_horizons_s = [1, 1.0]", "heave.forecast_horizons_s: names a horizon twice"),
+    "a recording anywhere": (
+        '[recording]\ndirectory = "recordings"',
+        "recording.directory: 'recordings' must be an absolute path",
+    ),
+    "a recording of nothing": ("[recording]\nmax_gb = 0", "recording.max_gb: Expected `float` >= 0.1 (got 0)"),
+    "a recording of what": (
+        '[recording]\nwhat = "frames"',
+        "recording.what: must be 'all' or 'samples' (got 'frames')",
+    ),
     "no window": ("[heave.sea]\nwindows_s = []", "heave.sea.windows_s: must be lengths that increase (got [])"),
     "windows that shrink": ("[heave.sea]\nwindows_s = [300, 120]", "heave.sea.windows_s: must be lengths that incr"),
     "a window twice": ("[heave.sea]\nwindows_s = [120, 120.0]", "heave.sea.windows_s: must be lengths that increase"),
@@ -177,6 +187,16 @@ FAULTS: dict[str, tuple[str, str]] = {
     "allow is no network": ('[stream]\nallow = ["10.0.0.1/8"]', "stream.allow[0]: 10.0.0.1/8 has host bits set"),
     "one port twice": ("[http]\nport = 5570", "http.port: port 5570 is also that of stream.port"),
 }
+
+
+def test_a_recording_needs_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = "[recording]\nenabled = true"
+    assert read(text).recording.enabled
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert faults_of(text) == [
+        "recording.enabled: needs pyarrow, which is not installed: pip install 'heaved[recording]'"
+    ]
+    assert not read("[recording]\nenabled = false").recording.enabled
 
 
 @pytest.mark.parametrize("name", FAULTS)
