@@ -288,8 +288,9 @@ class MqttOutput:
                 await self._send_one(client, self._waiting.popleft())
             else:
                 self._wake.clear()
-                with suppress(TimeoutError):
-                    await asyncio.wait_for(self._wake.wait(), status_s - loop.time())
+                with suppress(TimeoutError):  # Not wait_for, which can swallow a cancellation (Python 3.11).
+                    async with asyncio.timeout_at(status_s):
+                        await self._wake.wait()
 
     async def _send_one(self, client: aiomqtt.Client, message: _Message) -> None:
         payload, dropped = message.payload, self._dropped
