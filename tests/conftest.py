@@ -19,28 +19,25 @@ settings.load_profile("heaved")
 
 pytest_plugins = ("served",)
 
-LIVE = (
-    "daemon",
-    "devices",
-    "outputs",
-    "client",
-    "page",
-    "workers",
-    "demo",
-    "simulate/test_plant.py",
-    "test_cli.py",
-)
-"""Ports, serial lines, processes that answer in time: one after another, as on a machine of their own."""
+LIVE = {
+    "sensors": ("daemon", "devices", "workers", "demo", "simulate/test_plant.py", "test_cli.py"),
+    "readers": ("outputs", "client", "page", "recorder"),
+}
+"""Ports, serial lines, processes that answer in time: those of a room one after another. They wait more than they
+compute, so that there may be two rooms on two cores.
+"""
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> LoadScopeScheduling:
-    """All live tests in one process; of the others each file in one, because its tests share what is expensive."""
+    """Live tests by their rooms, of the others each file in one process, because its tests share what is expensive."""
     from xdist.scheduler import LoadScopeScheduling
 
     class OneRoomEach(LoadScopeScheduling):  # type: ignore[misc]  # xdist comes without types
         def _split_scope(self, nodeid: str) -> str:
             file = PurePath(nodeid.split("::", maxsplit=1)[0])
-            return "live" if any(file.is_relative_to(PurePath("tests", part)) for part in LIVE) else str(file)
+            tests = PurePath("tests")
+            rooms = [room for room, parts in LIVE.items() if any(file.is_relative_to(tests / part) for part in parts)]
+            return rooms[0] if rooms else str(file)
 
     return OneRoomEach(config, log)
