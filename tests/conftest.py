@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 import pytest
+import structlog
 from hypothesis import settings
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from xdist.scheduler import LoadScopeScheduling
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -18,6 +22,19 @@ settings.register_profile("heaved", deadline=None, derandomize=True)  # No clock
 settings.load_profile("heaved")
 
 pytest_plugins = ("served",)
+
+
+@pytest.fixture(autouse=True)
+def events_where_they_were() -> Iterator[None]:
+    """A command that a test ran in this process has sent events to a standard error that is gone afterwards."""
+    root = logging.getLogger()
+    before = root.level
+    yield
+    for handler in [one for one in root.handlers if type(one).__module__ == "heaved.daemon.logs"]:
+        root.removeHandler(handler)
+        root.setLevel(before)
+        structlog.reset_defaults()
+
 
 LIVE = {
     "sensors": ("daemon", "devices", "workers", "demo", "simulate/test_plant.py", "test_cli.py"),

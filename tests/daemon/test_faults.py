@@ -6,20 +6,18 @@ import asyncio
 import contextlib
 import errno
 import itertools
-import logging
 import math
 import os
 import signal
 import socket
 import sys
-from collections.abc import AsyncIterator, Callable, Iterator, MutableMapping, Sequence
+from collections.abc import AsyncIterator, Callable, MutableMapping, Sequence
 from contextlib import asynccontextmanager, closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
-import structlog
 from running import (
     HARMONIC,
     PATIENCE_S,
@@ -87,18 +85,7 @@ async def test_a_port_in_use(tmp_path: Path, table: str) -> None:
     assert not (tmp_path / "state").exists()  # The other daemon's state is not touched.
 
 
-@pytest.fixture
-def logging_as_before() -> Iterator[None]:
-    root = logging.getLogger()
-    handlers, level = root.handlers[:], root.level
-    yield
-    root.handlers[:], root.level = handlers, level
-    structlog.reset_defaults()
-
-
-def test_a_port_in_use_ends_the_process_with_1(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], logging_as_before: None
-) -> None:
+def test_a_port_in_use_ends_the_process_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with closing(socket.create_server(("127.0.0.1", 0))) as taken:
         port = taken.getsockname()[1]
         assert run(demo_config(tmp_path, stream=StreamParams(port=port)), None, log_format="human") == 1

@@ -6,25 +6,12 @@ import json
 import logging
 import threading
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING
 
 import pytest
 import structlog
 
 from heaved.daemon import logs
 from heaved.daemon.logs import MOST_DIFFERENT, PERIOD_S, QUEUE_LINES, LineHandler, Repeats, configure_logging
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-
-@pytest.fixture(autouse=True)
-def logging_as_before() -> Iterator[None]:
-    root = logging.getLogger()
-    handlers, level = root.handlers[:], root.level
-    yield
-    root.handlers[:], root.level = handlers, level
-    structlog.reset_defaults()
 
 
 def boom() -> None:
