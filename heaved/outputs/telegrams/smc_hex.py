@@ -41,7 +41,7 @@ def encode(motion: Motion, spec: OutputSpec) -> bytes:
 
 
 FORMAT: Final = Format(
-    title="hexadecimal heave of SMC for drives",
+    title="SMC hexadecimal",
     encode=encode,
     longest_bytes=18,
     lead=Lead.TRANSMISSION,
