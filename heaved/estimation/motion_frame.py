@@ -6,7 +6,7 @@ Nothing is advanced here: a moment without a sample is framed like any other, fr
 from __future__ import annotations
 
 from collections import Counter
-from math import hypot, isfinite, nan, pi, remainder
+from math import hypot, inf, isfinite, nan, pi, remainder
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -69,11 +69,39 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     0.1 of the pitch's; without body rates by 0.2 to 0.5."""
     longest_step_s: float = 0.5
     """Delayed heaves further apart show no velocity."""
+    runs_away_within_s: float = 600.0
+    """What leaves physics twice within that is not fed with what it takes for a sea (an acceleration with a roll in it
+    that nothing shows): it will again, and is wrong before it does."""
+    not_believed_s: float = 300.0
+    """It is not believed for so long."""
 
 
 TUNING: Final = Tuning()
+BEYOND: Final = "beyond physics"
+"""Why an estimator begins anew."""
 ORDER: Final = 3
 """Coefficients of a parabola."""
+
+
+class _RunAway:
+    """Whether an estimator that leaves physics does so again and again.
+
+    Attributes:
+        until_s: it is not believed before then.
+    """
+
+    def __init__(self) -> None:
+        self.until_s = self._last_s = -inf
+        self._count = 0
+
+    def is_believed(self, t_s: float, count: int) -> bool:
+        """``count``: times that it has left physics."""
+        if count > self._count:
+            if t_s - self._last_s < TUNING.runs_away_within_s:
+                self.until_s = t_s + TUNING.not_believed_s
+            self._last_s = t_s
+        self._count = count
+        return t_s >= self.until_s
 
 
 class MotionFrames:
@@ -97,6 +125,7 @@ class MotionFrames:
         self._points = PointMotions(point, stages) if point else None
         self.resets: Counter[tuple[str, str]] = Counter()
         self._is_beyond = False
+        self._ran_away = _RunAway()
         self._delayed: tuple[DelayedHeave, DelayedHeave | None] | None = None
         """The newest of the estimator, and what is published of it."""
         # Between two predictions: the noise of the measured attitude, over 50 ms, would be most of the rate.
@@ -118,6 +147,9 @@ class MotionFrames:
         heave = estimator.at(shift_s) if shift_s <= QUALITY.coast_s else None
         if heave is not None:
             heave = self._possible(heave)
+        beyond = observer.resets[BEYOND] + self.resets["frame", BEYOND]
+        if not self._ran_away.is_believed(t_s, beyond):
+            heave = None
         now = None
         if estimator.lead_s > 0.0 and heave is not None and (now := estimator.now(shift_s)) is not None:
             now = self._of_uncertain_time(now) if _is_possible(now) else None
@@ -180,7 +212,7 @@ class MotionFrames:
         """
         is_beyond = not _is_possible(heave)
         if is_beyond and not self._is_beyond:
-            self.resets["frame", "beyond physics"] += 1
+            self.resets["frame", BEYOND] += 1
         self._is_beyond = is_beyond
         return None if is_beyond else self._of_uncertain_time(heave)
 
@@ -388,7 +420,7 @@ class MotionFrames:
                 laser_fresh=fresh,
                 imu=vertical.notes,
                 withheld=vertical.withheld,
-                is_beyond_physics=self._is_beyond,
+                is_beyond_physics=self._is_beyond or t_s < self._ran_away.until_s,
                 is_recovering=vertical.is_recovering(t_s),
             )
         )

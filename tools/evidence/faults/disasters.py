@@ -395,6 +395,10 @@ DISASTERS: Final[dict[str, Disaster]] = {
     "attitude_gone": Disaster(what="no angles for 60 s", deed=blank(ANGLES, 1.0), lasts_s=60.0),
     "attitude_gone_150": Disaster(what="no angles for 150 s", deed=blank(ANGLES, 1.0), lasts_s=150.0),
     "attitude_never": Disaster(what="no angles at all", deed=blank(ANGLES, 1.0), from_start=True, asked=HONEST),
+    "az_alone": Disaster(
+        what="nothing but the vertical acceleration",
+        deed=blank(tuple(name for name in IMU if name != "az_mps2"), 1.0), from_start=True, asked=HONEST,
+    ),
     "az_lost_30": Disaster(what="30 % of az missing for 60 s", deed=blank(("az_mps2",), 0.3), lasts_s=60.0),
     "every_2s": Disaster(
         what="a row every 2 s", deed=slower_rows(0.5), from_start=True, asked=HONEST
