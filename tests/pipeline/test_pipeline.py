@@ -682,3 +682,14 @@ def test_importing_it_brings_in_nothing_that_talks_to_the_world() -> None:
     inside = [name for name in loaded if name.startswith("heaved.")]
     pure = ("heaved.estimation", "heaved.pipeline", "heaved.samples", "heaved.unchanged")
     assert all(name.startswith(pure) for name in inside)
+
+
+@pytest.mark.parametrize("observer", ["sea", "harmonic"])
+def test_the_very_first_poll_may_fail(observer: Literal["sea", "harmonic"]) -> None:
+    """The laser is there, and nothing yet that it could be compared with."""
+    pipe = pipeline(heave_params=heave.Params(observer=observer, forecast_horizons_s=()))
+    pipe.step(LaserSample(t_s=0.0, laser_m=10.0))
+    for t_s in (0.01, 0.02):
+        frame = pipe.step(ImuSample(t_s=t_s, fault=Fault.TIMEOUT))
+        assert frame is not None
+        assert frame.quality.heave is HeaveState.INVALID

@@ -133,8 +133,8 @@ class LaserLearning:
             self._resets = resets
             self._reset()
         t_s = observer.t_s
-        if t_s == self._output_t_s:
-            return  # The sample had no acceleration.
+        if t_s == self._output_t_s or not isfinite(t_s):
+            return  # The sample had no acceleration; nor has there been any, perhaps.
         now = observer.at(0.0, self.lead.learned_s)
         if not isfinite(now.heave_m):
             return  # There is no model of the sea yet, and nothing to compare.
