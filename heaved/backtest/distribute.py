@@ -1,0 +1,181 @@
+"""Tasks on Dask: processes of this machine, or the workers of a scheduler that is running somewhere.
+
+A worker that dies (memory, power, a kill) takes its tasks with it; they are handed out again, so often and no more: a
+file that kills whoever reads it ends as a failure of its own.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+import tempfile
+import uuid
+from contextlib import contextmanager
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Final
+from urllib.parse import urlsplit
+
+import dask
+from distributed import Client, LocalCluster, Security, as_completed
+from distributed.comm.core import connect
+from distributed.scheduler import KilledWorker
+
+from heaved.backtest.task import Result, Task
+from heaved.backtest.units import UnreachableError
+from heaved.text import printable
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator, Iterator, Sequence
+
+MOST_ATTEMPTS: Final = 4
+"""Of a task whose worker dies."""
+ANSWERS_WITHIN_S: Final = 3.0
+"""A scheduler, to a connection; and so long again to the first words, and to the client."""
+AHEAD: Final = 3
+"""Tasks for each worker that the scheduler knows of: none has to wait, and Ctrl-C has little to take back."""
+LOCAL: Final = "127.0.0.1"
+
+
+@contextmanager
+def local_workers(count: int) -> Iterator[Client]:
+    """Processes of this machine, of one thread each, that nobody else can reach."""
+    with tempfile.TemporaryDirectory(prefix="heaved-backtest-") as scratch, _quiet():
+        # A task whose worker died comes back at once: here, too, it is this module that counts how often.
+        with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
+            cluster = LocalCluster(
+                n_workers=count,
+                threads_per_worker=1,
+                processes=True,
+                host=LOCAL,
+                dashboard_address=None,
+                local_directory=scratch,
+                silence_logs=logging.CRITICAL,
+                env={"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+                preload="heaved.backtest.worker",
+            )
+        with cluster, Client(cluster, set_as_default=False) as client:
+            yield client
+
+
+@contextmanager
+def remote_workers(address: str) -> Iterator[Client]:
+    """Those of a scheduler.
+
+    Raises:
+        UnreachableError: it does not answer, or has no workers; within ten seconds.
+    """
+    start = f"start one with: dask scheduler --port {_port_of(address)}"
+    host = urlsplit(address).hostname or ""
+    try:
+        socket.create_connection((host, _port_of(address)), ANSWERS_WITHIN_S).close()
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise UnreachableError(f"{address}: no scheduler can be reached ({reason}): {start}") from error
+    with _quiet():
+        try:
+            asyncio.run(asyncio.wait_for(_greeted(address), ANSWERS_WITHIN_S))
+            client = Client(address, timeout=ANSWERS_WITHIN_S, set_as_default=False)
+        except Exception as error:  # What a stranger says may be anything, and is read as if it were Dask's.
+            raise UnreachableError(
+                f"{address}: what listens there does not answer as a Dask scheduler of this version "
+                f"({version('distributed')}): {start}"
+            ) from error
+        with client:
+            if not client.nthreads():
+                raise UnreachableError(
+                    f"{address}: the scheduler has no workers: start some with: dask worker {address} --nthreads 1"
+                )
+            yield client
+
+
+async def _greeted(address: str) -> None:
+    """Exchange first words: a client would wait for these for ever."""
+    connection = await connect(address, ANSWERS_WITHIN_S, **Security().get_connection_args("client"))
+    await connection.close()
+
+
+def _port_of(address: str) -> int:
+    try:
+        parts = urlsplit(address)
+        port = parts.port
+    except ValueError:
+        parts, port = urlsplit(""), None
+    if parts.scheme not in ("tcp", "tls") or not parts.hostname or port is None:
+        raise UnreachableError(f"{address}: is no address of a scheduler: write it as tcp://host:8786")
+    return port
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """What Dask logs of lost workers and connections is said by the results, once."""
+    logger = logging.getLogger("distributed")
+    before = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+
+
+def distributed(
+    client: Client,
+    tasks: Sequence[Task],
+    perform: Callable[[Task], Result],
+    again: Callable[[Task], None],
+) -> Generator[tuple[Task, Result], None, None]:
+    """Tasks, no two of one key, with their results, as these come. ``again`` is told of each that is handed out once
+    more.
+
+    Raises:
+        UnreachableError: the scheduler has gone.
+    """
+    run = uuid.uuid4().hex
+    waiting = iter(tasks)
+    handed: dict[str, tuple[Task, int]] = {}
+
+    def hand_out(task: Task, attempt: int) -> object:
+        # Under a key of this run and attempt: a scheduler remembers others, which have failed or write elsewhere.
+        key = f"backtest-{run}-{task.key}-{attempt}"
+        handed[key] = task, attempt
+        return client.submit(perform, task, key=key, pure=False)
+
+    def room() -> int:
+        threads: int = sum(client.nthreads().values())
+        return AHEAD * max(threads, 1) - len(handed)
+
+    going = as_completed(loop=client.loop, raise_errors=False)
+
+    def fill() -> None:
+        for _ in range(room()):
+            task = next(waiting, None)
+            if task is None:
+                return
+            going.add(hand_out(task, 1))
+
+    fill()
+    for future in going:
+        task, attempt = handed.pop(future.key)
+        if future.cancelled():
+            raise UnreachableError(
+                "the scheduler has gone: what was done is kept, and the same command does the rest once it is back"
+            )
+        error = future.exception()
+        if isinstance(error, KilledWorker) and attempt < MOST_ATTEMPTS:
+            again(task)
+            going.add(hand_out(task, attempt + 1))
+        elif error is not None:
+            yield task, Result(failure=printable(_failure(task, error, attempt)))
+        else:
+            yield task, future.result()
+        future.release()
+        fill()
+
+
+def _failure(task: Task, error: BaseException, attempt: int) -> str:
+    if isinstance(error, KilledWorker):
+        return (
+            f"{task.source}: {attempt} workers died of it, or beside it: too little memory? With fewer --workers there "
+            "is more for each"
+        )
+    return f"{task.source}: a worker could not do it: {error!r}: is the same heaved installed on all of them?"
