@@ -8,11 +8,15 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
+import signal
 import socket
 import tempfile
 import uuid
-from contextlib import contextmanager
+from collections import deque
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
+from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Final
 from urllib.parse import urlsplit
 
@@ -28,21 +32,22 @@ from heaved.text import printable
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator, Sequence
 
-MOST_ATTEMPTS: Final = 4
+MOST_ATTEMPTS: Final = 3
 """Of a task whose worker dies."""
 ANSWERS_WITHIN_S: Final = 3.0
 """A scheduler, to a connection; and so long again to the first words, and to the client."""
-AHEAD: Final = 3
-"""Tasks for each worker that the scheduler knows of: none has to wait, and Ctrl-C has little to take back."""
 LOCAL: Final = "127.0.0.1"
 
 
 @contextmanager
 def local_workers(count: int) -> Iterator[Client]:
-    """Processes of this machine, of one thread each, that nobody else can reach."""
-    with tempfile.TemporaryDirectory(prefix="heaved-backtest-") as scratch, _quiet():
+    """Processes of this machine, of one thread each, that no other machine can reach.
+
+    When the work is broken off, they are killed: what they are at is half done, and would be waited for.
+    """
+    with tempfile.TemporaryDirectory(prefix="heaved-backtest-", ignore_cleanup_errors=True) as scratch, _quiet():
         # A task whose worker died comes back at once: here, too, it is this module that counts how often.
-        with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
+        with _ctrl_c_waits(), dask.config.set({"distributed.scheduler.allowed-failures": 0}):
             cluster = LocalCluster(
                 n_workers=count,
                 threads_per_worker=1,
@@ -52,10 +57,36 @@ def local_workers(count: int) -> Iterator[Client]:
                 local_directory=scratch,
                 silence_logs=logging.CRITICAL,
                 env={"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-                preload="heaved.backtest.worker",
             )
-        with cluster, Client(cluster, set_as_default=False) as client:
+            client = Client(cluster, set_as_default=False)
+        try:
             yield client
+        except BaseException:
+            for nanny in cluster.workers.values():
+                nanny.auto_restart = False
+                if nanny.pid is not None:
+                    with suppress(ProcessLookupError):
+                        os.kill(nanny.pid, signal.SIGKILL)
+            raise
+        finally:
+            with _ctrl_c_waits():
+                client.close()
+                cluster.close()
+
+
+@contextmanager
+def _ctrl_c_waits() -> Iterator[None]:
+    """Ctrl-C comes when this is over: a cluster that is half there, or half gone, leaves processes behind.
+
+    Threads and processes that are started meanwhile never see it. So it is with the workers, to which a terminal sends
+    it, too, and with those that replace them.
+    """
+    resource_tracker.ensure_running()  # When multiprocessing starts it by itself, it lets signals through again.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager
@@ -131,51 +162,48 @@ def distributed(
         UnreachableError: the scheduler has gone.
     """
     run = uuid.uuid4().hex
-    waiting = iter(tasks)
+    waiting = deque((task, 1) for task in tasks)
     handed: dict[str, tuple[Task, int]] = {}
-
-    def hand_out(task: Task, attempt: int) -> object:
-        # Under a key of this run and attempt: a scheduler remembers others, which have failed or write elsewhere.
-        key = f"backtest-{run}-{task.key}-{attempt}"
-        handed[key] = task, attempt
-        return client.submit(perform, task, key=key, pure=False)
-
-    def room() -> int:
-        threads: int = sum(client.nthreads().values())
-        return AHEAD * max(threads, 1) - len(handed)
-
     going = as_completed(loop=client.loop, raise_errors=False)
 
-    def fill() -> None:
-        for _ in range(room()):
-            task = next(waiting, None)
-            if task is None:
-                return
-            going.add(hand_out(task, 1))
+    def hand_out() -> None:
+        # No more than there are threads: what waits on a worker that dies would be blamed for it, too.
+        threads: int = sum(client.nthreads().values())
+        while waiting and len(handed) < max(threads, 1):
+            task, attempt = waiting.popleft()
+            # Under a key of this run and attempt: a scheduler remembers others, which have failed or write elsewhere.
+            key = f"backtest-{run}-{task.key}-{attempt}"
+            handed[key] = task, attempt
+            going.add(client.submit(perform, task, key=key, pure=False))
 
-    fill()
+    hand_out()
     for future in going:
         task, attempt = handed.pop(future.key)
         if future.cancelled():
             raise UnreachableError(
                 "the scheduler has gone: what was done is kept, and the same command does the rest once it is back"
             )
-        error = future.exception()
-        if isinstance(error, KilledWorker) and attempt < MOST_ATTEMPTS:
-            again(task)
-            going.add(hand_out(task, attempt + 1))
-        elif error is not None:
-            yield task, Result(failure=printable(_failure(task, error, attempt)))
-        else:
-            yield task, future.result()
+        result: Result | None = None
+        try:
+            result = future.result()
+        except KilledWorker:
+            if attempt < MOST_ATTEMPTS:
+                again(task)
+                waiting.append((task, attempt + 1))
+            else:
+                result = _failed(
+                    f"{task.source}: {attempt} workers died of it: too little memory? With fewer --workers there is "
+                    "more for each"
+                )
+        except Exception as error:  # Whatever a worker without this release says of the task.  # noqa: BLE001
+            result = _failed(
+                f"{task.source}: a worker could not do it: {error!r}: is the same heaved installed on all of them?"
+            )
         future.release()
-        fill()
+        if result is not None:
+            yield task, result
+        hand_out()
 
 
-def _failure(task: Task, error: BaseException, attempt: int) -> str:
-    if isinstance(error, KilledWorker):
-        return (
-            f"{task.source}: {attempt} workers died of it, or beside it: too little memory? With fewer --workers there "
-            "is more for each"
-        )
-    return f"{task.source}: a worker could not do it: {error!r}: is the same heaved installed on all of them?"
+def _failed(reason: str) -> Result:
+    return Result(failure=printable(reason))

@@ -14,7 +14,9 @@ if TYPE_CHECKING:
 
 
 def killed_once(task: Task) -> Result:
-    """The first to take the task of a file with ``victim`` in its name is killed before it has a result."""
+    """The first to take the task of a file with ``victim`` in its name is killed before it has a result; whoever takes
+    one with ``deadly``, each time.
+    """
     if "victim" in task.name:
         mark = Path(task.results) / "killed"
         try:
