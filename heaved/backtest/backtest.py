@@ -6,6 +6,7 @@ import hashlib
 import os
 import time
 from contextlib import closing
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -19,7 +20,6 @@ from heaved.text import printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-    from pathlib import Path
 
     from heaved.config import Config
 
@@ -146,6 +146,7 @@ def _done(
     """Have tasks done, and their results put to those that are found."""
     from heaved.backtest.distribute import distributed, local_workers, remote_workers
 
+    missing = sorted(missing, key=_size, reverse=True)  # The longest first: none is begun when all others are over.
     total = len(found) + len(missing)
     if progress is not None:
         progress(len(found), total)
@@ -158,6 +159,13 @@ def _done(
             found[task.key] = result
             if progress is not None:
                 progress(len(found), total)
+
+
+def _size(task: Task) -> int:
+    try:
+        return Path(task.source).stat().st_size
+    except OSError:
+        return 0
 
 
 def _written(

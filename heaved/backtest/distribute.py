@@ -140,13 +140,15 @@ def _port_of(address: str) -> int:
 @contextmanager
 def _quiet() -> Iterator[None]:
     """What Dask logs of lost workers and connections is said by the results, once."""
-    logger = logging.getLogger("distributed")
-    before = logger.level
-    logger.setLevel(logging.CRITICAL)
+    loggers = [logging.getLogger(name) for name in logging.root.manager.loggerDict if name.startswith("distributed")]
+    before = [logger.level for logger in loggers]  # Dask gives each its own.
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
     try:
         yield
     finally:
-        logger.setLevel(before)
+        for logger, level in zip(loggers, before, strict=True):
+            logger.setLevel(level)
 
 
 def distributed(

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import asyncio
 import importlib.util
 import json
+import os
+import shutil
+import signal
 import socket
+import sys
 import threading
-from contextlib import suppress
+from asyncio.subprocess import PIPE
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pyarrow.parquet as pq
 import pytest
 from dying_workers import killed_once
+from waiting import holds
 
 from heaved.backtest import distribute
 from heaved.backtest.backtest import NOT_INSTALLED, PAGE, RESULTS, TABLE, Summary, backtest, named
-from heaved.backtest.task import Result, Task, kept_result, perform
+from heaved.backtest.task import Result, Task, keep, kept_result, perform, seen_of
 from heaved.backtest.units import BacktestError, UnreachableError
 from heaved.cli import main
 from heaved.config import Config
@@ -27,7 +35,6 @@ from heaved.simulate.sensors import record
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
 
 CONFIGS = {
     name: msgspec.convert({"heave": {"sea": {"delay_s": delay_s}}}, Config)
@@ -95,6 +102,38 @@ def test_a_killed_worker_costs_nothing(archive: Path, tmp_path: Path) -> None:
     assert "victim.csv" in (out / PAGE).read_text()
 
 
+@pytest.mark.timeout(60)
+async def test_ctrl_c_ends_all_processes(archive: Path, tmp_path: Path) -> None:
+    """A terminal sends it to each of them: none says more than one sentence, and what was done is kept."""
+    directory, out = tmp_path / "many", tmp_path / "out"
+    directory.mkdir()
+    for i in range(40):
+        shutil.copy(archive / "other.csv", directory / f"{i}.csv")
+    command = [sys.executable, "-m", "heaved", "backtest", str(directory), "-o", str(out), "--workers", "1"]
+    process = await asyncio.create_subprocess_exec(
+        *command, stdout=PIPE, stderr=PIPE, start_new_session=True, env=os.environ | {"TMPDIR": str(tmp_path)}
+    )
+    await holds(lambda: list(out.rglob("*.json")))
+    os.killpg(process.pid, signal.SIGINT)
+    said, complained = await process.communicate()
+    assert (process.returncode, said) == (130, b"")
+    assert complained.decode() == "ended: what is done is kept, and the same command does the rest\n"
+    assert 1 <= len(list(out.rglob("*.json"))) < 40
+    assert not list(tmp_path.rglob("heaved-backtest-*"))  # noqa: ASYNC240  # A handful of names.
+    await holds(lambda: running_in(process.pid) == [])
+
+
+def running_in(group: int) -> list[str]:
+    """Processes of a group, but for those that only wait to be buried."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):  # It has ended meanwhile.
+            state, _, its_group, *_ = path.read_text().rpartition(")")[2].split()
+            if int(its_group) == group and state != "Z":
+                found.append(path.parent.name)
+    return found
+
+
 # ---- in this process -------------------------------------------------------------------------------------------------
 
 
@@ -117,8 +156,6 @@ class Nobody:
 
 @pytest.fixture
 def here(monkeypatch: pytest.MonkeyPatch) -> Nobody:
-    from contextlib import nullcontext
-
     nobody = Nobody([])
     monkeypatch.setattr(distribute, "local_workers", lambda count: nullcontext())
     monkeypatch.setattr(distribute, "distributed", nobody.distributed)
@@ -127,10 +164,6 @@ def here(monkeypatch: pytest.MonkeyPatch) -> Nobody:
 
 def quick(task: Task) -> Result:
     """A result that is kept, of a file that is not looked into."""
-    from pathlib import Path
-
-    from heaved.backtest.task import keep, seen_of
-
     result = Result(source_sha256=Path(task.source).read_text(), seen=seen_of(Path(task.source)), frames=7)
     keep(task, result)
     return result
