@@ -456,6 +456,82 @@ def report(
     _say(f"written to {target}", err=True)
 
 
+@app.command()
+def backtest(
+    directory: Annotated[
+        Path,
+        typer.Argument(metavar="DIR", help="Holds recordings, CSV or those of daemons; directories within, too."),
+    ],
+    config: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="A configuration to test, as for replay; may be repeated, to compare them with the first. By default "
+            "that of each recording."
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="tcp://host:8786: the workers of a Dask scheduler, which must see both directories under the same "
+            "path; by default processes of this machine.",
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes of this machine; as many as processors by default.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Directory of the results; DIR.backtest beside it by default.")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Say what was done as one JSON object.")] = False,
+) -> None:
+    """Run an archive of recordings through the pipeline with some configurations, side by side.
+
+    Makes backtest.parquet (a row for each recording and configuration) and backtest.html. What is done is kept: the
+    same command goes on where it was ended, and does again only what has changed. Exit code 1 if a recording failed.
+    """
+    import shlex
+    from datetime import UTC, datetime
+
+    import msgspec
+
+    from heaved.backtest.backtest import backtest as run_backtest
+    from heaved.backtest.backtest import named
+    from heaved.backtest.units import BacktestError, UnreachableError
+
+    if scheduler is not None and workers is not None:
+        raise typer.BadParameter("--scheduler and --workers exclude each other: it has its own")
+    target = _beside(directory, ".backtest") if out is None else out
+    command = ["heaved", "backtest", str(directory), "-o", str(target)]
+    for file in config or ():
+        command += ["--config", str(file)]
+    try:
+        configs = {name: _load(file) for name, file in named(config or []).items()}
+        with _progress("backtest") as progress:
+            summary = run_backtest(
+                directory,
+                target,
+                configs,
+                scheduler=scheduler,
+                workers=workers,
+                made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC"),
+                command=shlex.join(command),
+                progress=progress,
+            )
+    except UnreachableError as error:
+        _fail(str(error), EX_UNAVAILABLE)
+    except BacktestError as error:
+        _fail(str(error), 1)
+    except KeyboardInterrupt:
+        _fail("ended: what is done is kept, and the same command does the rest", 130)
+    if json:
+        _say(msgspec.json.encode(summary).decode())
+    _say(printable_lines(str(summary)), err=True)
+    _say(f"written to {printable(summary.page)} and {printable(summary.table)}", err=True)
+    if summary.failed:
+        raise typer.Exit(1)
+
+
 def _beside(recording: Path, ending: str) -> Path:
     """The file beside a recording that is called like it."""
     whole = recording.resolve()

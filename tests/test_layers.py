@@ -54,6 +54,7 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("workers/columns.py", "import pyarrow\n", "heaved.workers.columns -> pyarrow"),
         ("daemon/columns.py", "import heaved.recorder.tables\n", "heaved.daemon.columns -> heaved.recorder.tables"),
         ("client/plots.py", "import matplotlib\n", "heaved.client.plots -> matplotlib"),
+        ("replay/cluster.py", "import dask\n", "heaved.replay.cluster -> dask"),
         ("config/outlook.py", "import heaved.daemon.daemon\n", "heaved.config.outlook"),
     ],
 )

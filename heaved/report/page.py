@@ -9,6 +9,18 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 
 from heaved.report.findings import EVERYWHERE, SETTLED, duration, in_words, keys, length
+from heaved.report.parts import (
+    NOT_KNOWN,
+    decimals,
+    document,
+    escaped,
+    figure,
+    missing,
+    number,
+    paragraph,
+    percent,
+    table,
+)
 from heaved.report.statistics import EXPECTED
 from heaved.text import printable
 
@@ -19,44 +31,6 @@ if TYPE_CHECKING:
     from heaved.report.findings import Findings, HorizonErrors
     from heaved.report.statistics import ErrorStatistics
     from heaved.report.timeline import Spells
-
-NOT_KNOWN: Final = "—"
-
-STYLE: Final = """
-:root { color-scheme: light; }
-body { font: 15px/1.5 Arial, Helvetica, "Liberation Sans", sans-serif; color: #1a1a1a; background: #fff;
-  max-width: 52rem; margin: 2rem auto; padding: 0 1.2rem; }
-h1 { font-size: 1.7rem; line-height: 1.2; margin: 0 0 .3rem; }
-h2 { font-size: 1.25rem; margin: 2.4rem 0 .6rem; padding-top: .5rem; border-top: 1.5px solid #1a1a1a; }
-h3 { font-size: 1rem; margin: 1.4rem 0 .4rem; }
-p { margin: .5rem 0; }
-a { color: #00507d; }
-.of { color: #444; overflow-wrap: anywhere; }
-.summary { background: #f2f6f9; border-left: 4px solid #0072b2; padding: .4rem 1rem; margin: 1rem 0; }
-nav { columns: 2; font-size: .93rem; margin: 1rem 0; }
-nav ol { margin: 0; padding-left: 1.6rem; }
-figure { margin: 1rem 0 1.2rem; break-inside: avoid; }
-svg.figure { display: block; width: 100%; height: auto; }
-figcaption, caption { font-size: .87rem; color: #333; text-align: left; padding: .3rem 0; caption-side: top; }
-table { border-collapse: collapse; width: 100%; font-size: .87rem; margin: .8rem 0;
-  font-variant-numeric: tabular-nums; break-inside: avoid; }
-th, td { padding: .22rem .5rem; border-bottom: 1px solid #ccc; text-align: left; vertical-align: top;
-  overflow-wrap: anywhere; min-width: 7em; }
-thead th { border-bottom: 1.5px solid #1a1a1a; vertical-align: bottom; }
-.n { text-align: right; white-space: nowrap; overflow-wrap: normal; min-width: 0; }
-thead .n { white-space: normal; }
-tr { break-inside: avoid; }
-code, pre { font: .86em/1.4 "DejaVu Sans Mono", Consolas, monospace; overflow-wrap: anywhere; white-space: pre-wrap; }
-.missing { color: #444; font-style: italic; }
-footer { margin-top: 2.5rem; border-top: 1px solid #ccc; font-size: .8rem; color: #444; }
-@page { size: A4; margin: 16mm 15mm 18mm; }
-@media print {
-  body { font-size: 10pt; margin: 0; padding: 0; max-width: none; }
-  h2, h3 { break-after: avoid; }
-  a { color: inherit; text-decoration: none; }
-  .summary { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
-}
-"""
 
 
 def page(found: Findings, figures: Mapping[str, str], config: Config) -> str:
@@ -78,85 +52,21 @@ def page(found: Findings, figures: Mapping[str, str], config: Config) -> str:
         ("method", "Method and limits", lambda: _method(found)),
         ("again", "The same report again", lambda: _again(found)),
     ]
-    contents = "".join(f'<li><a href="#{key}">{_text(title)}</a></li>\n' for key, title, _ in sections)
+    contents = "".join(f'<li><a href="#{key}">{escaped(title)}</a></li>\n' for key, title, _ in sections)
     bodies = "".join(
-        f'<section id="{key}">\n<h2>{number}. {_text(title)}</h2>\n{body()}</section>\n'
-        for number, (key, title, body) in enumerate(sections, start=1)
+        f'<section id="{key}">\n<h2>{place}. {escaped(title)}</h2>\n{body()}</section>\n'
+        for place, (key, title, body) in enumerate(sections, start=1)
     )
-    words = "".join(f"<p>{_text(sentence)}</p>\n" for sentence in in_words(found))
-    name = _text(found.source.name)
-    return (
-        f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        f'<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\">\n"
-        f"<title>Motion report: {name}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
-        f'<header>\n<h1>Motion report</h1>\n<p class="of">{name}, {_text(duration(found.duration_s))}, '
-        f"made {_text(found.made)} by heaved {_text(found.release)}</p>\n</header>\n"
+    words = "".join(f"<p>{escaped(sentence)}</p>\n" for sentence in in_words(found))
+    name = escaped(found.source.name)
+    return document(
+        f"Motion report: {found.source.name}",
+        f'<header>\n<h1>Motion report</h1>\n<p class="of">{name}, {escaped(duration(found.duration_s))}, '
+        f"made {escaped(found.made)} by heaved {escaped(found.release)}</p>\n</header>\n"
         f'<div class="summary" id="summary">\n{words}</div>\n<nav aria-label="Contents"><ol>\n{contents}</ol></nav>\n'
-        f"{bodies}<footer><p>heaved {_text(found.release)}; recording SHA-256 "
-        f"{_text(found.source.sha256 or NOT_KNOWN)}</p></footer>\n</body>\n</html>\n"
+        f"{bodies}<footer><p>heaved {escaped(found.release)}; recording SHA-256 "
+        f"{escaped(found.source.sha256 or NOT_KNOWN)}</p></footer>\n",
     )
-
-
-# --- parts -----------------------------------------------------------------------------------------------------------
-
-
-def _text(text: str) -> str:
-    return escape(printable(text), quote=True)
-
-
-def _paragraph(text: str) -> str:
-    return f"<p>{_text(text)}</p>\n"
-
-
-def _missing(text: str) -> str:
-    return f'<p class="missing">{_text(text)}</p>\n'
-
-
-def _figure(figures: Mapping[str, str], key: str, caption: str) -> str:
-    if key not in figures:
-        return ""
-    drawing = figures[key].replace("<svg ", f'<svg aria-label="{_text(caption)}" ', 1)
-    return f'<figure id="figure-{key}">\n{drawing}\n<figcaption>{_text(caption)}</figcaption>\n</figure>\n'
-
-
-def _table(
-    key: str, head: Sequence[str], rows: Sequence[Sequence[str]], caption: str = "", *, words: Sequence[int] = (0,)
-) -> str:
-    """Rows of texts; columns but those of ``words`` are numbers, to the right. The first cell names its row."""
-
-    def cells(tag: str, row: Sequence[str]) -> str:
-        parts = []
-        for i, cell in enumerate(row):
-            name = "th" if i == 0 and tag == "td" else tag
-            scope = ' scope="row"' if name == "th" and tag == "td" else ' scope="col"' if tag == "th" else ""
-            number = "" if i in words else ' class="n"'
-            parts.append(f"<{name}{scope}{number}>{_text(cell)}</{name}>")
-        return f"<tr>{''.join(parts)}</tr>\n"
-
-    body = "".join(cells("td", row) for row in rows)
-    title = f"<caption>{_text(caption)}</caption>\n" if caption else ""
-    return f'<table id="table-{key}">\n{title}<thead>\n{cells("th", head)}</thead>\n<tbody>\n{body}</tbody>\n</table>\n'
-
-
-def _number(value: float, digits: int = 3) -> str:
-    """With so many significant digits, never as a power of ten where it can be helped."""
-    if not isfinite(value):
-        return NOT_KNOWN
-    text = f"{value:#.{digits}g}".removesuffix(".")
-    return f"{value:.0f}" if "e+" in text else text
-
-
-def _decimals(value: float, decimals: int) -> str:
-    """With so many decimals; zero has no sign."""
-    if not isfinite(value):
-        return NOT_KNOWN
-    text = f"{value:.{decimals}f}"
-    return text.removeprefix("-") if float(text) == 0.0 else text
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.1f} %" if isfinite(share) else NOT_KNOWN
 
 
 def _at(found: Findings, t_s: float) -> str:
@@ -171,13 +81,13 @@ def _key_figures(found: Findings) -> str:
     settled, laser, sea = found.realtime[SETTLED], found.laser[SETTLED], found.sea
     rows = [
         ("duration", duration(found.duration_s), f"{found.rows} rows, {found.frames} frames"),
-        ("rate", f"{_number(found.rate_hz)} Hz", "of the samples of the IMU"),
+        ("rate", f"{number(found.rate_hz)} Hz", "of the samples of the IMU"),
         (
             "significant height of the heave",
-            f"{_number(sea.significant_height_m)} m",
-            f"median of {sea.fits} fits; 4 std of the delayed heave: {_number(sea.delayed_height_m)} m",
+            f"{number(sea.significant_height_m)} m",
+            f"median of {sea.fits} fits; 4 std of the delayed heave: {number(sea.delayed_height_m)} m",
         ),
-        ("peak period", f"{_number(sea.peak_period_s)} s", f"mean period m0/m1 {_number(sea.mean_period_s)} s"),
+        ("peak period", f"{number(sea.peak_period_s)} s", f"mean period m0/m1 {number(sea.mean_period_s)} s"),
         (
             "real-time heave, RMS error",
             length(settled.rms),
@@ -185,8 +95,8 @@ def _key_figures(found: Findings) -> str:
         ),
         (
             "real-time heave, within 2 claimed std",
-            _percent(settled.within[1]),
-            f"of {settled.count} errors; a right claim: {_percent(EXPECTED[1])}",
+            percent(settled.within[1]),
+            f"of {settled.count} errors; a right claim: {percent(EXPECTED[1])}",
         ),
         (
             "delayed heave, claimed std",
@@ -209,12 +119,12 @@ def _key_figures(found: Findings) -> str:
         if one.horizon_s in (1.0, 5.0)
     ]
     rows += [
-        (f"{axis}, standard deviation", f"{_number(std)} °", "about its mean")
+        (f"{axis}, standard deviation", f"{number(std)} °", "about its mean")
         for axis, std in (("roll", found.roll_std_deg), ("pitch", found.pitch_std_deg))
     ]
     usable = sum(found.share(found.quality[state]) for state in ("valid", "degraded"))
-    rows.append(("time with a usable heave", _percent(usable), "valid or degraded"))
-    return _table("figures", ("quantity", "value", ""), rows, words=(0, 2))
+    rows.append(("time with a usable heave", percent(usable), "valid or degraded"))
+    return table("figures", ("quantity", "value", ""), rows, words=(0, 2))
 
 
 def _recording(found: Findings) -> str:
@@ -227,40 +137,40 @@ def _recording(found: Findings) -> str:
         ("first time", f"t_s = {found.begin_s:.6f} s" if isfinite(found.begin_s) else NOT_KNOWN),
         ("length", f"{duration(found.duration_s)} ({found.duration_s:.2f} s)"),
         ("rows, frames", f"{found.rows}, {found.frames}"),
-        ("samples of the IMU", f"every {_number(1.0 / found.rate_hz)} s ({_number(found.rate_hz)} Hz), usually"),
+        ("samples of the IMU", f"every {number(1.0 / found.rate_hz)} s ({number(found.rate_hz)} Hz), usually"),
         ("sensor lines", "; ".join(found.devices) or "none are configured: a recording carries none"),
         ("release", f"heaved {found.release}"),
         ("configuration", found.config_name or "all keys at their defaults"),
         ("made", found.made),
     ]
-    return _table("recording", ("", ""), rows, words=(0, 1))
+    return table("recording", ("", ""), rows, words=(0, 1))
 
 
 def _motion(figures: Mapping[str, str]) -> str:
-    return _figure(
+    return figure(
         figures,
         "motion",
         "Heave (up), roll (port side up) and pitch (bow up): least and greatest value of each bin of time. The dashed "
         "line is twice the standard deviation that was claimed for the heave.",
-    ) or _missing("There is no heave and there are no angles to be shown.")
+    ) or missing("There is no heave and there are no angles to be shown.")
 
 
 def _quality(found: Findings, figures: Mapping[str, str]) -> str:
     if found.told_s <= 0.0:
-        return _missing("There are no frames.")
-    told = _figure(
+        return missing("There are no frames.")
+    told = figure(
         figures,
         "quality",
         "Above: share of each bin of time in each state; where there is none, there were no samples. Below: when each "
         "reason was given, with its share of the time.",
     )
-    told += _table(
+    told += table(
         "states",
         ("state", "share", "time", "spells", "longest", "first", "last until"),
         [
             (
                 state,
-                _percent(found.share(one)),
+                percent(found.share(one)),
                 duration(one.seconds),
                 str(one.spells),
                 duration(one.longest_s),
@@ -272,7 +182,7 @@ def _quality(found: Findings, figures: Mapping[str, str]) -> str:
         + [
             (
                 "no samples",
-                _percent(found.silent_s / (found.told_s + found.silent_s)),
+                percent(found.silent_s / (found.told_s + found.silent_s)),
                 duration(found.silent_s),
                 "",
                 "",
@@ -283,14 +193,14 @@ def _quality(found: Findings, figures: Mapping[str, str]) -> str:
         "State of the heave. A frame's state holds until the next one, and for one second at most.",
     )
     if not found.reasons:
-        return told + _paragraph("No frame gave a reason to doubt its heave.")
-    return told + _table(
+        return told + paragraph("No frame gave a reason to doubt its heave.")
+    return told + table(
         "reasons",
         ("reason", "share", "time", "spells", "longest", "first", "last until"),
         [
             (
                 reason.text + (" (later with other numbers)" if reason.varies else ""),
-                _percent(found.share(reason.held)),
+                percent(found.share(reason.held)),
                 duration(reason.held.seconds),
                 str(reason.held.spells),
                 duration(reason.held.longest_s),
@@ -324,27 +234,27 @@ def _error_cells(errors: ErrorStatistics, unit: Callable[[float], str]) -> tuple
         unit(errors.rms),
         unit(errors.claimed_rms),
         unit(errors.claimed_median),
-        _number(errors.nees),
-        *(_percent(share) for share in errors.within),
+        number(errors.nees),
+        *(percent(share) for share in errors.within),
         unit(errors.worst),
     )
 
 
 def _error_table(key: str, errors: Mapping[str, ErrorStatistics], caption: str) -> str:
-    expected = ("a right claim", "", "0", "", "as claimed", "", "1", *(_percent(share) for share in EXPECTED), "")
+    expected = ("a right claim", "", "0", "", "as claimed", "", "1", *(percent(share) for share in EXPECTED), "")
     rows = [(state, *_error_cells(one, length)) for state, one in errors.items() if one.count or state == SETTLED]
-    return _table(key, ("state", *ERROR_HEAD), [*rows, expected], caption)
+    return table(key, ("state", *ERROR_HEAD), [*rows, expected], caption)
 
 
 def _accuracy(found: Findings, figures: Mapping[str, str]) -> str:
-    told = _figure(
+    told = figure(
         figures,
         "errors",
         "Errors between their least and greatest value in each bin of time, with twice the standard deviation claimed "
         "then; below, the mean square of error over claim (NEES) in sixty parts of the time: 1 is a right claim, more "
         "is too bold, less too careful.",
     )
-    told += _figure(
+    told += figure(
         figures,
         "histogram",
         "Errors over the standard deviation claimed for each, and the normal distribution claimed.",
@@ -355,16 +265,16 @@ def _accuracy(found: Findings, figures: Mapping[str, str]) -> str:
             found.realtime,
             "Real-time heave minus delayed heave of the same moment, by the state of the frame.",
         )
-        told += _paragraph(
+        told += paragraph(
             f"The delayed heave is made of the same samples and of those of the minute after. It has part of the same "
-            f"error, so that with every claim right the NEES would be {_number(found.expected_nees)}; with what is "
+            f"error, so that with every claim right the NEES would be {number(found.expected_nees)}; with what is "
             f"claimed for it added in square, the settled real-time heave is off by {length(found.implied_rms_m)} RMS. "
             f"Errors follow each other closely: by their spectrum they are worth "
-            f"{_number(found.independent_errors)} independent ones, and the NEES scatters by "
-            f"{_number(found.nees_scatter)} (1 std) by chance alone."
+            f"{number(found.independent_errors)} independent ones, and the NEES scatters by "
+            f"{number(found.nees_scatter)} (1 std) by chance alone."
         )
     else:
-        told += _missing(
+        told += missing(
             "No real-time heave could be compared with a delayed one: that is known a minute later, and only where "
             "there is a heave at all."
         )
@@ -374,53 +284,51 @@ def _accuracy(found: Findings, figures: Mapping[str, str]) -> str:
             found.laser,
             "Real-time heave minus laser, at the readings that were accepted; the claim holds the noise of a reading.",
         )
-        told += _paragraph(
+        told += paragraph(
             "The laser's constant (mounting, tide, target) is followed slowly, with a time constant of a minute by "
             "default, so errors that are slower do not show here. What the laser has taught is in the heave."
         )
     elif found.has_laser:
-        told += _missing("The recording has a laser, but none of its readings could be compared with the heave.")
+        told += missing("The recording has a laser, but none of its readings could be compared with the heave.")
     else:
-        told += _missing("The recording has no laser.")
+        told += missing("The recording has no laser.")
     return told
 
 
 def _sea(found: Findings, figures: Mapping[str, str]) -> str:
     sea = found.sea
-    told = _figure(
+    told = figure(
         figures,
         "acceleration",
         "Vertical acceleration, gravity and (where there are angles) tilt removed: averaged periodogram (Welch, Hann) "
         "over the whole recording, and the mean of all fits in the time that each was in force. What is faster than "
         "half the rate of the samples shows at another frequency.",
     )
-    told += _figure(figures, "heave-spectrum", "Spectra of the heave, of its error and of the fitted sea.")
-    told += _figure(figures, "sea", "Significant height and periods of the heave, fit by fit.")
+    told += figure(figures, "heave-spectrum", "Spectra of the heave, of its error and of the fitted sea.")
+    told += figure(figures, "sea", "Significant height and periods of the heave, fit by fit.")
     if sea.fits == 0:
-        return told + _missing(
-            "No sea was fitted: the recording is too short, or has no acceleration that can be used."
-        )
-    return told + _table(
+        return told + missing("No sea was fitted: the recording is too short, or has no acceleration that can be used.")
+    return told + table(
         "sea",
         ("quantity", "median", "least", "greatest"),
         [
             (
                 "significant height of the heave / m",
-                _number(sea.significant_height_m),
-                _number(sea.least_height_m),
-                _number(sea.greatest_height_m),
+                number(sea.significant_height_m),
+                number(sea.least_height_m),
+                number(sea.greatest_height_m),
             ),
             (
                 "peak period / s",
-                _number(sea.peak_period_s),
-                _number(sea.shortest_peak_period_s),
-                _number(sea.longest_peak_period_s),
+                number(sea.peak_period_s),
+                number(sea.shortest_peak_period_s),
+                number(sea.longest_peak_period_s),
             ),
-            ("mean period m0/m1 / s", _number(sea.mean_period_s), "", ""),
-            ("4 std of the real-time heave / m", _number(sea.heave_height_m), "", ""),
-            ("4 std of the delayed heave / m", _number(sea.delayed_height_m), "", ""),
-            ("accelerometer noise / (mm/s²)/√Hz", _number(1e3 * sea.noise_mps2_rthz), "", ""),
-            ("walk of its bias / (mm/s²)/√s", _number(1e3 * sea.bias_walk_mps2_rts), "", ""),
+            ("mean period m0/m1 / s", number(sea.mean_period_s), "", ""),
+            ("4 std of the real-time heave / m", number(sea.heave_height_m), "", ""),
+            ("4 std of the delayed heave / m", number(sea.delayed_height_m), "", ""),
+            ("accelerometer noise / (mm/s²)/√Hz", number(1e3 * sea.noise_mps2_rthz), "", ""),
+            ("walk of its bias / (mm/s²)/√s", number(1e3 * sea.bias_walk_mps2_rts), "", ""),
         ],
         f"The sea as the vessel's heave shows it, over {sea.fits} fits. At the end: {sea.systems or 'no waves'}."
         + (f" {sea.vibration[:1].upper()}{sea.vibration[1:]}." if sea.vibration else ""),
@@ -434,17 +342,17 @@ def _ahead_table(key: str, ahead: Sequence[HorizonErrors], unit: Callable[[float
         (
             f"{one.horizon_s:g} s",
             *_error_cells(one.errors, unit),
-            *((_percent(one.errors.interval),) if with_interval else ()),
+            *((percent(one.errors.interval),) if with_interval else ()),
         )
         for one in ahead
     ]
-    return _table(key, head, rows, caption)
+    return table(key, head, rows, caption)
 
 
 def _forecasts(found: Findings, figures: Mapping[str, str]) -> str:
     if not any(one.errors.count for one in found.forecasts):
-        return _missing("There were no forecasts of the heave whose moment has a delayed heave.")
-    return _figure(
+        return missing("There were no forecasts of the heave whose moment has a delayed heave.")
+    return figure(
         figures,
         "forecasts",
         "Left: RMS error of the forecasts against the delayed heave of the moment that they were for, and what was "
@@ -455,32 +363,32 @@ def _forecasts(found: Findings, figures: Mapping[str, str]) -> str:
 
 
 def _stretches(figures: Mapping[str, str]) -> str:
-    told = _figure(
+    told = figure(
         figures,
         "typical",
         "A typical minute: of evenly spaced ones that with the median NEES. Each forecast is drawn at the moment that "
         "it was for, with twice the standard deviation claimed for it.",
     )
-    told += _figure(
+    told += figure(
         figures, "worst", "The worst minute: that with the greatest NEES of the real-time heave in the whole recording."
     )
-    return told or _missing("There is no minute with both a real-time and a delayed heave.")
+    return told or missing("There is no minute with both a real-time and a delayed heave.")
 
 
 def _rock(found: Findings, figures: Mapping[str, str]) -> str:
     axes = [axis for axis, ahead in found.rock.items() if any(one.errors.count for one in ahead)]
     if not axes:
-        return _missing(
+        return missing(
             "There are no predictions of roll and pitch to be compared with angles: the recording has no angles that "
             "could be used."
         )
-    told = _figure(
+    told = figure(
         figures,
         "rock",
         "Left: RMS error of the predictions against the angle measured then, and the standard deviation claimed. "
         "Right: share of the errors within each claimed interval of a normal error.",
     )
-    told += _figure(figures, "rock-stretch", "The same typical minute: angles as measured and as predicted.")
+    told += figure(figures, "rock-stretch", "The same typical minute: angles as measured and as predicted.")
     for axis in axes:
         told += _ahead_table(
             f"rock-{axis}",
@@ -492,15 +400,15 @@ def _rock(found: Findings, figures: Mapping[str, str]) -> str:
 
 
 def _degrees(value: float) -> str:
-    return f"{_decimals(value, 3)}°" if isfinite(value) else NOT_KNOWN
+    return f"{decimals(value, 3)}°" if isfinite(value) else NOT_KNOWN
 
 
 def _points(found: Findings, figures: Mapping[str, str]) -> str:
     if not found.points:
-        return _missing("No monitoring points are configured.")
-    return _figure(
+        return missing("No monitoring points are configured.")
+    return figure(
         figures, "points", "Heave of the monitoring points: least and greatest value of each bin of time."
-    ) + _table(
+    ) + table(
         "points",
         ("point", "significant height", "lowest", "highest", "claimed std"),
         [
@@ -520,37 +428,37 @@ def _points(found: Findings, figures: Mapping[str, str]) -> str:
 
 def _sensors(found: Findings) -> str:
     if not found.columns:
-        return _missing("The recording has no values.")
-    told = _table(
+        return missing("The recording has no values.")
+    told = table(
         "columns",
         ("column", "values", "rate / Hz", "jitter / ms", "gaps", "missing / s", "longest gap / s", "unchanged / s"),
         [
             (
                 f"{one.device} {one.column}",
                 str(one.values),
-                _number(one.rate_hz),
-                _decimals(1e3 * one.jitter_s, 2),
+                number(one.rate_hz),
+                decimals(1e3 * one.jitter_s, 2),
                 str(one.gaps),
-                _decimals(one.missing_s, 2),
-                _decimals(one.longest_gap_s, 2),
-                _decimals(one.unchanged_s, 2),
+                decimals(one.missing_s, 2),
+                decimals(one.longest_gap_s, 2),
+                decimals(one.unchanged_s, 2),
             )
             for one in found.columns
         ],
         "When the values of each column came. A gap is an interval of more than two and a half usual ones; unchanged "
         "is the longest time without another value.",
     )
-    told += _table(
+    told += table(
         "values",
         ("column", "least", "mean", "greatest", "standard deviation"),
         [
-            (f"{one.device} {one.column}", *(_number(value, 4) for value in (one.least, one.mean, one.most, one.std)))
+            (f"{one.device} {one.column}", *(number(value, 4) for value in (one.least, one.mean, one.most, one.std)))
             for one in found.columns
         ],
         "What they were, in the unit of the column's name, as recorded: before any reading is judged.",
     )
     learned = found.learned
-    told += _table(
+    told += table(
         "judged",
         ("judged by the pipeline", "count"),
         [
@@ -565,20 +473,20 @@ def _sensors(found: Findings) -> str:
 
 def _learned(found: Findings, figures: Mapping[str, str]) -> str:
     learned = found.learned
-    told = _figure(
+    told = figure(
         figures,
         "laser",
         "What the laser has taught: lead of the accelerometer over the truth, and the learned correction.",
     )
     rows = [
         ("fits of the sea", _counted(learned.fits)),
-        ("lead of the observer at the end", f"{_number(1e3 * learned.lead_s)} ms"),
+        ("lead of the observer at the end", f"{number(1e3 * learned.lead_s)} ms"),
         (
             "of it learned from the laser",
-            f"{_number(1e3 * learned.learned_lead_s)} ms, {learned.comparisons} comparisons",
+            f"{number(1e3 * learned.learned_lead_s)} ms, {learned.comparisons} comparisons",
         ),
-        ("scale of the accelerometer", f"{_number(learned.gain, 4)}"),
-        ("constant of the laser", f"{_number(learned.laser_constant_m, 4)} m"),
+        ("scale of the accelerometer", f"{number(learned.gain, 4)}"),
+        ("constant of the laser", f"{number(learned.laser_constant_m, 4)} m"),
         ("training windows", _counted(learned.trainings)),
         ("correction, RMS", length(learned.correction_rms_m)),
         ("state of the correction", _states(found, found.corrections)),
@@ -587,8 +495,8 @@ def _learned(found: Findings, figures: Mapping[str, str]) -> str:
     if learned.failure:
         rows.append(("a fit died of", learned.failure))
     if not found.has_laser:
-        told += _missing("Without a laser neither lead, scale nor correction are learned.")
-    return told + _table("learned", ("", ""), rows, words=(0, 1))
+        told += missing("Without a laser neither lead, scale nor correction are learned.")
+    return told + table("learned", ("", ""), rows, words=(0, 1))
 
 
 def _counted(counts: Mapping[str, int]) -> str:
@@ -597,12 +505,12 @@ def _counted(counts: Mapping[str, int]) -> str:
 
 def _states(found: Findings, states: Mapping[str, Spells]) -> str:
     shares = [(name, found.share(one)) for name, one in states.items()]
-    return ", ".join(f"{name} {_percent(share)}" for name, share in shares) or NOT_KNOWN
+    return ", ".join(f"{name} {percent(share)}" for name, share in shares) or NOT_KNOWN
 
 
 def _configuration(found: Findings, config: Config) -> str:
     changed = (
-        _table(
+        table(
             "changed",
             ("key", "value"),
             [(path, _value(value)) for path, value in found.config.items()],
@@ -610,7 +518,7 @@ def _configuration(found: Findings, config: Config) -> str:
             words=(0, 1),
         )
         if found.config
-        else _paragraph("Every key that changes the result is at its default.")
+        else paragraph("Every key that changes the result is at its default.")
     )
     all_keys = "\n".join(f"{path} = {_value(value)}" for path, value in keys(config).items())
     return (
@@ -665,9 +573,9 @@ METHOD: Final = (
 
 
 def _method(found: Findings) -> str:
-    told = "".join(f"<h3>{_text(title)}</h3>\n{_paragraph(text)}" for title, text in METHOD)
+    told = "".join(f"<h3>{escaped(title)}</h3>\n{paragraph(text)}" for title, text in METHOD)
     if found.learned.comparisons == 0 and found.has_laser and found.config.get("laser.role") == "aiding":
-        told += _paragraph(
+        told += paragraph(
             "The laser aids the heave here: it is a measurement of it, so the two are not independent, and their "
             "difference says less than it seems to."
         )
@@ -677,4 +585,4 @@ def _method(found: Findings) -> str:
 def _again(found: Findings) -> str:
     source = found.source
     same = f" and the recording whose SHA-256 begins with {source.sha256[:16]}" if source.sha256 else ""
-    return f"<pre>{_text(found.command)}</pre>\n" + _paragraph(f"with heaved {found.release}{same}.")
+    return f"<pre>{escaped(found.command)}</pre>\n" + paragraph(f"with heaved {found.release}{same}.")

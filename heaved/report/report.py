@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from heaved.config import Config
-    from heaved.replay.replay import Progress
+    from heaved.replay.live import RecordedRun
+    from heaved.replay.replay import Progress, Run
 
 HASHED_BYTES: Final = 1 << 20
 """Of the recording, at a time."""
@@ -64,11 +65,8 @@ def report(
         _make(png_directory)
     with replaying(source, config) as run:
         config = run.config
-        collector = Collector(config)
-        for sample, frame in run.steps(until_s=until_s, progress=progress):
-            collector.take(run, sample, frame)
+        collector = followed(run, until_s=until_s, progress=progress)
         columns, learned = run.recording.columns, run.pipeline.summary()
-    collector.finish()
     found = findings(
         collector,
         source=_described(source, columns),
@@ -85,6 +83,19 @@ def report(
         for key, drawing in drawings.items():
             _write(png_directory / f"{key}.png", drawing.png)
     return found
+
+
+def followed(run: Run | RecordedRun, *, until_s: float = inf, progress: Progress | None = None) -> Collector:
+    """Take a replay to its end, and down what it gives.
+
+    Raises:
+        RecordingError, RecordedError: the recording is malformed.
+    """
+    collector = Collector(run.config)
+    for sample, frame in run.steps(until_s=until_s, progress=progress):
+        collector.take(run, sample, frame)
+    collector.finish()
+    return collector
 
 
 def json_text(found: Findings) -> str:

@@ -23,7 +23,8 @@ from heaved.estimation.heave import params as heave
 from heaved.estimation.lever_arm import Point
 from heaved.replay.replay import replay
 from heaved.report.findings import EVERYWHERE, SETTLED, Findings, changed_keys, duration, length
-from heaved.report.page import NOT_KNOWN, page
+from heaved.report.page import page
+from heaved.report.parts import NOT_KNOWN
 from heaved.report.report import NO_MATPLOTLIB, ReportError, report
 from heaved.report.svg import embedded
 from heaved.simulate.play import write_recording
