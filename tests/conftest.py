@@ -1,4 +1,4 @@
-"""Before numpy is loaded: one BLAS thread, as the daemon runs. And which tests may run side by side, with ``-n 2``."""
+"""Before numpy is loaded: one BLAS thread, as the daemon runs. And which tests may run side by side, with ``-n 3``."""
 
 from __future__ import annotations
 
