@@ -191,10 +191,10 @@ class OpenLink:
     async def read(self, device_id: int, block: Block, count: int, timeout_s: float, *, first: int = 0) -> Answer:
         """Read ``count`` registers of a block, from its register ``first`` on."""
         client = self._client
-        if client is None or not client.connected:
-            return Answer(nan, [], Fault.DISCONNECTED, "the connection is lost", False)
         if isinstance(self.link, SerialLink):
             await self._wait_for_silence(self.link, timeout_s)
+        if client is None or not client.connected:  # Perhaps just now, while it was silent.
+            return Answer(nan, [], Fault.DISCONNECTED, "the connection is lost", False)
         request = Request(device_id, 3 if block.function == "holding" else 4, count)
         self._heard, self._found = b"", b""
         sent_s = self._clock()

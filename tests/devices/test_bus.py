@@ -32,7 +32,7 @@ from modbus_slaves import (
 
 from heaved.daemon.supervise import cancelled
 from heaved.devices import bus as modbus
-from heaved.devices.bus import CONNECT_TIMEOUT_S, RETRY_S, Bus, PollResult
+from heaved.devices.bus import CONNECT_TIMEOUT_S, RETRY_S, Bus, OpenLink, PollResult
 from heaved.devices.frames import find_tcp_answer
 from heaved.devices.liveness import PROBE_S
 from heaved.devices.profile import Block, Field, Profile
@@ -41,6 +41,8 @@ from heaved.samples import Fault, ImuSample, LaserSample
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from heaved.links import SerialLink
 
 
 def well(result: object) -> bool:
@@ -683,6 +685,26 @@ def test_a_line_that_is_back_is_open_within_a_second() -> None:
     """At worst it returns just after an attempt has begun, which then waits in vain; the next one follows the pause."""
     assert CONNECT_TIMEOUT_S + RETRY_S < 1.0
     assert PROBE_S < 1.0  # And a silent one, whose line is open, is asked again by then.
+
+
+async def test_a_port_that_vanishes_while_its_silence_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    slave = RtuSlave(CountingSlave())
+    results = Results()
+    wait = OpenLink._wait_for_silence
+    vanishes = True
+
+    async def then_gone(self: OpenLink, link: SerialLink, most_s: float) -> None:
+        nonlocal vanishes
+        await wait(self, link, most_s)
+        if vanishes:
+            vanishes = False
+            assert self._client is not None
+            self._client.close()
+
+    monkeypatch.setattr(OpenLink, "_wait_for_silence", then_gone)
+    async with running([device(f"rtu://{slave.path}?baudrate=115200")], results):
+        lost = await results.until(lambda result: result.fault is Fault.DISCONNECTED and "lost" in result.detail)
+        assert isnan(lost.sent_s)
 
 
 async def test_serial_port_vanishes_and_returns(tmp_path: Path) -> None:
