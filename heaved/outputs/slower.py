@@ -4,10 +4,10 @@ slower than the frames what has not been told yet. Pure.
 
 from __future__ import annotations
 
-from math import inf
 from typing import TYPE_CHECKING, Any, Final
 
 from heaved.outputs import wire
+from heaved.outputs.due_times import DueTimes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -30,20 +30,12 @@ class Slower:
     """Frames, and what comes with them, at a rate of its own."""
 
     def __init__(self, rate_hz: float) -> None:
-        self._period_s = 1.0 / rate_hz
-        self._due_s = self._last_s = -inf
+        self._due = DueTimes(rate_hz)
         self._told: dict[str, object] = {}
 
     def wants(self, frame: MotionFrame) -> bool:
-        """Whether a frame is due. Due times stand a period apart, whatever the frames' own times, so that the mean rate
-        is the wanted one; the frame nearest to a due time is taken.
-        """
-        interval_s, self._last_s = frame.t_s - self._last_s, frame.t_s
-        if frame.t_s < self._due_s - 0.5 * interval_s:
-            return False
-        next_s = self._due_s + self._period_s
-        self._due_s = next_s if next_s > frame.t_s else frame.t_s + self._period_s
-        return True
+        """Whether a frame is due."""
+        return self._due.is_due(frame.t_s)
 
     def news(self, frame: MotionFrame) -> Iterator[tuple[str, Any]]:
         """What comes with the frame and has not been told yet, by its name in :data:`SLOW`."""
