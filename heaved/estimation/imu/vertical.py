@@ -118,7 +118,8 @@ class Vertical:
             return None
         ax, ay, az = sample.ax_mps2, sample.ay_mps2, sample.az_mps2
         has_tilt = t_s - self._propagator.latest.t_s <= TUNING.attitude_hold_s and isfinite(ax + ay)
-        self._across.step(t_s, ax, ay)
+        if not has_tilt:
+            self._across.step(t_s, ax, ay)
         is_of_another_kind = self._is_of_another_kind(t_s, has_tilt)
         if self.withheld:
             return None
