@@ -121,6 +121,24 @@ class Refusal(asyncio.Protocol):
         self._transport.abort()
 
 
+def log_of_faults(complain: Callable[[str, str], None]) -> logging.Logger:
+    """Takes what the HTTP library has to say: what clients do wrong is told to ``complain``, by a reason and in short,
+    what is wrong here is logged.
+    """
+
+    def is_ours(record: logging.LogRecord) -> bool:
+        error = record.exc_info[1] if record.exc_info else None
+        if isinstance(error, HttpProcessingError):
+            complain("bad_request", f"not HTTP: {error.message.partition(chr(10))[0].rstrip(': ')}")
+            return False
+        return record.levelno >= logging.WARNING
+
+    log = logging.Logger(__name__, logging.DEBUG)
+    log.parent = logging.getLogger()
+    log.addFilter(is_ours)
+    return log
+
+
 class HttpServer:
     """Serves the three paths; everything runs on the event loop."""
 
@@ -160,7 +178,7 @@ class HttpServer:
             most=_MAX_CONNECTIONS,
             turned_away=lambda: self._complain("too_many_clients", f"{_MAX_CONNECTIONS} connections are open"),
             access_log=None,
-            logger=self._log_of_faults(),
+            logger=log_of_faults(self._complain),
             keepalive_timeout=_IDLE_S,
         )
         return await self._listener.start()
@@ -187,21 +205,6 @@ class HttpServer:
     def _complain(self, reason: str, message: str) -> None:
         self._count_client_error(reason)
         _log.warning("http client error", reason=reason, error=message, alike=reason)
-
-    def _log_of_faults(self) -> logging.Logger:
-        """Takes what the HTTP library has to say: what clients do wrong is counted, what is wrong here is logged."""
-
-        def is_ours(record: logging.LogRecord) -> bool:
-            error = record.exc_info[1] if record.exc_info else None
-            if isinstance(error, HttpProcessingError):
-                self._complain("bad_request", f"not HTTP: {error.message.partition(chr(10))[0].rstrip(': ')}")
-                return False
-            return record.levelno >= logging.WARNING
-
-        log = logging.Logger(__name__, logging.DEBUG)
-        log.parent = logging.getLogger()
-        log.addFilter(is_ours)
-        return log
 
     async def _answer(self, request: web.BaseRequest) -> web.Response:
         if request.path not in _PATHS:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import ipaddress
-import logging
 import signal
 import socket
 import time
@@ -19,10 +18,9 @@ from typing import TYPE_CHECKING, Final
 
 import structlog
 from aiohttp import web
-from aiohttp.http_exceptions import HttpProcessingError
 
 from heaved.networks import is_allowed, is_loopback_host, parse_networks
-from heaved.outputs.http import BoundedServer, Refusal, forbidden
+from heaved.outputs.http import BoundedServer, Refusal, forbidden, log_of_faults
 from heaved.outputs.listen import Listener, ListenError
 from heaved.page.follower import Follower
 from heaved.page.hub import Hub
@@ -159,7 +157,7 @@ class PageServer:
             most=_MOST_CONNECTIONS,
             turned_away=lambda: self._complain("too_many_connections", f"{_MOST_CONNECTIONS} connections are open"),
             access_log=None,
-            logger=self._log_of_faults(),
+            logger=log_of_faults(self._complain),
             keepalive_timeout=_IDLE_S,
         )
         try:
@@ -203,21 +201,6 @@ class PageServer:
 
     def _complain(self, reason: str, message: str) -> None:
         _log.warning("page client error", reason=reason, error=message, alike=reason)
-
-    def _log_of_faults(self) -> logging.Logger:
-        """Takes what the HTTP library has to say: what clients do wrong is said in short, what is wrong here whole."""
-
-        def is_ours(record: logging.LogRecord) -> bool:
-            error = record.exc_info[1] if record.exc_info else None
-            if isinstance(error, HttpProcessingError):
-                self._complain("bad_request", f"not HTTP: {error.message.partition(chr(10))[0].rstrip(': ')}")
-                return False
-            return record.levelno >= logging.WARNING
-
-        log = logging.Logger(__name__, logging.DEBUG)
-        log.parent = logging.getLogger()
-        log.addFilter(is_ours)
-        return log
 
     async def _answer(self, request: web.BaseRequest) -> web.StreamResponse:
         if not is_own_host(request.headers.get("Host", ""), self._names):
