@@ -1,0 +1,108 @@
+"""Simulated sensors, with the daemon on them and without it."""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from heaved.cli.common import (
+    PORT,
+    LinkKind,
+    LogFormat,
+    Logs,
+    SeaName,
+    ShakeName,
+    device_line,
+    fail,
+    load,
+    load_to_run,
+    say,
+)
+
+if TYPE_CHECKING:
+    from heaved.config import Config
+    from heaved.devices.profile import DeviceSpec
+
+
+def demo(
+    sea: SeaName = "S5",
+    link: Annotated[LinkKind, typer.Option(help="Modbus TCP, or RTU on a pseudo-terminal.")] = LinkKind.tcp,
+    duration: Annotated[float | None, typer.Option(min=0.0, help="End after so many seconds.")] = None,
+    config: Annotated[Path | None, typer.Option(help="What to run and whose devices to simulate.")] = None,
+    shake: ShakeName = "",
+    log_format: Logs = LogFormat.human,
+) -> None:
+    """Run the daemon on simulated sensors, with a simulated winch on its stream: the whole chain on this machine."""
+    from heaved.demo import demo as demonstration
+
+    def announce(config: Config) -> None:
+        for device in config.device:
+            say(f"sea {sea}, simulated {device_line(device)}")
+        port = "" if config.stream.port == PORT else f" --port {config.stream.port}"
+        say(f"look at it: heaved watch{port}, heaved status{port}, nc {config.stream.host} {config.stream.port}")
+        for line in demonstration.how_to_look(config):
+            say(line)
+
+    try:
+        code = demonstration.run(
+            sea,
+            serial=link is LinkKind.rtu,
+            duration_s=duration,
+            log_format=log_format.value,
+            announce=announce,
+            config=None if config is None else load_to_run(config),
+            shake=shake,
+        )
+    except demonstration.DemoError as error:
+        fail(str(error), 1)
+    raise typer.Exit(code)
+
+
+def sim(
+    config: Annotated[
+        Path | None, typer.Option(help="Whose devices to simulate; those of the demo by default.")
+    ] = None,
+    sea: SeaName = "S5",
+    link: Annotated[LinkKind | None, typer.Option(help="rtu: all devices on one pseudo-terminal.")] = None,
+    play: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="A recording in place of a sea.")] = None,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(metavar="DEVICE:KIND@START+DURATION[=AMOUNT]", help="Misbehave; may be repeated."),
+    ] = None,
+    sensor: Annotated[str, typer.Option(help="A (tactical MEMS), B (industrial), C (consumer) or ideal.")] = "A",
+    laser: Annotated[str, typer.Option(help="on, off, a share such as 50%, or outages such as 300+120.")] = "on",
+    shake: ShakeName = "",
+    seed: Annotated[int, typer.Option(min=0, help="Of the sea and of all errors.")] = 1,
+) -> None:
+    """Serve simulated Modbus sensors until Ctrl-C."""
+    import tempfile
+
+    from heaved.demo import demo as demonstration
+    from heaved.simulate.faults import parse_faults
+    from heaved.simulate.play import Player, read_recording
+
+    devices = (demonstration.demo_config() if config is None else load(config)).device
+
+    def ready(served: tuple[DeviceSpec, ...]) -> None:
+        for device in served:
+            say(device_line(device))
+
+    with tempfile.TemporaryDirectory(prefix="heaved-sim-") as directory:
+        if link is LinkKind.rtu:
+            devices = demonstration.on_serial_line(devices, Path(directory))
+        try:
+            source = (
+                demonstration.instruments(sea, devices, sensor=sensor, laser=laser, shake=shake, seed=seed)
+                if play is None
+                else Player(read_recording(play))
+            )
+            demonstration.serve(devices, source, parse_faults(",".join(fault or ())), seed=seed, ready=ready)
+        except OSError as error:
+            in_use = "; stop what serves there (another heaved sim?), or change the link"
+            reason = f"{error.strerror or error}{in_use if error.errno == errno.EADDRINUSE else ''}"
+            fail(f"{error.filename}: {reason}" if error.filename else reason, 1)
+        except ValueError as error:
+            fail(str(error), 1)
