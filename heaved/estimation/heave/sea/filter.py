@@ -205,6 +205,10 @@ class SeaFilter:
             delta = dt - steps * steady.dt_s
             if abs(delta) <= TUNING.exact_delta_s:
                 x = F.dot(x)
+            elif self.P is not None:
+                # What is still open must turn as the state does: a hundredth of it is more than is left soon after.
+                F = self._move(steps, delta)
+                x = F.dot(x)
             else:
                 x = self._moved(x if steps == 1 else self._steps[steps - 2][0].dot(x), delta)
         else:
@@ -289,6 +293,13 @@ class SeaFilter:
         """expm(A (dt + delta)) x, for a delta far below the periods of the model: F x and its Taylor series."""
         terms = self._taylor.dot(x).reshape(TUNING.nudge_terms, len(x))
         return np.asarray(np.dot([delta_s**i for i in range(TUNING.nudge_terms)], terms))
+
+    def _move(self, steps: int, delta_s: float) -> Array:
+        """The same as a matrix (n, n), of ``steps`` usual intervals and ``delta_s``."""
+        n = len(self.x)
+        powers = [delta_s**i for i in range(TUNING.nudge_terms)]
+        one = np.tensordot(powers, self._taylor.reshape(TUNING.nudge_terms, n, n), axes=1)
+        return np.asarray(one if steps == 1 else one.dot(self._steps[steps - 2][0]))
 
     def _is_outlier(self, y: float, S: float) -> bool:
         variance = max(S, self._seen)
