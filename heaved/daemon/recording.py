@@ -215,7 +215,9 @@ class RecordingOutput:
             self._gather(self._frames.pack(frame))
 
     def renew(self, config: Config) -> None:
-        """What follows has the columns of this configuration, and stands in files of its own."""
+        """What follows has the columns of this configuration, and stands in files of its own unless it has them now."""
+        if self._header and config == self._config:
+            return
         self._cut()
         self._config = config
         self._frames = FramePacker(config)

@@ -175,7 +175,7 @@ function showThings(status) {
   fill(at("output-rows"), outputs.map((output) => [
     output.up ? "up" : "down",
     `${output.up ? "✔" : "✖"} ${output.name} (${output.kind}) ${output.up ? "up" : "DOWN"}`,
-    `${output.sent ?? 0} sent${Object.entries(output.lost ?? {}).map(([why, count]) => `, ${count} lost: ${why}`).join("")}`,
+    `${output.sent ?? 0} sent${Object.entries(output.lost ?? {}).filter(([, count]) => count).map(([why, count]) => `, ${count} lost: ${why}`).join("")}`,
     output.detail ?? "",
   ]));
 }
