@@ -171,6 +171,8 @@ class Pipeline:
         return SavedState(
             frequencies_hz=observer.frequencies_hz,
             sea=observer.sea,
+            bias_mps2=observer.bias_mps2,
+            bias_std_mps2=observer.bias_std_mps2,
             lead_learned_s=lead.learned_s if lead.updates else None,
             gain_learned=lead.gain,
             correction=self.heave.correction.saved(),
@@ -183,7 +185,13 @@ class Pipeline:
             ValueError: the state does not fit the configuration; says what does not, and nothing was taken over.
         """
         saved_state.check(state)
-        self.heave.restore(SavedObserver(frequencies_hz=state.frequencies_hz, sea=state.sea), state.correction, age_s)
+        observer = SavedObserver(
+            frequencies_hz=state.frequencies_hz,
+            sea=state.sea,
+            bias_mps2=state.bias_mps2,
+            bias_std_mps2=state.bias_std_mps2,
+        )
+        self.heave.restore(observer, state.correction, age_s)
         if state.lead_learned_s is not None:
             self.laser.lead.restore(state.lead_learned_s, state.gain_learned)
 

@@ -105,6 +105,7 @@ class SeaObserver:
         self.t_s = nan
         self.acceleration_mps2 = nan
         self._bias_mps2 = nan
+        self._is_warm = False
         self._down_sampler = DownSampler(self._down_sampler.period_s)
         self._record.clear()
         self._looked_s = nan
@@ -160,8 +161,9 @@ class SeaObserver:
     def _begin(self, t_s: float) -> None:
         """After a gap in which the past was lost, and at the very first sample."""
         if (gap_s := t_s - self.t_s) > self._params.max_gap_s:
+            before = self.saved()
             self._reset("gap")
-            self._try(gap_s)
+            self._try(before, gap_s)
         if not isfinite(self.t_s):
             self._record.start(t_s)
 
@@ -256,18 +258,33 @@ class SeaObserver:
         self._reset(reason)
         return False
 
-    def _try(self, age_s: float) -> None:
+    def _try(self, saved: SavedObserver, age_s: float) -> None:
         """A model that is in use was not fitted to what comes now: it serves when it is found to suit."""
-        self._trial = None if self._heave is None else Trial(self._heave.filter.system, age_s)
+        if self._heave is None:
+            self._trial = None
+            return
+        f, known = self._heave.filter, None
+        if saved.bias_mps2 is not None and age_s <= TRUST.bias_serves_s:
+            walked = f.system.model.bias_walk_psd * age_s
+            x, P = np.zeros(len(f.x)), f.system.stationary.copy()
+            x[-1], P[-1, -1] = saved.bias_mps2, saved.bias_std_mps2**2 + walked + TRUST.bias_repeats_mps2**2
+            known = SeaFilter(f.system, f.steady, nan, x, P)
+        self._trial = Trial(f.system, age_s, known)
 
     def _step_on_trial(self, heave: SeaHeave, trial: Trial, t_s: float, a_mps2: float) -> None:
         """While it is not known yet whether the model is of this sea, it judges nothing."""
         self._record.push(t_s, a_mps2)
-        f = heave.filter
+        f, known = heave.filter, trial.known
+        if known is not None:
+            known.t_s = known.t_s if isfinite(known.t_s) else f.t_s
+            known.step(t_s, a_mps2)
         f.step(t_s, a_mps2)
         trial.step(t_s, a_mps2, f.innovation / sqrt(f.innovation_variance))
+        if trial.is_told and known is not None:
+            self._is_warm = trial.weigh(f, known)
         if trial.is_another:
             self._heave = self._trial = None
+            self._is_warm = False
             self.resets["another sea"] += 1
         elif self._is_sound(f):
             self._moved(heave)
@@ -343,7 +360,11 @@ class SeaObserver:
             factor = max(factor, DRIFT.changes)
         elif self._drift is not None and self._drift.doubt_m > 0.0:
             factor = hypot(factor, self._drift.doubt_m / heave.state_std_m)
-        heave.scale = TUNING.overconfidence * (factor if self._trial is None else max(factor, self._trial.factor))
+        if (trial := self._trial) is not None:
+            factor = max(factor, trial.factor)
+            if trial.apart_m > 0.0:
+                factor = hypot(factor, trial.apart_m / heave.state_std_m)
+        heave.scale = TUNING.overconfidence * factor
 
     @property
     def is_settled(self) -> bool:
@@ -572,8 +593,10 @@ class SeaObserver:
         """Seconds of record since the start or the last reset; nan before the first sample."""
         return self.t_s - self._record.started_s
 
-    needed_s: Final = TRUST.needed_s
-    """Seconds of record from which it counts as settled."""
+    @property
+    def needed_s(self) -> float:
+        """Seconds of record from which it counts as settled: fewer with the model and the bias of before."""
+        return TRUST.told_s if self._is_warm else TRUST.needed_s
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -599,8 +622,15 @@ class SeaObserver:
         return None if self._heave is None else self._heave.filter.system.model
 
     def saved(self) -> SavedObserver:
-        """The model in use, for a restart to begin with."""
-        return SavedObserver(sea=self.model)
+        """The model in use and the bias that was found with it, for a restart to begin with."""
+        heave = self._heave
+        if heave is None or self._trial is not None or not heave.is_converged or heave.filter.rate is not None:
+            return SavedObserver(sea=self.model)  # A bias that goes on drifting will be another.
+        return SavedObserver(
+            sea=self.model,
+            bias_mps2=float(heave.filter.x[-1]),
+            bias_std_mps2=sqrt(max(float(heave.filter.covariance[-1, -1]), 0.0)),
+        )
 
     def restore(self, saved: SavedObserver, age_s: float = nan, /) -> None:
         """Begin with the model of an earlier run, ``age_s`` old; call before the first sample.
@@ -619,4 +649,4 @@ class SeaObserver:
         if steady is None:
             raise ValueError("the filter of the saved sea does not converge")
         self._install(system, steady, nan, np.zeros(len(system.H)), system.stationary.copy())
-        self._try(age_s)
+        self._try(saved, age_s)
