@@ -385,7 +385,7 @@ class MotionFrame(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     yaw_rate_radps: float = nan
     points: tuple[PointMotion, ...] = ()
     rock: Sequence[RockPrediction] = ()
-    """One per horizon, shortest first; from the pipeline as columns (:mod:`heaved.predictions`), like the next ones."""
+    """One per horizon, shortest first, as in ``forecast``."""
     quiet: QuietForecast | None = None
     """None: it is not asked for. Renewed once a second."""
     forecast: Sequence[HeaveForecast] = ()

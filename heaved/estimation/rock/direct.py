@@ -475,7 +475,6 @@ class DirectPredictor:
             switch=self._switch,
         )
         self._until_row = self._learner.every
-        self._batch_due = False
 
         self._curve_s = np.append(0.0, horizons)
         self._surprised_node = max(int(np.searchsorted(horizons, TUNING.surprised_s + 1e-6)) - 1, 0)
@@ -483,8 +482,6 @@ class DirectPredictor:
         """Samples between the first knots: so many missing in a row are no hole, for means hold the readings beside."""
         ahead = max(round(float(horizons[self._surprised_node]) / interval_s / bridged), 1)
         self._earlier: deque[list[float]] = deque(maxlen=ahead)
-        self._lowest, self._highest = np.full((n, 1), -inf), np.full((n, 1), inf)
-        """Of what is predicted, while there are limits."""
         self._surprise = [0.0] * n
         """Of each channel: by how many deviations predictions were off lately, at most; it fades."""
         self._surprise_fade = exp(-bridged * interval_s / TUNING.surprised_for_s)
@@ -495,6 +492,8 @@ class DirectPredictor:
         self._one_step = gap_weights[:1]
         self._slopes = self._curve_spline.slope(horizons)
         self._seen = np.zeros((n, count + 3, 1))
+        self._lowest, self._highest = np.full(self._seen.shape, -inf), np.full(self._seen.shape, inf)
+        """Of what is seen, while there are limits: of the curves, that is."""
         self._map = self._mapped()
         self._levels: list[float] = []
         timing = Timing(interval_s=interval_s, settling=settling, longest_gap=self._longest_gap, judged=judged)
@@ -584,14 +583,12 @@ class DirectPredictor:
         for c in self.holed:
             hole = self.filters[c]
             curves[c] = hole.mean + hole.curve(self._row_index, self._curve_s)
-        curves = self._curves
         if self._limits is not None:
-            np.maximum(curves, self._lowest, out=curves)
-            np.minimum(curves, self._highest, out=curves)
+            np.maximum(self._seen, self._lowest, out=self._seen)
+            np.minimum(self._seen, self._highest, out=self._seen)
         if self._row_index % self._bridged == 0:
             self._be_surprised(known)
         self._until_row -= 1
-        self._batch_due = False
         if self._until_row == 0:
             self._until_row = self._learner.every
             self._learn()
@@ -626,7 +623,7 @@ class DirectPredictor:
         ):
             if largest < inf:
                 reach = channel.reach(x)
-                self._lowest[c], self._highest[c] = channel.mean - reach, channel.mean + reach
+                self._lowest[c, :-2], self._highest[c, :-2] = channel.mean - reach, channel.mean + reach
 
     def _be_surprised(self, known: Sequence[bool]) -> None:
         """Hold what was predicted some time ago against what there is now."""
