@@ -41,6 +41,8 @@ class Fault(Enum):
     STALE = "stale"
     DISCONNECTED = "disconnected"
 
+    __hash__ = object.__hash__  # Members are compared by identity; Enum's own hash is that of the name, in Python.
+
 
 class ImuSample(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     """One reading of an accelerometer, IMU or attitude sensor."""
@@ -120,7 +122,7 @@ class HeaveState(Enum):
     DEGRADED = "degraded"
     INVALID = "invalid"
 
-    __hash__ = object.__hash__  # Members are compared by identity; Enum's own hash is that of the name, in Python.
+    __hash__ = object.__hash__  # As of a fault.
 
 
 class LaserState(Enum):
