@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from heaved.estimation.heave.params import Params as HeaveParams
     from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
     from heaved.estimation.lever_arm import Point
-    from heaved.estimation.rock.maximum_likelihood import Params as RockParams
+    from heaved.estimation.rock.params import Params as RockParams
 
 MAX_RATE_HZ: Final = 250.0
 """Sizes the buffers; a faster sensor is served too, with a shorter memory of late lasers."""

@@ -41,6 +41,8 @@ class Fault(Enum):
     STALE = "stale"
     DISCONNECTED = "disconnected"
 
+    __hash__ = object.__hash__  # Members are compared by identity; Enum's own hash is that of the name, in Python.
+
 
 class ImuSample(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     """One reading of an accelerometer, IMU or attitude sensor."""
@@ -120,7 +122,7 @@ class HeaveState(Enum):
     DEGRADED = "degraded"
     INVALID = "invalid"
 
-    __hash__ = object.__hash__  # Members are compared by identity; Enum's own hash is that of the name, in Python.
+    __hash__ = object.__hash__  # As of a fault.
 
 
 class LaserState(Enum):
@@ -385,7 +387,7 @@ class MotionFrame(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     yaw_rate_radps: float = nan
     points: tuple[PointMotion, ...] = ()
     rock: Sequence[RockPrediction] = ()
-    """One per horizon, shortest first; from the pipeline as columns (:mod:`heaved.predictions`), like the next ones."""
+    """One per horizon, shortest first, as in ``forecast``."""
     quiet: QuietForecast | None = None
     """None: it is not asked for. Renewed once a second."""
     forecast: Sequence[HeaveForecast] = ()

@@ -18,7 +18,7 @@ from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.hull import estimate as hull
 from heaved.estimation.lever_arm import Point
-from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.estimation.rock import params as rock
 from heaved.outputs.influx import InfluxParams
 from heaved.outputs.mqtt import MqttParams
 from heaved.outputs.register_map import RegistersParams

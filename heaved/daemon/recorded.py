@@ -13,7 +13,7 @@ import msgspec
 
 from heaved.devices.profile import SI, told_together
 from heaved.devices.station import KINDS
-from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S
+from heaved.estimation.rock.params import STANDARD_HORIZONS_S
 from heaved.outputs.fields import ATTITUDE, FORECAST, HULL, HULL_STD, MOTION, POINT, ROCK, Fields, compiled
 from heaved.recorder import messages
 from heaved.recorder.layout import Column, Device, Layout, Stored

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S
+from heaved.estimation.rock.params import STANDARD_HORIZONS_S
 from heaved.replay.replay import without_numbers
 from heaved.replay.table import MAX_STEP_S
 from heaved.report.columns import Column

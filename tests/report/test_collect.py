@@ -14,7 +14,7 @@ import seas
 from heaved.config import CompensationParams, Config
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.sea.model import Resonance
-from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.estimation.rock import params as rock
 from heaved.report.collect import MOST_STRETCHES, STRETCH_S, Collector, MeanSpectra, parts_of
 from heaved.samples import (
     CorrectionState,
