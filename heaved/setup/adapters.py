@@ -18,6 +18,8 @@ from heaved.text import printable
 BY_ID: Final = Path("/dev/serial/by-id")
 """Where udev gives each adapter a name that stays when others are plugged in or the machine starts anew."""
 PROCESSES: Final = Path("/proc")
+_PSEUDO: Final = "/dev/pts/"
+"""A pseudo-terminal is held open by whoever serves it."""
 _MOST_SHOWN: Final = 60
 """Letters of a command line."""
 
@@ -130,6 +132,8 @@ def explain(link: Link, reason: str) -> str:
 
 def beside_us(link: Link) -> str:
     """A warning where somebody else has the port open, too, without having locked it; else empty."""
-    if not isinstance(link, SerialLink) or not (found := holders(link.path)):
+    if not isinstance(link, SerialLink) or os.path.realpath(link.path).startswith(_PSEUDO):
+        return ""
+    if not (found := holders(link.path)):
         return ""
     return f"{', '.join(found)} has {link.path} open, too: its bytes and ours will be mixed; end it"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from math import isnan, nan
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
@@ -14,13 +14,18 @@ from heaved.devices.link import request_time_s
 from heaved.devices.probe import ReopenedLine
 from heaved.devices.profile import Block, Field, Profile, Quantity, block_registers, decode, si_step
 from heaved.devices.timer import DeadlineTimer, Pace
-from heaved.links import Link
 from heaved.samples import Fault
 from heaved.setup import sensor_record
 from heaved.setup.sensor_record import Line, Noise, RoundTrips
 
+if TYPE_CHECKING:
+    from heaved.links import Link
+
 ACCELERATIONS: Final[tuple[Quantity, ...]] = ("ax_mps2", "ay_mps2", "az_mps2")
 RATES: Final[tuple[Quantity, ...]] = ("gx_radps", "gy_radps", "gz_radps")
+MOVING_MPS2: Final = 0.02
+MOVING_RADPS: Final = 1e-3
+"""Wandering by more than that in seconds is motion and no bias: those of cheap sensors wander by a tenth of it."""
 MOST_LOST: Final = 25
 """Answers in a row that may be missing, after which it is not asked on."""
 
@@ -41,6 +46,7 @@ class Polls(msgspec.Struct):
 
 
 async def poll(
+    polls: Polls,
     link: Link,
     device_id: int,
     blocks: Sequence[Block],
@@ -50,15 +56,16 @@ async def poll(
     rate_hz: float | None = None,
     progress: Progress | None = None,
     each: Callable[[Polls], None] | None = None,
-) -> Polls:
-    """Ask for all ``blocks``, again and again: ``rate_hz`` times a second, None: as fast as it goes.
+    most_lost: float = MOST_LOST,
+) -> None:
+    """Ask for all ``blocks``, again and again: ``rate_hz`` times a second, None: as fast as it goes. ``polls`` is
+    filled with what comes, and holds it whatever ends the asking.
 
-    ``each``: told after every answer, with all there are.
+    ``each``: told after every request, with all answers there are. ``most_lost``: in a row, then nobody is there.
 
     Raises:
         ConnectionError: the line cannot be opened, was lost, or nobody answers any more; says why and what to do.
     """
-    polls = Polls()
     with DeadlineTimer() as timer:
         line = ReopenedLine(link, timer)
         try:
@@ -74,13 +81,12 @@ async def poll(
                     await timer.wait_until(pace.due_s)
                 fault = await _once(line, device_id, blocks, timeout_s, polls)
                 in_a_row = in_a_row + 1 if fault else 0
-                if in_a_row == MOST_LOST:
+                if in_a_row >= most_lost:
                     raise ConnectionError(f"id {device_id} has stopped answering: {fault}")
                 if each is not None:
                     each(polls)
         finally:
             line.close()
-    return polls
 
 
 async def _once(line: ReopenedLine, device_id: int, blocks: Sequence[Block], timeout_s: float, polls: Polls) -> str:
@@ -158,8 +164,12 @@ def measured(polls: Polls, profile: Profile, link: Link, bandwidth_hz: float) ->
 
 
 def _channel(field: Field, t_s: sensor_record.Array, x: sensor_record.Array, bandwidth_hz: float) -> Channel:
+    found = sensor_record.lines(t_s, x)
+    moving = MOVING_MPS2 if field.quantity in ACCELERATIONS else MOVING_RADPS
     return Channel(
         quantity=field.quantity,
-        noise=sensor_record.noise(t_s, x, bandwidth_hz=bandwidth_hz, step=si_step(field)),
-        lines=sensor_record.lines(t_s, x),
+        noise=sensor_record.noise(
+            t_s, x, bandwidth_hz=bandwidth_hz, step=si_step(field), moving=moving, shaken_by=found
+        ),
+        lines=found,
     )

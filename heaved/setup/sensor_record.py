@@ -55,8 +55,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Longest mean of which the walk is taken, as a share of the record."""
     surely: float = 3.0
     """Standard deviations by which a walk exceeds what white noise makes."""
-    moving: float = 0.02
-    """m/s2 (or rad/s): who wanders by more than that in seconds is moved, and not by a bias."""
+    upper: float = 0.4
+    """Share of the band from which white noise is taken: below it a hull bends, and what is there leaks."""
 
 
 TUNING: Final = Tuning()
@@ -151,10 +151,20 @@ class Noise(msgspec.Struct, frozen=True, kw_only=True):
     """Density that the rounding of the register makes by itself; nan: not known."""
 
 
-def noise(t_s: Array, x: Array, *, bandwidth_hz: float = 0.0, step: float = 0.0) -> Noise:
+def noise(
+    t_s: Array,
+    x: Array,
+    *,
+    bandwidth_hz: float = 0.0,
+    step: float = 0.0,
+    moving: float = inf,
+    shaken_by: Sequence[Line] = (),
+) -> Noise:
     """White noise and walk of the bias of a sensor.
 
     ``t_s``, ``x`` (n,): a record. ``bandwidth_hz``: of its low-pass, 0: not known. ``step``: of its register, 0: none.
+    ``moving``: who wanders by more than that (u) in seconds is moved, and not by a bias. ``shaken_by``: lines that were
+    found, which are taken out.
 
     The white noise is the median of the spectrum above the waves and below bandwidth and half the rate, so that lines
     do not count: S = N^2. The walk shows in the Allan variance, N^2 / (2 tau) + K^2 tau / 3 (IEEE 952-1997, annex C).
@@ -165,13 +175,13 @@ def noise(t_s: Array, x: Array, *, bandwidth_hz: float = 0.0, step: float = 0.0)
         top_hz = min(top_hz, TUNING.passband * bandwidth_hz)
     if len(x) < TUNING.fewest or top_hz < 2.0 * TUNING.vibration_hz:
         return Noise(density=nan)
-    density = _white_density(x, rate_hz, top_hz)
+    density = _white_density(_without(t_s, x, shaken_by), rate_hz, top_hz)
     # Rounding spreads step^2 / 12 over the band up to half the rate.
     steps = step / sqrt(6.0 * rate_hz) if step else nan
     tau_s = float(t_s[-1] - t_s[0]) / TUNING.blocks
     variance, white = _allan_variance(x, max(round(tau_s * rate_hz), 1)), density**2 / (2.0 * tau_s)
     short = _allan_variance(x, max(round(min(1.0, tau_s) * rate_hz), 1))
-    if sqrt(max(variance, short)) > TUNING.moving:
+    if sqrt(max(variance, short)) > moving:
         return Noise(density=density, is_moved=True, steps=steps)
     excess, unsure = variance - white, TUNING.surely * white * sqrt(2.0 / TUNING.blocks)
     if excess > unsure:
@@ -195,12 +205,21 @@ def _white_density(x: Array, rate_hz: float, top_hz: float) -> float:
 
     length = min(len(x), max(2 * len(x) // (TUNING.segments + 1), TUNING.fewest))
     f, power = welch(x, rate_hz, nperseg=length, detrend=detrend)
-    inside = (f >= min(TUNING.vibration_hz, 0.5 * top_hz)) & (f <= top_hz) & (f > 2.0 * f[1])
+    inside = (f >= max(TUNING.vibration_hz, TUNING.upper * top_hz)) & (f <= top_hz) & (f > 2.0 * f[1])
     if not inside.any():
         return nan
     # The median of a mean of chi-square variables lies below their mean; half overlapping segments count less than one.
     freedom = 2.0 * max(1.0, 0.95 * (2 * len(x) // length - 1))
     return sqrt(float(np.median(power[inside])) * freedom / float(chi2.ppf(0.5, freedom)))
+
+
+def _without(t_s: Array, x: Array, shaken_by: Sequence[Line]) -> Array:
+    """x (n,) less the lines, each by least squares."""
+    if not shaken_by:
+        return x
+    angles = 2.0 * np.pi * np.outer(t_s - t_s[0], [line.frequency_hz for line in shaken_by])
+    waves = np.column_stack((np.ones(len(x)), t_s - t_s[0], np.cos(angles), np.sin(angles)))
+    return np.asarray(x - waves @ np.linalg.lstsq(waves, x, rcond=None)[0])
 
 
 def _allan_variance(x: Array, n: int) -> float:

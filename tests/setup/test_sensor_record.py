@@ -93,7 +93,7 @@ def test_lines_waves_and_the_low_pass_do_not_count_as_noise() -> None:
     t_s, x = white(5, 100.0, 40.0)
     b, a = butter(2, 20.0, fs=100.0)
     x = lfilter(b, a, x) + 0.5 * np.sin(2 * np.pi * 9.3 * t_s) + 0.4 * np.sin(2 * np.pi * 0.1 * t_s)
-    found = noise(t_s, x, bandwidth_hz=20.0)
+    found = noise(t_s, x, bandwidth_hz=20.0, moving=0.02, shaken_by=lines(t_s, x))
     assert found.density == pytest.approx(DENSITY, rel=0.12)
     assert found.is_moved
     assert math.isnan(found.walk)
