@@ -32,6 +32,8 @@ MOST_SHOWN: Final = 4
 SHIFTS: Final = (0, 1, -1)
 FITS: Final = 0.7
 """Score from which a profile is worth naming."""
+GRAVITY_OFF_MPS2: Final = 2.5
+"""By which the accelerations of a ship in a seaway are off gravity, at the most."""
 READS: Final = 5
 """Of every profile that is worth naming."""
 READ_PAUSE_S: Final = 0.1
@@ -102,7 +104,7 @@ def plausibility(values: Mapping[Quantity, float], registers: Sequence[int]) -> 
     marks: list[tuple[float, bool]] = []
     forces = [values[axis] for axis in ("ax_mps2", "ay_mps2", "az_mps2") if axis in values]
     if len(forces) == 3:
-        marks.append((4.0, abs(sqrt(sum(force**2 for force in forces)) - GRAVITY_MPS2) < 1.5))
+        marks.append((4.0, abs(sqrt(sum(force**2 for force in forces)) - GRAVITY_MPS2) < GRAVITY_OFF_MPS2))
     elif forces:
         marks.append((2.0, any(abs(abs(force) - GRAVITY_MPS2) < 1.5 for force in forces)))
     marks += [(1.0, abs(values[angle]) < 0.8) for angle in ("roll_rad", "pitch_rad") if angle in values]

@@ -93,6 +93,9 @@ def _is_open_on(descriptor: Path, target: str) -> bool:
 
 def _command(process: Path) -> str:
     words = (process / "cmdline").read_bytes().rstrip(b"\0").decode(errors="replace").split("\0")
+    if Path(words[0]).name.startswith("python") and len(words) > 2:
+        # Not who runs it, but what is run.
+        words = words[2:] if words[1] == "-m" else words if words[1].startswith("-") else words[1:]
     words[0] = Path(words[0]).name
     text = printable(" ".join(words))
     return text if len(text) <= _MOST_SHOWN else text[:_MOST_SHOWN] + "…"

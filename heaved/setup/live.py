@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from math import degrees, inf, nan
+from math import degrees, inf, nan, sqrt
 from typing import TYPE_CHECKING, Final, TextIO
 
 import msgspec
@@ -25,10 +25,13 @@ if TYPE_CHECKING:
 REDRAW_S: Final = 0.2
 _FADES_S: Final = 1.0
 """For so long after it a leap stays marked."""
-_LEAP: Final = 8.0
-"""Times its usual step by which a value goes when somebody moves the sensor."""
-_USUAL: Final = 0.02
-"""Weight of the newest step in the usual one."""
+_LEAP: Final = 5.0
+"""Times its usual distance from where it was a moment ago, by which a value is away when somebody moves the sensor."""
+_MOMENT_S: Final = 2.0
+_USUAL_S: Final = 20.0
+"""Time constants of where a value was, and of how far it usually is from there."""
+_SETTLED: Final = 20
+"""Readings from which that is known."""
 _UNITS: Final = {"mps2": "m/s2", "rad": "deg", "radps": "deg/s", "m": "m", "c": "degC", "s": "s", "mps": "m/s"}
 
 
@@ -46,20 +49,34 @@ class Cell(msgspec.Struct):
     low: float = inf
     high: float = -inf
     changes: int = 0
-    usual_step: float = nan
+    readings: int = 0
+    at_s: float = nan
+    slow: float = nan
+    spread2: float = 0.0
+    smallest: float = 0.0
+    """Least change so far: what is coarse is not moved when it changes by a count or two."""
     leapt_at_s: float = -inf
 
     def take(self, words: tuple[int, ...], value: float, now_s: float) -> None:
         """One more reading."""
-        if self.words and words != self.words:
+        if self.readings == 0:
+            self.slow = value
+        else:
+            self._compare(words, value, now_s)
+        self.words, self.value, self.at_s = words, value, now_s
+        self.low, self.high = min(self.low, value), max(self.high, value)
+        self.readings += 1
+
+    def _compare(self, words: tuple[int, ...], value: float, now_s: float) -> None:
+        off, passed_s = abs(value - self.slow), max(now_s - self.at_s, 0.0)
+        if self.readings >= _SETTLED and off > _LEAP * max(sqrt(self.spread2), self.smallest) and off > 0.0:
+            self.leapt_at_s = now_s
+        if words != self.words:
             self.changes += 1
             step = abs(value - self.value)
-            if step > _LEAP * self.usual_step:
-                self.leapt_at_s = now_s
-            known = self.usual_step == self.usual_step
-            self.usual_step = (1.0 - _USUAL) * self.usual_step + _USUAL * step if known else step
-        self.words, self.value = words, value
-        self.low, self.high = min(self.low, value), max(self.high, value)
+            self.smallest = min(self.smallest or step, step)
+        self.slow += (value - self.slow) * min(passed_s / _MOMENT_S, 1.0)
+        self.spread2 += (off**2 - self.spread2) * max(min(passed_s / _USUAL_S, 1.0), 1.0 / (self.readings + 1))
 
 
 def cells(blocks: Sequence[Block]) -> list[Cell]:
