@@ -40,7 +40,7 @@ def probe(
     ] = None,
     timeout: Annotated[float, typer.Option(min=0.01, max=10.0, help="Seconds to wait for an answer.")] = 0.1,
     seconds: Annotated[
-        float, typer.Option(min=0.0, max=86400.0, help="Measure what fits for so long; 0: do not.")
+        float, typer.Option(min=0.0, max=1800.0, help="Measure what fits for so long; 0: do not.")
     ] = 10.0,
     rate: Annotated[
         float | None, typer.Option(min=0.01, max=1000.0, help="Polls a second that are planned; else what suits.")
@@ -269,6 +269,10 @@ def _examine(
     from heaved.setup.config_file import taken_names
     from heaved.setup.probe import examine_line
 
+    if sys.stderr.isatty():
+        say(
+            f"{link}: asking {len(wishes.ids)} ids: at most {_long(len(wishes.ids) * wishes.timeout_s + 1.0)}", err=True
+        )
     if warning := beside_us(link):
         hints.append(f"{link}: {warning}")
     taken = taken_names(write) if write is not None else ()

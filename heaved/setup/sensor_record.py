@@ -5,7 +5,7 @@ A record says only what its length and its rate allow; what it cannot say is nan
 
 from __future__ import annotations
 
-from math import ceil, inf, log, nan, sqrt
+from math import inf, log, nan, sqrt
 from typing import TYPE_CHECKING, Final, Literal
 
 import msgspec
@@ -49,6 +49,10 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Of which the spectrum is the mean."""
     padding: int = 4
     """Frequencies looked at in each bin of the record."""
+    longest: int = 2048
+    """Newest values in which lines are looked for: more would cost time and show engines that change their speed;"""
+    ticks: int = 8192
+    """and of which a clock is refined."""
     chance: float = 1e-3
     """That a line of a record is none."""
     blocks: float = 5.0
@@ -109,6 +113,7 @@ def pace(t_s: Array, is_new: NDArray[np.bool_]) -> Pace:
 
 def _refined_hz(changes_s: Array, near_hz: float) -> float:
     """The rate at which the changes (n,) are most nearly even, within a hundredth of ``near_hz``."""
+    changes_s = changes_s[-TUNING.ticks :]
     span_s = float(changes_s[-1] - changes_s[0])
     rates = near_hz + np.arange(-0.01 * near_hz, 0.01 * near_hz, 0.05 / span_s)
     return float(rates[np.argmax(np.abs(_transform(changes_s, np.ones(len(changes_s)), rates)))])
@@ -250,6 +255,7 @@ def lines(t_s: Array, x: Array, most: int = 3) -> list[Line]:
     """
     if len(x) < TUNING.fewest:
         return []
+    t_s, x = t_s[-TUNING.longest :], x[-TUNING.longest :]
     span_s = float(t_s[-1] - t_s[0])
     t, rest = t_s - t_s[0], np.asarray(x - np.polyval(np.polyfit(t_s - t_s[0], x, 1), t_s - t_s[0]))
     top_hz = 0.5 * TUNING.nyquist * (len(x) - 1) / span_s
@@ -274,9 +280,17 @@ def lines(t_s: Array, x: Array, most: int = 3) -> list[Line]:
 
 
 def _transform(t: Array, x: Array, f: Array) -> NDArray[np.complex128]:
-    """Fourier sums of x (n,) at times t (n,), for frequencies f (k,); some at a time, to be sparing of memory."""
-    parts = [np.exp(-2j * np.pi * np.outer(some, t)) @ x for some in np.array_split(f, ceil(len(f) * len(t) / 1e6))]
-    return np.concatenate(parts)
+    """Fourier sums of x (n,) at times t (n,), for evenly spaced frequencies f (k,).
+
+    Each is the one before, turned on by the spacing: many times cheaper than k n exponentials, and exact to some 1e-13.
+    """
+    turning = x * np.exp(-2j * np.pi * f[0] * t)
+    turn = np.exp(-2j * np.pi * (f[1] - f[0]) * t) if len(f) > 1 else np.ones(len(t))
+    sums = np.empty(len(f), dtype=np.complex128)
+    for k in range(len(f)):
+        sums[k] = turning.sum()
+        turning *= turn
+    return sums
 
 
 def _beside(power: Array, k: int) -> float:

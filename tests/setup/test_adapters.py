@@ -53,22 +53,23 @@ def test_adapters_are_told_with_name_maker_and_number(monkeypatch: pytest.Monkey
     assert second.name == ""
 
 
-def test_who_holds_a_port_is_named(port: str) -> None:
+def test_who_holds_a_port_is_named(port: str, tmp_path: Path) -> None:
     assert holders(port) == []
-    script = "import sys; held = open(sys.argv[1], 'r+b', buffering=0); print(flush=True); sys.stdin.read()"
+    (other := tmp_path / "ttyUSB7").touch()
+    script = "import sys; held = [open(path, 'r+b', buffering=0) for path in sys.argv[1:]]; print(flush=True); input()"
     with subprocess.Popen(
-        [sys.executable, "-c", script, port, "heaved"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        [sys.executable, "-c", script, port, str(other)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as process:
         assert process.stdout is not None
         process.stdout.readline()
         (holder,) = holders(port)
         told = explain(SerialLink(port), f"{port} is in use by another program, or by this one: stop it")
-        warned = beside_us(SerialLink(port))
-        process.communicate(b"")
+        warned = beside_us(SerialLink(str(other)))
+        process.communicate(b"\n")
     assert holder.startswith(Path(sys.executable).name)
     assert holder.endswith(f"(process {process.pid})")
     assert told.startswith(f"{port} is in use: {holder} has it open: stop it")
-    assert "its bytes and ours will be mixed" in warned
+    assert warned == f"{holder} has {other} open, too: its bytes and ours will be mixed; end it"
     assert holders(port) == []
     assert beside_us(SerialLink(port)) == ""
 
