@@ -172,7 +172,7 @@ def _vibration(measured: Measured, rate_hz: float) -> Iterator[str]:
         return
     for channel, line in sorted(found, key=lambda pair: -pair[1].amplitude):
         yield (
-            f"vibration: {_short(channel.quantity)} {line.amplitude:.3g} m/s2 at {line.frequency_hz:.2f} Hz; "
+            f"vibration: {_short(channel.quantity)} {line.amplitude:.2g} m/s2 at {line.frequency_hz:.2f} Hz; "
             f"polled at {rate_hz:g} Hz {folded_text(line.frequency_hz, line.amplitude, rate_hz)}"
         )
     yield f"  (what is faster than {half_hz:.3g} Hz, half the new values a second, shows here at another frequency)"
@@ -186,7 +186,7 @@ def folded_text(frequency_hz: float, amplitude_mps2: float, rate_hz: float) -> s
     if at_hz < _STANDS_HZ:
         return f"it reads as a bias that wanders (of {at_hz:.3f} Hz): take another rate"
     height_m = amplitude_mps2 / (2.0 * pi * at_hz) ** 2
-    return f"it reads as a wave of {1.0 / at_hz:.3g} s and {height_m:.2g} m: take another rate"
+    return f"it reads as a wave of {1.0 / at_hz:.2g} s and {height_m:.2g} m: take another rate"
 
 
 # ---- for scripts -----------------------------------------------------------------------------------------------------

@@ -13,7 +13,9 @@ from picky_slaves import PickySlave
 from wt901 import Wt901
 
 from heaved.config.read import packaged_profiles, parse
+from heaved.devices import probe as probing
 from heaved.links import SerialLink, TcpLink
+from heaved.setup import survey as surveying
 from heaved.setup.probe import Wishes, examine_line, live_profile, watch
 from heaved.setup.probe_report import lines, tree
 
@@ -27,30 +29,37 @@ if TYPE_CHECKING:
 WITMOTION = tuple(profile for profile in packaged_profiles() if profile.name == "witmotion-wt901c485")
 
 
+@pytest.fixture(autouse=True)
+def quick_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(probing, "READ_PAUSE_S", 0.02)
+    monkeypatch.setattr(probing, "LATEST_S", 0.0)
+    monkeypatch.setattr(surveying, "PAUSE_S", 0.005)
+
+
 async def examined(
-    link: Link, *, seconds: float = 0.0, ids: tuple[int, ...] = (80,), taken: tuple[str, ...] = ()
+    link: Link, *, seconds: float = 0.0, ids: tuple[int, ...] = (80,), timeout_s: float = 0.5
 ) -> tuple[list[Examined], list[str]]:
     everybody: list[Examined] = []
-    wishes = Wishes(ids=ids, timeout_s=0.1, seconds=seconds, registers=(0x30, 0x3F))
+    wishes = Wishes(ids=ids, timeout_s=timeout_s, seconds=seconds, registers=(0x30, 0x3F))
     hints = await examine_line(
-        link, wishes, WITMOTION, taken, lambda done, total, what: None, everybody.append
+        link, wishes, WITMOTION, (), lambda done, total, what: None, everybody.append
     )  # fmt: skip
     return everybody, hints
 
 
 async def on_pty(
-    answer: Callable[[bytes], bytes], *, seconds: float = 0.0, ids: tuple[int, ...] = (80,)
+    answer: Callable[[bytes], bytes], *, seconds: float = 0.0, ids: tuple[int, ...] = (80,), timeout_s: float = 0.5
 ) -> tuple[list[Examined], list[str], str]:
     slave = PickySlave(115200, answer)
     try:
-        everybody, hints = await examined(SerialLink(slave.path, 115200), seconds=seconds, ids=ids)
+        everybody, hints = await examined(SerialLink(slave.path, 115200), seconds=seconds, ids=ids, timeout_s=timeout_s)
     finally:
         slave.close()
     return everybody, hints, slave.path
 
 
 async def test_a_sensor_is_found_measured_and_written_down() -> None:
-    (found,), hints, path = await on_pty(Wt901(bandwidth=6), seconds=1.5)
+    (found,), hints, path = await on_pty(Wt901(bandwidth=6), seconds=0.4)
     assert hints == []
     table, shown = found.table, found.measured
     assert table is not None
@@ -61,26 +70,12 @@ async def test_a_sensor_is_found_measured_and_written_down() -> None:
     # Register 0x1F says 6: 5 Hz, of which the low-pass lags by 0.2 / 5 Hz.
     assert (device.bandwidth_hz, device.latency_ms) == (5.0, -40.0)
     assert device.timeout_ms >= 1.5e3 * shown.round_trips.worst_s or device.timeout_ms == 10_000.0
-    assert shown.round_trips.answers > 50
+    assert shown.round_trips.answers > 2
     assert shown.round_trips.lost == 0
-    assert shown.pace.kind == "every poll"
     told = "\n".join(lines(found, device.rate_hz))
     document = tomllib.loads(told[told.index("[[device]]") :])
     assert parse(document, file="it", directory=Path("/nonexistent")).device == (device,)
     assert "no poll can say" in told
-
-
-async def test_a_sensor_that_measures_more_slowly_than_it_is_asked_is_timed_and_its_noise_known() -> None:
-    (found,), _, _ = await on_pty(Wt901(measures_hz=25.0, bandwidth=0), seconds=4.0)
-    shown = found.measured
-    assert shown is not None
-    assert shown.pace.kind == "clock"
-    assert shown.pace.new_hz == pytest.approx(25.0, rel=0.05)
-    az = next(channel for channel in shown.channels if channel.quantity == "az_mps2")
-    # Four counts of 16 g / 32768 at 25 values a second: N = sigma / sqrt(f / 2).
-    expected = 4.0 * 16.0 / 32768.0 * 9.80665 / (25.0 / 2.0) ** 0.5
-    assert az.noise.density == pytest.approx(expected, rel=0.5)
-    assert "it measures every" in "\n".join(lines(found, 100.0))
 
 
 async def test_two_on_a_line_share_it_and_have_names_of_their_own() -> None:
@@ -137,7 +132,7 @@ async def test_an_adapter_that_is_pulled_out_while_it_measures_loses_nothing() -
 
     def pull() -> None:
         nonlocal pulled
-        if len(slave.requests) > 400 and not pulled:
+        if len(slave.requests) > 200 and not pulled:
             pulled = True
             slave.unplug()
 
@@ -154,9 +149,9 @@ async def test_a_sensor_that_falls_silent_while_it_is_measured() -> None:
     def answer(request: bytes) -> bytes:
         nonlocal requests
         requests += 1
-        return sensor(request) if requests < 400 else b""
+        return sensor(request) if requests < 200 else b""
 
-    (found,), _, _ = await on_pty(answer, seconds=60.0)
+    (found,), _, _ = await on_pty(answer, seconds=60.0, timeout_s=0.03)
     assert found.table is not None
     (note,) = found.notes
     assert "id 80 has stopped answering: no answer" in note
@@ -166,7 +161,7 @@ async def test_ctrl_c_ends_the_measuring_and_not_what_is_known() -> None:
     slave = PickySlave(115200, sensor := Wt901())
     task = asyncio.create_task(examined(SerialLink(slave.path, 115200), seconds=600.0))
     # Asked 12 registers at a time, again and again: it is being measured.
-    sensor.hears = lambda: task.cancel() if len(slave.requests) == 400 else None
+    sensor.hears = lambda: task.cancel() if len(slave.requests) == 200 else None
     try:
         (found,), _ = await task
     finally:

@@ -17,6 +17,7 @@ from wt901 import Wt901
 
 from heaved.cli import main
 from heaved.config.read import load
+from heaved.devices import probe as probing
 from heaved.setup import scan as scanning
 
 if TYPE_CHECKING:
@@ -29,6 +30,8 @@ SETTINGS = ((9600, "N"), (115200, "N"))
 def few_settings(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scanning, "SETTINGS", SETTINGS)
     monkeypatch.setattr(scanning, "LISTEN_S", 0.005)
+    monkeypatch.setattr(probing, "READ_PAUSE_S", 0.02)
+    monkeypatch.setattr(probing, "LATEST_S", 0.0)
 
 
 def plugged_in(monkeypatch: pytest.MonkeyPatch, *paths: str) -> None:
