@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -75,8 +74,7 @@ def probe(
         role=role or None,  # type: ignore[arg-type]  # It is one of them.
         registers=_registers(registers),
     )  # fmt: skip
-    with _telling() as tell:
-        links, hints = _links(link, wanted[1], timeout, scan=scan, tell=tell)
+    links, hints = _links(link, wanted[1], timeout, scan=scan)
     if live:
         _live(links, hints, wishes)
         return
@@ -143,7 +141,7 @@ def _list_adapters(*, as_json: bool) -> NoReturn:
 
 
 def _links(
-    text: str | None, ids: tuple[int, ...] | None, timeout_s: float, *, scan: bool, tell: Tell
+    text: str | None, ids: tuple[int, ...] | None, timeout_s: float, *, scan: bool
 ) -> tuple[list[Link], list[str]]:
     """Lines with their settings, and what was noticed while they were looked for."""
     from heaved.links import SerialLink, TcpLink, parse_link
@@ -164,7 +162,7 @@ def _links(
     links: list[Link] = []
     hints: list[str] = []
     for path in paths:
-        found = _scanned(path, ids, timeout_s, tell, hints, is_only=len(paths) == 1)
+        found = _scanned(path, ids, timeout_s, hints, is_only=len(paths) == 1)
         if found is not None:
             links.append(found)
     if not links:
@@ -194,9 +192,11 @@ def _free_adapters() -> list[str]:
 
 
 def _scanned(
-    path: str, ids: tuple[int, ...] | None, timeout_s: float, tell: Tell, hints: list[str], *, is_only: bool
+    path: str, ids: tuple[int, ...] | None, timeout_s: float, hints: list[str], *, is_only: bool
 ) -> SerialLink | None:
     """The line with the settings at which somebody answers."""
+    import asyncio
+
     from heaved.setup.scan import plan
     from heaved.setup.scan import scan as look
 
@@ -206,7 +206,8 @@ def _scanned(
         bounds += f", the usual ids within {_long(asked.bound_s(1))}"
     say(f"{path}: {len(asked.settings)} settings, {asked.requests} requests: {bounds}; Ctrl-C ends it", err=True)
     try:
-        found = asyncio.run(look(path, asked, lambda done, total, what: tell(done, total, f"{path} {what}")))
+        with _telling() as tell:
+            found = asyncio.run(look(path, asked, lambda done, total, what: tell(done, total, f"{path} {what}")))
     except ConnectionError as error:
         if is_only:
             fail(f"{path}: {error}", EX_UNAVAILABLE)
@@ -264,6 +265,8 @@ def _examine(
     *,
     is_only: bool,
 ) -> None:
+    import asyncio
+
     from heaved.config.read import packaged_profiles
     from heaved.setup.adapters import beside_us
     from heaved.setup.config_file import taken_names
@@ -319,6 +322,8 @@ def _telling() -> Iterator[Tell]:
 
 
 def _live(links: list[Link], hints: list[str], wishes: Wishes) -> None:
+    import asyncio
+
     from heaved.setup.live import Screen, View
     from heaved.setup.probe import live_profile, watch
 

@@ -149,7 +149,8 @@ def table(
     bandwidth = set_bandwidth_hz or profile.bandwidth_hz
     chosen = rate(role, parse_link(link), profile, bandwidth, measured, share)
     if rate_hz is not None:
-        chosen = Rate(rate_hz, "as asked for")
+        folds = folding(rate_hz, bandwidth)
+        chosen = Rate(rate_hz, f"as asked for; {folds}" if folds else "as asked for")
     trips = measured.round_trips if measured is not None else None
     timeout_ms, told = 50.0, ""
     if trips is not None and not isnan(trips.timeout_ms):

@@ -12,8 +12,6 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.imu.sensor_clock import SensorClock
-
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -31,8 +29,10 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """New values of a clock lie about an even row of times by less than this share of its period: polls that see one
     period in n scatter them by 1 / (n sqrt(12)) of it, at most 0.29. Values that repeat by chance scatter more with
     every one of them."""
-    missed: float = 1.05
-    """The clock of the new values is faster than their number says, if some were missed, by so much at the most."""
+    missed: float = 1.4
+    """The clock of the new values is faster than their number says, if some were missed, by so much at the most;"""
+    clear: float = 0.85
+    """and slower than so much of the polls' own rate, or it is taken for that."""
     on_clock: float = 0.3
     """Length of the mean of the phases of new values from which each belongs to a tick: sin(pi r) / (pi r) where the
     sensor measures r times as often as it is asked."""
@@ -101,22 +101,30 @@ def pace(t_s: Array, is_new: NDArray[np.bool_]) -> Pace:
     if len(changes_s) >= TUNING.all_new * (len(t_s) - 1):
         return Pace(polls_hz=polls_hz, new_hz=polls_hz, kind="every poll")
     counted_hz = (len(changes_s) - 1) / float(changes_s[-1] - changes_s[0])
-    clock = SensorClock()
-    for when_s, new in zip(t_s.tolist(), is_new.tolist(), strict=True):
-        clock.step(when_s, new)
-    if clock.is_slow and 0.98 < 1.0 / clock.period_s / counted_hz < TUNING.missed:
-        return Pace(polls_hz=polls_hz, new_hz=_refined_hz(changes_s, 1.0 / clock.period_s), kind="clock")
+    clock_hz = _clock_hz(changes_s, counted_hz, polls_hz)
+    if clock_hz:
+        return Pace(polls_hz=polls_hz, new_hz=clock_hz, kind="clock")
     row = np.arange(len(changes_s))
     off = (changes_s - np.polyval(np.polyfit(row, changes_s, 1), row)) * counted_hz
     return Pace(polls_hz=polls_hz, new_hz=counted_hz, kind="clock" if float(np.std(off)) < TUNING.even else "by chance")
 
 
-def _refined_hz(changes_s: Array, near_hz: float) -> float:
-    """The rate at which the changes (n,) are most nearly even, within a hundredth of ``near_hz``."""
+def _clock_hz(changes_s: Array, counted_hz: float, polls_hz: float) -> float:
+    """Rate of the clock on which the changes (n,) are; 0: on none that is clearly slower than the polls.
+
+    Polls that see one period in 1/r scatter the phases of the changes over a share r of it, whose mean has the length
+    sin(pi r) / (pi r), however many of them were missed. That of changes by chance exceeds sqrt(log(m / p) / n) at one
+    of m rates with probability p.
+    """
     changes_s = changes_s[-TUNING.ticks :]
     span_s = float(changes_s[-1] - changes_s[0])
-    rates = near_hz + np.arange(-0.01 * near_hz, 0.01 * near_hz, 0.05 / span_s)
-    return float(rates[np.argmax(np.abs(_transform(changes_s, np.ones(len(changes_s)), rates)))])
+    rates = np.arange(0.98 * counted_hz, min(TUNING.missed * counted_hz, TUNING.clear * polls_hz), 0.1 / span_s)
+    if len(rates) == 0:
+        return 0.0
+    agreement = np.abs(_transform(changes_s - changes_s[0], np.ones(len(changes_s)), rates)) / len(changes_s)
+    best = int(np.argmax(agreement))
+    least = sqrt(log(len(rates) / TUNING.chance) / len(changes_s))
+    return float(rates[best]) if agreement[best] > least else 0.0
 
 
 def measured(t_s: Array, values: Array, is_new: NDArray[np.bool_], found: Pace) -> tuple[Array, Array]:
@@ -324,16 +332,17 @@ class RoundTrips(msgspec.Struct, frozen=True, kw_only=True):
     lost: int
     median_s: float = nan
     p95_s: float = nan
+    p99_s: float = nan
     worst_s: float = nan
 
     @property
     def timeout_ms(self) -> float:
-        """To wait for an answer: half as long again as for the slowest of this record, and four times as far above the
-        usual one as 95 % are; nan: there was none.
+        """To wait for an answer: half as long again as for 99 % of this record, and four times as far above the usual
+        one as 95 % are; nan: there was none. The few that are slower yet are lost: they are this machine's, mostly.
         """
         if not self.answers:
             return nan
-        least_ms = 1e3 * max(1.5 * self.worst_s, self.median_s + 4.0 * (self.p95_s - self.median_s))
+        least_ms = 1e3 * max(1.5 * self.p99_s, self.median_s + 4.0 * (self.p95_s - self.median_s))
         return next((choice for choice in TIMEOUTS_MS if choice >= least_ms - 1e-6), TIMEOUTS_MS[-1])
 
 
@@ -348,9 +357,9 @@ def round_trips(durations_s: Sequence[float], lost: int) -> RoundTrips:
     """Of some answers, and of requests without one."""
     if not durations_s:
         return RoundTrips(answers=0, lost=lost)
-    median_s, p95_s = np.percentile(durations_s, (50.0, 95.0))
+    median_s, p95_s, p99_s = map(float, np.percentile(durations_s, (50.0, 95.0, 99.0)))
     return RoundTrips(
-        answers=len(durations_s), lost=lost, median_s=float(median_s), p95_s=float(p95_s), worst_s=max(durations_s)
+        answers=len(durations_s), lost=lost, median_s=median_s, p95_s=p95_s, p99_s=p99_s, worst_s=max(durations_s)
     )
 
 

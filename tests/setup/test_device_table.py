@@ -26,7 +26,9 @@ WITMOTION = PROFILES["witmotion-wt901c485"]
 
 def measured(*lines_hz: float, median_s: float = 0.001) -> Measured:
     channel = Channel(quantity="az_mps2", noise=Noise(density=1e-3), lines=[Line(f, 0.1) for f in lines_hz])
-    trips = RoundTrips(answers=100, lost=0, median_s=median_s, p95_s=1.1 * median_s, worst_s=2.0 * median_s)
+    trips = RoundTrips(
+        answers=100, lost=0, median_s=median_s, p95_s=1.1 * median_s, p99_s=1.5 * median_s, worst_s=2.0 * median_s
+    )
     pace = Pace(polls_hz=100.0, new_hz=100.0, kind="every poll")
     return Measured(
         seconds=10.0, pace=pace, round_trips=trips, wire_s=0.0, age_spread_s=float("nan"), channels=[channel]
