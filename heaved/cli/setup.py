@@ -74,7 +74,7 @@ def probe(
         role=role or None,  # type: ignore[arg-type]  # It is one of them.
         registers=_registers(registers),
     )  # fmt: skip
-    links, hints = _links(link, wanted[1], timeout, scan=scan)
+    links, hints = _links(link, wanted[1], timeout, scan=scan, as_json=as_json)
     if live:
         _live(links, hints, wishes)
         return
@@ -141,7 +141,7 @@ def _list_adapters(*, as_json: bool) -> NoReturn:
 
 
 def _links(
-    text: str | None, ids: tuple[int, ...] | None, timeout_s: float, *, scan: bool
+    text: str | None, ids: tuple[int, ...] | None, timeout_s: float, *, scan: bool, as_json: bool
 ) -> tuple[list[Link], list[str]]:
     """Lines with their settings, and what was noticed while they were looked for."""
     from heaved.links import SerialLink, TcpLink, parse_link
@@ -166,6 +166,8 @@ def _links(
         if found is not None:
             links.append(found)
     if not links:
+        if as_json:
+            _say_json({"devices": [], "hints": hints})
         for hint in hints:
             say(printable(hint), err=True)
         fail(

@@ -128,11 +128,12 @@ def test_a_script_gets_one_object(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_nobody_answers_and_what_was_heard_instead(capsys: pytest.CaptureFixture[str]) -> None:
     with in_background(lambda: PickySlave(2400, lambda request: b"", lambda data: b"\xf8\x80")) as slave:
-        assert main(["probe", f"rtu://{slave.path}", "--ids", "1,2", "--timeout", "0.02"]) == 69
-        scanned = capsys.readouterr().err
+        assert main(["probe", f"rtu://{slave.path}", "--ids", "1,2", "--timeout", "0.02", "--json"]) == 69
+        out, scanned = capsys.readouterr()
         link = f"rtu://{slave.path}?baudrate=9600"
         assert main(["probe", link, "--ids", "1,2", "--timeout", "0.02", "--json"]) == 69
         captured = capsys.readouterr()
+    assert json.loads(out)["devices"] == []
     assert "bytes that are no frame came when id 1 was asked at 9600 8N1 (f8 80)" in scanned
     assert "nobody answers at any usual baud rate" in scanned
     assert "2 bytes that are no valid frame" in captured.err
