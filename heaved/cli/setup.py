@@ -231,6 +231,7 @@ def _long(seconds: float) -> str:
 def _report(
     links: list[Link], hints: list[str], wishes: Wishes, write: Path | None, *, yes: bool, as_json: bool
 ) -> None:
+    from heaved.setup.device_table import link_text
     from heaved.setup.probe_report import lines, tree
 
     everybody: list[Examined] = []
@@ -245,7 +246,7 @@ def _report(
 
         _examine(link, wishes, write, hints, found, is_only=len(links) == 1)
     if as_json:
-        _say_json({"devices": [{"link": str(one.device.link)} | tree(one) for one in everybody], "hints": hints})
+        _say_json({"devices": [{"link": link_text(one.device.link)} | tree(one) for one in everybody], "hints": hints})
     for hint in hints:
         say(printable(hint), err=True)
     if not everybody:

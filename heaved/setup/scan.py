@@ -189,47 +189,78 @@ class _Ear:
 
 async def scan(path: str, asked: Plan, progress: Progress) -> Scan:
     """Look for the settings of a serial line, and for who is there: up to the first setting at which somebody answers.
+    Cancelled, as by Ctrl-C, it tells what has been heard so far.
 
     Raises:
         ConnectionError: the port cannot be opened, has gone, or takes nothing; says why and what to do.
     """
-    notes = _Notes()
-    heard_of: list[int] = []
-    done = 0
-    for ids in asked.rounds:
-        for setting in asked.settings:
-            link = SerialLink(path, *setting)
-            # First of all, whoever has made a noise with other settings.
-            queue = [*(i for i in heard_of if i in ids), *(i for i in ids if i not in heard_of)]
-            ear = _Ear(link)
-            try:
-                ear.open()
-            except OSError as error:
-                if error.errno is not None or not notes.refused(link):
-                    raise ConnectionError(explain(link, explain_open_failure(link, error))) from error
-                done += len(queue)
-                continue
-            found: list[int] = []
-            try:
-                notes.hears_unasked(link, await ear.listen(LISTEN_S))
-                for device_id in queue:
-                    progress(done, asked.requests, f"{link.baudrate} 8{link.parity}{link.stopbits} id {device_id}")
-                    done += 1
-                    what, heard = await ear.ask(device_id, asked.timeout_s)
-                    if what is Heard.ANSWER:
-                        found.append(device_id)
-                        found += [sender.device_id for sender in rtu_senders(heard)]
-                        # Who shares the line has the same settings: the usual ones are asked to the end.
-                    elif what is Heard.GARBAGE and device_id not in heard_of:
-                        heard_of.append(device_id)
-                    notes.hears(link, device_id, what, heard)
-                    await asyncio.sleep(silence_s(link))
-            finally:
-                ear.close()
-            if found:
-                progress(asked.requests, asked.requests, str(link))
-                return Scan(link, tuple(dict.fromkeys(found)), notes.told(found=True))
-    return Scan(None, (), notes.told(found=False))
+    search = _Search(path, asked, progress)
+    try:
+        return await search.run()
+    except asyncio.CancelledError:
+        task = asyncio.current_task()
+        if task is not None:
+            task.uncancel()
+        return search.cut_short()
+
+
+class _Search:
+    """One scan, and how far it has come."""
+
+    def __init__(self, path: str, asked: Plan, progress: Progress) -> None:
+        self._path, self._asked, self._progress = path, asked, progress
+        self._notes = _Notes()
+        self._heard_of: list[int] = []
+        """Ids for which something came that was no answer."""
+        self._done = 0
+        self._answered: dict[SerialLink, list[int]] = {}
+        """The one setting at which somebody did, and who."""
+
+    async def run(self) -> Scan:
+        for ids in self._asked.rounds:
+            for setting in self._asked.settings:
+                link = SerialLink(self._path, *setting)
+                if found := await self._try(link, ids):
+                    self._progress(self._asked.requests, self._asked.requests, str(link))
+                    return Scan(link, tuple(dict.fromkeys(found)), self._notes.told(found=True))
+        return Scan(None, (), self._notes.told(found=False))
+
+    def cut_short(self) -> Scan:
+        for link, found in self._answered.items():
+            return Scan(link, tuple(dict.fromkeys(found)), self._notes.told(found=True))
+        cut = f"cut short after {self._done} of {self._asked.requests} requests: the others may be right"
+        return Scan(None, (), (*self._notes.told(found=False), cut))
+
+    async def _try(self, link: SerialLink, ids: Sequence[int]) -> list[int]:
+        """Those who answer with one setting."""
+        # First of all, whoever has made a noise with other settings.
+        queue = [*(i for i in self._heard_of if i in ids), *(i for i in ids if i not in self._heard_of)]
+        ear = _Ear(link)
+        try:
+            ear.open()
+        except OSError as error:
+            if error.errno is not None or not self._notes.refused(link):
+                raise ConnectionError(explain(link, explain_open_failure(link, error))) from error
+            self._done += len(queue)
+            return []
+        found: list[int] = []
+        try:
+            self._notes.hears_unasked(link, await ear.listen(LISTEN_S))
+            # Who shares the line has the same settings: they are asked to the end, whoever has answered.
+            for device_id in queue:
+                self._progress(self._done, self._asked.requests, f"{_setting(link)} id {device_id}")
+                self._done += 1
+                what, heard = await ear.ask(device_id, self._asked.timeout_s)
+                if what is Heard.ANSWER:
+                    found += [device_id, *(sender.device_id for sender in rtu_senders(heard))]
+                    self._answered[link] = found
+                elif what is Heard.GARBAGE and device_id not in self._heard_of:
+                    self._heard_of.append(device_id)
+                self._notes.hears(link, device_id, what, heard)
+                await asyncio.sleep(silence_s(link))
+        finally:
+            ear.close()
+        return found
 
 
 class _Notes:

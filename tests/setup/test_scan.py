@@ -123,6 +123,38 @@ async def test_bytes_that_come_unasked_are_told(monkeypatch: pytest.MonkeyPatch)
     assert "bytes come unasked at 9600 8N1 (55 51 00 10)" in found.notes[0]
 
 
+async def test_ctrl_c_ends_it_and_what_was_heard_is_told() -> None:
+    slave = PickySlave(2400, lambda request: b"", lambda data: b"\xf0" if data[0] == 5 else b"")
+
+    def progress(done: int, total: int, what: str) -> None:
+        if done == 3:
+            task.cancel()
+
+    task = asyncio.create_task(scan(slave.path, short((5, 6, 7, 8)), progress))
+    try:
+        found = await task
+    finally:
+        slave.close()
+    assert found.link is None
+    assert "something is there" in found.notes[0]
+    assert found.notes[1].startswith("cut short after 4 of 12 requests")
+
+
+async def test_ctrl_c_does_not_lose_who_has_answered() -> None:
+    slave = PickySlave(9600, only(5))
+
+    def progress(done: int, total: int, what: str) -> None:
+        if done == 2:
+            task.cancel()
+
+    task = asyncio.create_task(scan(slave.path, short((5, 6, 7, 8)), progress))
+    try:
+        found = await task
+    finally:
+        slave.close()
+    assert found == scanning.Scan(SerialLink(slave.path, 9600), (5,), ())
+
+
 async def test_a_port_that_vanishes() -> None:
     slave = PickySlave(9600, only(80))
     asyncio.get_running_loop().call_later(0.05, slave.unplug)
