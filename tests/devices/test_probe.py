@@ -185,6 +185,24 @@ async def test_registers_of_anything_fit_nothing(name: str, seed: int) -> None:
     assert lines[0] in ("id 5: could be", "id 5: answers, but no known profile fits")
 
 
+@pytest.mark.parametrize(("pace", "verdict"), [(1.0, "id 5: fits"), (0.1, "id 5: could be"), (3.0, "id 5: could be")])
+async def test_a_counter_that_does_not_keep_time_is_no_clock(pace: float, verdict: str) -> None:
+    def answer(request: bytes) -> bytes:
+        # A laser gauge with its time in ms, or a crane that pays out line.
+        counted = int(1e3 * pace * asyncio.get_running_loop().time()) & 0xFFFFFFFF
+        noise = int(1e3 * asyncio.get_running_loop().time()) % 3
+        return asked_for(request, [1200 + noise, 900, 0, counted >> 16, counted & 0xFFFF], 0) or b""
+
+    tf02 = PROFILES["benewake-tf02-i"]
+    slave = TcpSlave(answer)
+    await slave.start()
+    try:
+        found = await probe(parse_link(f"tcp://127.0.0.1:{slave.port}"), (5,), (tf02,), 0.5, lambda device_id: None)
+    finally:
+        await slave.stop()
+    assert found.lines[0] == verdict
+
+
 async def test_a_sensor_that_stands_is_a_mere_possibility() -> None:
     lines = (await reported(TcpSlave(lambda request: asked_for(request, wt901(1), 0x34)), "80")).lines
     assert lines[:2] == ["id 80: could be", "  100%  witmotion-wt901c485"]
