@@ -67,6 +67,7 @@ for _command in (
     client.page,
     setup.probe,
     setup.install_service,
+    setup.manual,
     recordings.replay,
     recordings.export,
     recordings.report,

@@ -131,3 +131,39 @@ def _run_command(command: Sequence[str]) -> None:
 
 def _leave_command(_: Sequence[str]) -> None:
     """For another machine, or one without systemd."""
+
+
+def manual(
+    topic: Annotated[str | None, typer.Argument(metavar="TOPIC", help="Such as first-hour or reasons.")] = None,
+    list_topics: Annotated[bool, typer.Option("--list", help="Topics, and what each is about.")] = False,
+    search: Annotated[
+        str | None, typer.Option(metavar="WORD", help="Lines that hold it, of all topics or of one.")
+    ] = None,
+) -> None:
+    """Show the manual: how to begin, what each reason means, every key, telegrams, registers, the method."""
+    from heaved.cli.described import tables
+    from heaved.manual import topics as manual_topics
+    from heaved.manual.screen import show
+
+    known = manual_topics.topics()
+    if list_topics:
+        wide = max(map(len, known))
+        for one in known.values():
+            say(f"{one.name:{wide}}  {one.summary}")
+        return
+    if topic is not None and topic not in known:
+        close = [name for name in known if name.startswith(topic)] or [name for name in known if topic in name]
+        if len(close) != 1:
+            fail(f"no topic {topic!r}; topics: {', '.join(close or known)}; or heaved manual --search {topic}", 1)
+        (topic,) = close
+    if search is None:
+        show(manual_topics.filled(known[topic or manual_topics.INDEX], tables()), sys.stdout)
+        return
+    among = [known[topic]] if topic is not None else list(known.values())
+    found = [
+        hit for one in among for hit in manual_topics.search(manual_topics.filled(one, tables()), one.name, search)
+    ]
+    for hit in found:
+        say(f"{hit.topic}: {hit.heading}: {hit.line}")
+    if not found:
+        fail(f"nothing about {search!r}; heaved manual --list has the topics", 1)
