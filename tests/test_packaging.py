@@ -64,6 +64,8 @@ def test_the_wheel_holds_the_package_and_its_data_and_nothing_else(wheel: Path) 
     for path in (path for path in (ROOT / "config").rglob("*") if path.is_file()):
         assert f"heaved/_config/{path.relative_to(ROOT / 'config')}" in names
     assert "heaved/_systemd/heaved.service" in names
+    for path in (ROOT / "heaved/manual").glob("*.md"):
+        assert f"heaved/manual/{path.name}" in names
     for path in (ROOT / "heaved/page/static").iterdir():
         assert f"heaved/page/static/{path.name}" in names
     modules = {str(path.relative_to(ROOT)) for path in (ROOT / "heaved").rglob("*.py")}

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 PAGES: Final = {"index": ("heaved-manual", 7), "commands": ("heaved", 1), "configuration": ("heaved.toml", 5)}
 """Topics that are pages under other names than ``heaved-<topic>(7)``."""
-_LONG_CELL: Final = 24
+_LONG_CELL: Final = 14
 _LINK: Final = re.compile(r"([a-z0-9-]+)\.md")
 
 
@@ -41,6 +41,7 @@ def man_page(topic: Topic, text: str, version: str, date: str, others: Mapping[s
     lines = [
         "'\\\" t",
         f'.TH {_quoted(name.upper())} {section} {date} {_quoted(f"heaved {version}")} "heaved manual"',
+        ".ad l",  # Ragged: words of a narrow cell are not drawn apart.
         ".SH NAME",
         f"{_escaped(name)} \\- {_escaped(topic.summary)}",
         ".SH DESCRIPTION",

@@ -43,6 +43,13 @@ def test_links_lead_somewhere() -> None:
             assert target.removesuffix(".md") in TOPICS, f"{name}: {target}"
 
 
+def test_links_of_the_readme_lead_somewhere() -> None:
+    targets = re.findall(r"\]\(([a-zA-Z][^):]*)\)", (ROOT / "README.md").read_text())
+    assert len(targets) > 10
+    assert not [target for target in targets if not (ROOT / target).exists()]
+    assert set(re.findall(r"heaved manual ([a-z-]+)", (ROOT / "README.md").read_text())) <= set(TOPICS)
+
+
 def test_a_topic_says_what_it_is_about() -> None:
     for name, topic in TOPICS.items():
         assert topic.source.startswith("# "), name

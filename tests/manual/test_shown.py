@@ -148,7 +148,7 @@ def test_mandoc_finds_nothing_wrong_and_nothing_is_lost(topic: str, pages: dict[
 @pytest.mark.skipif(
     shutil.which("man") is None or shutil.which("groff") is None, reason="man or groff is not installed"
 )
-@pytest.mark.parametrize("topic", ["configuration", "registers", "reasons"])
+@pytest.mark.parametrize("topic", ["configuration", "registers", "wiring"])
 def test_man_shows_it_without_a_word_of_warning(topic: str, pages: dict[str, Path]) -> None:
     shown = subprocess.run(
         ["man", "--warnings", "-E", "UTF-8", "-l", "-Tutf8", "-Z", pages[topic]],
@@ -162,7 +162,7 @@ def test_a_page_says_what_it_is(pages: dict[str, Path]) -> None:
     lines = pages["configuration"].read_text().splitlines()
     assert lines[0] == "'\\\" t"
     assert re.match(r'\.TH "HEAVED.TOML" 5 \d{4}-\d\d-\d\d "heaved ', lines[1])
-    assert lines[2:4] == [".SH NAME", "heaved.toml \\- Every key of heaved.toml, with unit, range and default"]
+    assert lines[3:5] == [".SH NAME", "heaved.toml \\- Every key of heaved.toml, with unit, range and default"]
 
 
 def page_of(text: str) -> list[str]:
