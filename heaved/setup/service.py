@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 
 from heaved.config.read import data_directory, load
-from heaved.setup.udev import Adapter, kept_rules, rules
+from heaved.setup.udev import GROUP, Adapter, kept_rules, rules
 from heaved.setup.unit import UNIT_PROGRAM, needs, serial_ports, unit_text
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def plan(*, source: Path | None, root: Path, program: Path, plugged: Sequence[Ad
         ConfigError: the configuration has faults.
         ServiceError: a profile that it names cannot be handed over.
     """
-    notes = list(program_faults(program))
+    notes = [*program_faults(program), *group_faults(root)]
     installed = below(root, CONFIG)
     chosen = source or (installed if installed.is_file() else data_directory() / "heaved.toml")
     names = _new_names(load(chosen), plugged)
@@ -209,6 +209,14 @@ def program_faults(program: Path) -> list[str]:
         for hidden in HIDDEN
         if path.is_relative_to(hidden) and (what == "the program" or program.is_relative_to(sys.prefix))
     ]
+
+
+def group_faults(root: Path) -> list[str]:
+    """That the group of serial ports, in which the unit is, does not exist: the service would not start."""
+    groups = below(root, Path("/etc/group"))
+    if not groups.is_file() or any(line.startswith(f"{GROUP}:") for line in groups.read_text().splitlines()):
+        return []
+    return [f"there is no group {GROUP} here, which the unit is in and ports are given to: groupadd --system {GROUP}"]
 
 
 def _is_theirs(file: Path) -> bool:

@@ -241,6 +241,17 @@ def test_a_program_that_the_unit_hides() -> None:
     assert not service.program_faults(PROGRAM)
 
 
+def test_a_system_without_the_group_of_serial_ports(root: Path) -> None:
+    (root / "etc").mkdir()
+    groups = root / "etc" / "group"
+    groups.write_text("root:x:0:\ntty:x:5:\n")
+    wanted, _ = install(root)
+    assert any(note.startswith("there is no group dialout here") for note in wanted.notes)
+    groups.write_text("root:x:0:\ndialout:x:20:mate\n")
+    wanted, _ = install(root)
+    assert not any("dialout" in note for note in wanted.notes)
+
+
 # ---- adapters --------------------------------------------------------------------------------------------------------
 
 TOKEN = re.compile(r'([A-Z]+)(?:\{([^}]+)\})?(==|\+=|=)"([^"]*)"')
