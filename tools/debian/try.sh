@@ -26,6 +26,7 @@ files() { inside 'find / -xdev \( -path /proc -o -path /dev -o -path /tmp -o -pa
     -o -path /var/log -o -path /run \) -prune -o -print | sort'; }
 names=()
 for package in "${packages[@]}"; do names+=("$(basename "$package")"); done
+inside 'dpkg -P heaved heaved-torch >/dev/null 2>&1 || true'
 before=$(files)
 echo "== install"
 inside "cd /tmp; dpkg -i ${names[*]}"
