@@ -187,6 +187,11 @@ def cautions(config: Config) -> list[str]:
                     f"device {device.name}: timeout_ms {device.timeout_ms:g} is longer than the period of {names} on "
                     "the same line: each answer that it loses costs them polls; lower it, or give each its own line"
                 )
+    if config.correction.enabled and config.has_laser and importlib.util.find_spec("torch") is None:
+        found.append(
+            "correction.enabled: torch is not installed, so no correction is trained: pip install torch (of the Debian "
+            "package: heaved-torch), or set it to false"
+        )
     measured = next((_quantities(device) for device in config.device if device.role == "imu"), set())
     has_attitude = {"roll_rad", "pitch_rad"} <= measured
     found += output_cautions(config.output, config.compensation.lead_s, has_attitude=has_attitude)

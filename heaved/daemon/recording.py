@@ -184,6 +184,7 @@ class RecordingOutput:
         self._settings = packed(Kind.SETTINGS, msgspec.json.encode(settings))
         self._what = params.what
         self._header = self._sent_header = b""
+        self._config: Config
         self._hour = -1
         self._polls: dict[str, PollPacker] = {}
         self._frames: FramePacker
