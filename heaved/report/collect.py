@@ -31,6 +31,7 @@ from heaved.samples import (
     ImuSample,
     LaserSample,
     MotionFrame,
+    MruSample,
     RatesSample,
     Sample,
     SeaState,
@@ -80,6 +81,7 @@ _DEVICES: Final = {
     RatesSample: "second IMU",
     CraftSample: "craft",
     CraneSample: "crane",
+    MruSample: "reference MRU",
 }
 _DEGREES: Final = 180.0 / np.pi
 

@@ -104,10 +104,17 @@ FAULTS = {
         "device[0].profile.sentences[0].header: ",
         "regex",
     ),
-    "a header with the separator": (
-        box("udp-listen://127.0.0.1:5601").replace("$--XDR", "$CRN;1").replace("fields", 'separator = ";"\nfields'),
+    "a header with the separator at its end": (
+        box("udp-listen://127.0.0.1:5601").replace("$--XDR", "$CRN;").replace("fields", 'separator = ";"\nfields'),
         "device[0].profile.sentences[0]: ",
-        "header holds the separator",
+        "header ends with the separator",
+    ),
+    "columns beyond the line": (
+        box("udp-listen://127.0.0.1:5601")
+        .replace('transducer = "PTCH"', "columns = [20, 30]")
+        .replace("fields", "length = 25\nfields"),
+        "device[0].profile.sentences[0]: ",
+        "are not first and last of 25",
     ),
     "nothing for the role": (
         box("udp-listen://127.0.0.1:5601").replace('"craft"', '"heave_sensor"'),

@@ -254,7 +254,7 @@ def test_records_that_are_not_known_are_left_out() -> None:
         "quality": {"heave": "invalid", "laser": "off", "correction": "off", "reasons": []},
     }  # fmt: skip
     assert wire.encode_record(VersionRecord(release="1.2.3")) == (
-        b'{"class":"VERSION","release":"1.2.3","proto_major":1,"proto_minor":4}\n'
+        b'{"class":"VERSION","release":"1.2.3","proto_major":1,"proto_minor":5}\n'
     )
     assert wire.encode_record(ErrorRecord(message="no")) == b'{"class":"ERROR","message":"no"}\n'
 
