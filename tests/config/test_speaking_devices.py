@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from heaved.config import Config
-from heaved.config.read import ConfigError, parse
+from heaved.config.read import ConfigError, packaged_profiles, packaged_sentences, parse
+from heaved.config.rules import cautions
 
 BOX = """
 [[device]]
@@ -130,3 +131,21 @@ def test_faults_are_named(name: str) -> None:
     with pytest.raises(ConfigError) as caught:
         read(text)
     assert any(fault.startswith(path) and words in fault for fault in caught.value.faults), caught.value.faults
+
+
+MRU = box("udp-listen://127.0.0.1:5601").replace('"craft"', '"reference_mru"')
+
+
+def test_a_reference_mru_needs_its_point_and_an_imu() -> None:
+    with pytest.raises(ConfigError) as caught:
+        read(MRU + '[reference_mru]\npoint = "mru"\n')
+    assert caught.value.faults == ["reference_mru.point: no [[point]] is named 'mru'"]
+    config = read(MRU + '[reference_mru]\npoint = "mru"\n[[point]]\nname = "mru"\nforward_m = 3.0\n')
+    assert any("there is nothing to compare it with" in caution for caution in cautions(config))
+
+
+def test_packaged_profiles_are_told_apart_by_how_they_are_read() -> None:
+    asked, speaking = packaged_profiles(), packaged_sentences()
+    assert {profile.name for profile in speaking} >= {"tss1", "pashr"}
+    assert all(profile.blocks and not profile.sentences for profile in asked)
+    assert not {profile.name for profile in asked} & {profile.name for profile in speaking}

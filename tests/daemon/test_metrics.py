@@ -221,8 +221,8 @@ WHOLE_CRAFT = CraftMotion(
     heave_velocity_std_mps=0.1, pitch_std_rad=0.001, pitch_rate_std_radps=0.01,
 )  # fmt: skip
 AGREED = MruAgreement(
-    reference=1.6, own=1.5, difference=0.1, mean_difference=0.02, std_difference=0.05, rms_difference=0.06, explained=0.07,
-    correlation=0.99, delay_s=0.12, scale=0.97,
+    reference=1.6, own=1.5, difference=0.1, mean_difference=0.02, std_difference=0.05, rms_difference=0.06,
+    explained=0.07, correlation=0.99, delay_s=0.12, scale=0.97,
 )  # fmt: skip
 WHOLE_MRU = MruComparison(t_s=999.9, heave=AGREED, roll=AGREED, pitch=AGREED)
 WHOLE = MotionFrame(
