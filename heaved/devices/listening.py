@@ -186,7 +186,10 @@ class Listening:
             await asyncio.sleep(max(min(self._silence_s - quiet_s, self._period_s), 1e-3))
 
     def _silence_in_words(self, quiet_s: float) -> str:
-        wanted = " or ".join(sentence.header for sentence in self._device.profile.sentences)
+        wanted = " or ".join(
+            one.header if one.length is None else f"line of {one.length} characters that begins with {one.header!r}"
+            for one in self._device.profile.sentences
+        )
         if self._stranger:
             return f"sentences from {self._stranger} are not taken: name its network in the device's allow"
         if heard := self._reader.heard():

@@ -176,7 +176,7 @@ class DeviceSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Sample time minus the time at which the request was sent; negative for a device that answers old values."""
     stuck_after_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] = 2.0
     """Identical registers for longer than this are a fault (0: never). In role "crane" they are not: a crane stands
-    still, and its encoders with it."""
+    still, and its encoders with it; nor in role "reference_mru", which tells whole centimetres."""
     bandwidth_hz: Annotated[float, msgspec.Meta(ge=0, le=10_000)] = 0.0
     """To which the sensor's low-pass is set; 0: as its profile says."""
     allow: tuple[str, ...] = ()

@@ -40,6 +40,8 @@ _TELEGRAMS: Final = {
     "$PNORSUB2": Telegram.PNORSUB2,
 }
 """By the header that a profile reads."""
+_MOST_BYTES: Final = 1 << 16
+"""That wait for a listener; one who takes nothing any more is hung up on."""
 _LATEST_S: Final = 0.5
 """After a machine that has slept it goes on from now."""
 
@@ -143,8 +145,9 @@ class Speaker:
 
     def _to_all(self, data: bytes) -> None:
         for writer in [*self._listeners]:
-            if writer.is_closing():
+            if writer.is_closing() or writer.transport.get_write_buffer_size() > _MOST_BYTES:
                 self._listeners.discard(writer)
+                writer.transport.abort()
             else:
                 writer.write(data)
 
