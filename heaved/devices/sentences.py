@@ -81,7 +81,7 @@ class SentenceReader:
                 if len(text) != sentence.length:
                     what = f"{len(text)} characters instead of {sentence.length}"
                     hint = "check the line's cable and speed, and the profile"
-                    return Decoded({}, Fault.LENGTH, f"{sentence.header}: {what}: {hint}")
+                    return Decoded({}, Fault.LENGTH, f"{name_of(sentence)}: {what}: {hint}")
                 return _values(sentence, text, ())
             parts = body.split(sentence.separator)
             named = 1 + sentence.header.count(sentence.separator)
@@ -89,7 +89,7 @@ class SentenceReader:
                 continue
             if (star and not _is_right(body, sum_)) or (not star and sentence.checksum == "required"):
                 what = f"its checksum is {sum_!r}, not {_checksum(body):02X}" if star else "it has no checksum"
-                return Decoded({}, Fault.CRC, f"{sentence.header}: {what}: check the line's cable, speed and parity")
+                return Decoded({}, Fault.CRC, f"{name_of(sentence)}: {what}: check the line's cable, speed and parity")
             return _values(sentence, body, parts[named:])
         self._note(body)
         return None
@@ -98,6 +98,11 @@ class SentenceReader:
         header = body.split(",", 1)[0][:_SHOWN]
         if header in self.others or len(self.others) < _MOST_HEARD:
             self.others[header] += 1
+
+
+def name_of(sentence: Sentence) -> str:
+    """For people."""
+    return sentence.header if sentence.length is None else f"line {sentence.header!r}"
 
 
 def _is(header: str, wanted: str) -> bool:
@@ -123,7 +128,7 @@ def _values(sentence: Sentence, line: str, parts: Sequence[str]) -> Decoded:
         text = _text(field, line, parts)
         if not text or any(field.quantity in one.quantities or not one.quantities for one in unmet):
             continue
-        where = f"{field.quantity} ({sentence.header} {_place(field)})"
+        where = f"{field.quantity} ({name_of(sentence)}, {_place(field)})"
         try:
             # What Python takes for a number and no device writes: 1_000, nan, infinity.
             number = float(text) if text.strip("+-.0123456789eE") == "" else float("nan")
@@ -141,12 +146,12 @@ def _values(sentence: Sentence, line: str, parts: Sequence[str]) -> Decoded:
     if not values and unmet:
         said = ", ".join(f"{_place(one)} is {printable(_text(one, line, parts)[:_SHOWN])!r}" for one in unmet)
         wanted = " or ".join(repr(text) for text in unmet[0].one_of)
-        detail = f"{sentence.header}: {said}, not {wanted}: by what it says the sensor has no reading"
+        detail = f"{name_of(sentence)}: {said}, not {wanted}: by what it says the sensor has no reading"
         return Decoded({}, Fault.NOT_FINITE, detail)
     if not values:
         places = ", ".join(_place(field) for field in sentence.fields)
         return Decoded(
-            {}, Fault.NOT_FINITE, f"{sentence.header}: nothing stands at {places}: the sensor has no reading"
+            {}, Fault.NOT_FINITE, f"{name_of(sentence)}: nothing stands at {places}: the sensor has no reading"
         )
     return Decoded(values)
 
