@@ -168,6 +168,8 @@ def cautions(config: Config) -> list[str]:
             found.append(f"{path}.rate_hz: {told}; {advice}")
         if device.role == "crane" and not config.crane.is_there:
             found.append(f"{path}.role: its readings go nowhere: [crane] does not say how the crane is built")
+        if device.role == "reference_mru" and not any(other.role == "imu" for other in config.device):
+            found.append(f'{path}.role: there is nothing to compare it with: no device of role "imu" is configured')
         if device.timeout_ms > 1e3 * LONG_TIMEOUT_S:
             found.append(
                 f"{path}.timeout_ms: {device.timeout_ms:g} ms of waiting for each lost answer, and nothing else is "
@@ -295,6 +297,9 @@ def _point_faults(file: Written) -> list[str]:
     wanted = file.tables.quiet.point
     if wanted and wanted not in [point.get("name") for point in points.values()]:
         faults.append(f"quiet.point: no [[point]] is named {wanted!r}")
+    wanted = file.tables.reference_mru.point
+    if wanted and wanted not in [point.get("name") for point in points.values()]:
+        faults.append(f"reference_mru.point: no [[point]] is named {wanted!r}")
     return faults
 
 

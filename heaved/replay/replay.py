@@ -188,7 +188,9 @@ class Run:
         self.config = config
         self.number = 1
         self.pipeline = assembled(
-            config, Stages(config.hull, config.attitude, config.crane), has_laser=recording.has_laser
+            config,
+            Stages(config.hull, config.attitude, config.crane, config.reference_mru),
+            has_laser=recording.has_laser,
         )
         self.fit: SeaFit | None = None
         self._trainer = trainer

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from heaved.config import Config
 from heaved.config.read import ConfigError, data_directory, load, parse
 from heaved.config.rules import cautions, rate_faults
-from heaved.devices.profile import Block, DeviceSpec, Field, Profile, Sentence, SentenceField
+from heaved.devices.profile import Block, Condition, DeviceSpec, Field, Profile, Sentence, SentenceField
 from heaved.estimation.lever_arm import Point
 from heaved.outputs.telegrams.spec import OutputSpec
 
@@ -94,7 +94,7 @@ FAULTS: dict[str, tuple[str, str]] = {
     "wrong type": ('[stream]\nport = "5570"', "stream.port: Expected `int`, got `str` (got '5570')"),
     "out of range": ("[stream]\nport = 70000", "stream.port: Expected `int` <= 65535 (got 70000)"),
     "no such choice": ('[heave]\nobserver = "kalman"', "heave.observer: must be 'harmonic' or 'sea' (got 'kalman')"),
-    "no such role": (LASER.replace('role = "laser"', 'role = "gps"'), "'pitch_sensor' or 'crane' (got 'gps')"),
+    "no such role": (LASER.replace('role = "laser"', 'role = "gps"'), "'crane' or 'reference_mru' (got 'gps')"),
     "neither sign": ("[laser]\nsign = 2", "laser.sign: must be 1 or -1 (got 2)"),
     "nan": ("[heave]\nmax_gap_s = nan", "heave.max_gap_s: "),
     "nan in a list": ("[heave]\nband_hz = [nan, 0.6]", "heave.band_hz: must be finite"),
@@ -550,7 +550,7 @@ def test_the_default_file_documents_devices_and_profiles() -> None:
         assert field.name in device
         if not field.required and field.name != "device_id":
             assert msgspec.convert(device[field.name], field.type) == field.default
-    for kind in (Profile, Block, Field, Sentence, SentenceField):
+    for kind in (Profile, Block, Field, Sentence, SentenceField, Condition):
         for field in msgspec.structs.fields(kind):
             assert re.search(rf"(?m)^#.*\b{field.name}\b", text), f"{field.name} of {kind.__name__} is not documented"
 
