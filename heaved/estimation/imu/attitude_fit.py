@@ -8,7 +8,7 @@ matrix (2, 2), the inverse of a covariance, and that times their mean (2,); what
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -245,9 +245,20 @@ def turned(record: Sequence[Run]) -> Belief:
     )
 
 
-def averaged(belief: Belief, information: Array, right: Array) -> tuple[Array, Array]:
-    """Mean and covariance of the two from a belief and more information, when either may as well be what it is by the
-    belief: the average over the four cases, each weighed by how likely it makes the record (Bayes).
+class Average(NamedTuple):
+    """Of the four cases, in which either of the two is what it may as well be, or not."""
+
+    mean: Array
+    """(2,)"""
+    covariance: Array
+    """(2, 2)"""
+    if_any: Array
+    """(2,) root of the mean square of each, where it is not what it may as well be."""
+
+
+def averaged(belief: Belief, information: Array, right: Array) -> Average:
+    """The two from a belief and more information, when either may as well be what it is by the belief: each case is
+    weighed by how likely it makes the record (Bayes).
     """
     null = np.array(belief.null)
     information = belief.information + information
@@ -263,7 +274,9 @@ def averaged(belief: Belief, information: Array, right: Array) -> tuple[Array, A
     mean = weights @ means
     off = means - mean
     covariance = np.einsum("c,cij->ij", weights, covariances + off[:, :, None] * off[:, None, :])
-    return null + mean, covariance
+    squares = np.square(null + means) + np.einsum("cii->ci", covariances)
+    if_any = [float(weights[of] @ squares[of, i] / weights[of].sum()) for i, of in enumerate(([1, 3], [2, 3]))]
+    return Average(null + mean, covariance, np.sqrt(if_any))
 
 
 def _smoothed(power: Array) -> Array:

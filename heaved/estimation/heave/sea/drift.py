@@ -48,6 +48,11 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """so many of them ago: a bias that has led the same way for longer has been found, or is slow."""
     looked_every_s: float = 1.0
     """Between two looks at them."""
+    usual_s: float = 300.0
+    """Memory of how far the innovations scatter about a drift on the whole: more than they should where the walk of a
+    bias is more than the model has,"""
+    usual_most: float = 9.0
+    """as squares of at most so many times what they should."""
     most_missed: int = 2000
     """Samples that are missing on end count no more than that."""
     bounded: float = 5.0
@@ -154,9 +159,11 @@ class DriftDetector:
     Attributes:
         probability: that there is one.
         doubt_m: standard deviation of what one that is not certain makes of the heave.
+        usual: (len(began),) by how much the rates scatter more than innovations of unit variance would make them.
     """
 
-    def __init__(self, system: SeaSystem, steady: Steady) -> None:
+    def __init__(self, system: SeaSystem, steady: Steady, before: DriftDetector | None = None) -> None:
+        """``before``: that of an earlier model, which has seen the same sensor."""
         response = RampResponse(system, steady, TUNING.began[-1])
         self._size = len(response.innovation)
         self._patterns = np.zeros((len(TUNING.began), self._size))
@@ -165,16 +172,15 @@ class DriftDetector:
             row[-count:] = response.innovation[:count] / sqrt(steady.S)
         self._states = response.states(TUNING.began)
         self._heave_m = self._states @ system.heave
-        variance = 1.0 / np.sum(self._patterns**2, axis=1)
-        self._patterns *= variance[:, None]
-        square = np.square(TUNING.rates_mps3)[:, None]
-        self._share: Array = square / (square + variance)
-        """(2, len(began)) of a rate that is found that is believed, for slow ones and fast ones."""
-        self._variance = variance * self._share
+        self._alone = 1.0 / np.sum(self._patterns**2, axis=1)
+        """(len(began),) variance of the rates that innovations of unit variance give."""
+        self.usual: Array = np.ones(len(TUNING.began)) if before is None else before.usual
+        self._patterns *= self._alone[:, None]
+        self._square = np.square(TUNING.rates_mps3)[:, None]
         apart_s = np.diff(TUNING.began, prepend=0) * response.block * steady.dt_s
-        prior = np.outer((1.0 - TUNING.are_fast, TUNING.are_fast), apart_s / TUNING.every_s)
-        self._log_prior = np.log(prior) + 0.5 * np.log1p(-self._share)
-        self._weights = self._rates = np.zeros(self._share.shape)
+        self._log_prior = np.log(np.outer((1.0 - TUNING.are_fast, TUNING.are_fast), apart_s / TUNING.every_s))
+        self._weights = self._rates = self._variance = np.zeros((2, len(TUNING.began)))
+        """For slow ones and fast ones, (2, len(began))."""
         self._innovations = np.zeros(2 * self._size)
         """In standard deviations; each is written twice, so that the last ones always lie in one piece."""
         self._next, self._looked_s = 0, -inf
@@ -198,8 +204,12 @@ class DriftDetector:
             return False
         self._looked_s = t_s
         found = self._patterns.dot(self._innovations[self._next : self._next + self._size])
-        self._rates = self._share * found
-        log_odds = self._log_prior + 0.5 * self._rates**2 / self._variance
+        variance = self._alone * np.maximum(self.usual, 1.0)
+        share = self._square / (self._square + variance)
+        self._rates, self._variance = share * found, share * variance
+        log_odds = self._log_prior + 0.5 * (np.log1p(-share) + self._rates**2 / self._variance)
+        scatter = np.minimum(found**2 / self._alone, TUNING.usual_most * np.maximum(self.usual, 1.0))
+        self.usual = self.usual + TUNING.looked_every_s / TUNING.usual_s * (scatter - self.usual)
         most = max(float(np.max(log_odds)), 0.0)
         odds = np.exp(log_odds - most)
         self._weights = odds / (exp(-most) + float(np.sum(odds)))

@@ -397,7 +397,8 @@ class SeaObserver:
     def due(self) -> SeaWindow | None:
         """The past, when it is time for another look at it; each is given out once."""
         # What a burst is will be known soon, and a filter that does not know of it is of no use.
-        is_changing = self._consistency.is_changing
+        is_in_burst = self._heave is not None and self._heave.filter.burst_variance > 0.0
+        is_changing = self._consistency.is_changing or is_in_burst
         if self._disturbances.is_burst or not self._record.is_due(self.t_s, is_changing=is_changing):
             return None
         p = self._params
@@ -435,6 +436,9 @@ class SeaObserver:
             # It was looked at before the drift was found.
             self._record.ask_again()
             return Verdict.REJECTED
+        if self._heave is not None and self._heave.filter.burst_variance > 0.0 and fit.newest > TRUST.changed:
+            # Noise has begun that the new model does not know of, while the old one's filter does.
+            return Verdict.REJECTED
         system = SeaSystem(fit.model)
         n = len(system.H)
         steady = system.steady_of(fit.dt_s, np.frombuffer(fit.steady_covariance).reshape(n, n))
@@ -456,7 +460,7 @@ class SeaObserver:
             self._aiding.renew(SeaFilter(system, steady, fit.t_s, np.frombuffer(fit.x).copy(), unaided_P))
         self._disturbances.restart()
         self._unaided_disturbances.restart()
-        self._drift = DriftDetector(system, steady)
+        self._drift = DriftDetector(system, steady, self._drift)
         for y in (np.nan_to_num(np.frombuffer(fit.innovation)) / sqrt(steady.S)).tolist():
             self._drift.push(y)
         self._candidates, self._looked_s = fit.candidates, fit.t_s

@@ -44,7 +44,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """It is over when less than that is left."""
     response_s: float = 400.0
     """Of the filter's answer to an impulse: nothing is left of it then."""
-    recovering: float = 0.1
+    recovering: float = 0.2
     """Share of the heave that its error is more than while the filter finds its way back after a gap."""
 
 

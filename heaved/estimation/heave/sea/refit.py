@@ -52,7 +52,9 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     whiteness_s: float = 2.0
     """Innovations are averaged over this: engines and slams cancel, what a wrong sea leaves stays."""
     whiteness_over_s: float = 60.0
-    """The newest so many seconds of them are held against the model."""
+    """The newest so many seconds of them are held against the model,"""
+    newest_s: float = 10.0
+    """and the very newest."""
     min_record_s: float = 20.0
     """Shorter records are not looked at: they hold two waves or three."""
     min_stretch_s: float = 30.0
@@ -185,6 +187,8 @@ class SeaFit(msgspec.Struct, frozen=True, kw_only=True):
     recent past has holes, and the smoother's weights are not those of its filter."""
     whiteness: float = 1.0
     """Variance of the averaged innovations over the last minute, over what the model has for it; 1 when it is right."""
+    newest: float = 1.0
+    """The same over the last ten seconds: noise that has begun then, and is not in the model."""
     waves_seen: float = 0.0
     """How many of the longest waves the record of that model holds."""
     waves: float = 0.0
@@ -261,6 +265,7 @@ def _look(window: SeaWindow, record: EvenRecord) -> SeaFit:
         innovation=done.innovation[-kept:].tobytes(),
         delayed=_delayed(window, system, steady, recent, settle, is_drifting=rate is not None).tobytes(),
         whiteness=whiteness(done.innovation, steady),
+        newest=whiteness(done.innovation, steady, TUNING.newest_s),
         waves_seen=seconds[chosen] / longest_period_s(best.model),
         waves=waves,
     )
@@ -581,12 +586,10 @@ def unbroken(record: EvenRecord, count: int) -> list[Array]:
     return [newest.a_mps2[first:end] for first, end, is_known in stretches_of(newest) if is_known]
 
 
-def whiteness(innovation: Array, steady: Steady) -> float:
-    """Variance of averaged innovations, in the last minute, over that of the model: 1 when it fits."""
+def whiteness(innovation: Array, steady: Steady, over_s: float = TUNING.whiteness_over_s) -> float:
+    """Variance of averaged innovations, in the last ``over_s``, over that of the model: 1 when it fits."""
     each = max(1, round(TUNING.whiteness_s / steady.dt_s))
-    count = min(
-        round(TUNING.whiteness_over_s / TUNING.whiteness_s), int(np.count_nonzero(np.isfinite(innovation))) // each
-    )
+    count = min(round(over_s / TUNING.whiteness_s), int(np.count_nonzero(np.isfinite(innovation))) // each)
     if count < 1:
         return 1.0
     means = innovation[-count * each :].reshape(count, each).mean(axis=1)
