@@ -89,6 +89,8 @@ class HeaveEstimator:
             observer.amend(up.amendment.t_s, up.amendment.more_mps2)
         if up.noise is not None:
             observer.disturb(up.noise.f_hz, up.noise.psd)
+        if (one := up.unsized) is not None:
+            observer.mistake(one.t_s, (one.by_lean, one.by_lateness), one.covariance)
 
     def at(self, shift_s: float) -> Heave | None:
         """What is known for ``shift_s`` after the last sample, the configured lead added; None: nothing yet."""

@@ -105,6 +105,11 @@ class HeaveObserver(Protocol):
         ``f_hz`` (n,), evenly spaced.
         """
 
+    def mistake(self, t_s: float, shapes: tuple[float, float], covariance: Array) -> None:
+        """The acceleration about ``t_s`` has two errors beside, that are ``shapes`` (2,) for each unit of their size,
+        which is known as well as ``covariance`` (2, 2) says.
+        """
+
     @property
     def laser_aided(self) -> LaserAided | None:
         """The same observer, if it is one that a laser can aid."""

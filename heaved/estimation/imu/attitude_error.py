@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.imu import attitude_fit
-from heaved.estimation.imu.attitude_fit import MEANS, TUNING, Noise, Run
+from heaved.estimation.imu.attitude_fit import MEANS, TUNING, Noise, Run, Unsized
 from heaved.samples import GRAVITY_MPS2
 
 Array = NDArray[np.float64]
@@ -96,6 +96,7 @@ class AttitudeError:
         late_s: by which the angles are later than the accelerations.
         covariance: (2, 2) of the two.
         noise: what not knowing them better leaves in the vertical acceleration, as of the last look; take it away.
+        unsized: what it leaves in the row that has just ended, by the two; take it away.
         amendment: what has been found out that is worth amending the past for; take it away.
         record: means over the last minutes, a row every quarter of a second.
     """
@@ -107,6 +108,7 @@ class AttitudeError:
         """Of the two, where they are not nothing: whoever wants the angles has one sensor, not the average of those
         that lean and those that do not."""
         self.noise: Noise | None = None
+        self.unsized: Unsized | None = None
         self.amendment: Amendment | None = None
         self.record = RingBuffer(round(TUNING.record_s / TUNING.row_s), TURNED + 1)
         self._t_s = self._off_x = self._off_y = nan
@@ -228,6 +230,8 @@ class AttitudeError:
         if self._samples:
             means = [sum(column) / len(self._samples) for column in zip(*self._samples, strict=True)]
             self.record.push((self._row, *means, float(self._are_rates_measured)))
+            now = self.record.last(1)[0]
+            self.unsized = attitude_fit.unsized(now, (self.lean_per_s, self.late_s), self.covariance)
             self._samples, self._are_rates_measured = [], True
             self._follow(means[ALONG], means[ACROSS], *means[ROLL_RATE : PITCH_RATE + 1])
             if t_s >= self._look_s:

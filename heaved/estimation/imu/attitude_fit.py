@@ -117,6 +117,19 @@ class Noise(msgspec.Struct, frozen=True, eq=False):
     """(n,) one-sided, (m/s2)2/Hz."""
 
 
+class Unsized(msgspec.Struct, frozen=True, eq=False):
+    """What lean and lateness that are not known make of the vertical acceleration: known in shape, not in size."""
+
+    t_s: float
+    """The middle of a row."""
+    by_lean: float
+    """m/s2 for each unit of k,"""
+    by_lateness: float
+    """and of lateness, at their present values."""
+    covariance: Array
+    """(2, 2) of the two."""
+
+
 def runs(rows: Array) -> list[Run]:
     """The record, rows (n, MEANS) of columns as named above and any more, in runs."""
     ends = np.flatnonzero(np.diff(rows[:, NUMBER]) > TUNING.hole_s / TUNING.row_s) + 1
@@ -187,6 +200,24 @@ def error(made: Array | Complex, solution: Array) -> Array:
     """What the two have made of the vertical acceleration; ``made`` (..., 6)."""
     k, late_s = solution
     return np.asarray(made[..., 1:] @ (k, late_s, k * k, k * late_s, late_s * late_s))
+
+
+def unsized(row: Array, solution: tuple[float, float], covariance: Array) -> Unsized:
+    """Of one row of the record, the integrals of the lean as it has them (columns after the others, of roll first)."""
+    number, up, left, ahead, roll, pitch, roll_rate, pitch_rate, across, along = row[: MEANS + 2].tolist()
+    k, late_s = solution
+    weight = GRAVITY_MPS2 + up
+    roll_off, pitch_off = k * across - late_s * roll_rate, k * along - late_s * pitch_rate
+    turned_roll, turned_pitch = roll + left / weight, pitch + ahead / weight
+    by_lean = (
+        (left + weight * roll_off) * (across - late_s * turned_roll)
+        + (ahead + weight * pitch_off) * (along - late_s * turned_pitch)
+    )  # fmt: skip
+    by_lateness = (
+        -(left + weight * roll_off) * (roll_rate + k * turned_roll)
+        - (ahead + weight * pitch_off) * (pitch_rate + k * turned_pitch)
+    )  # fmt: skip
+    return Unsized(TUNING.row_s * (number + 0.5), by_lean, by_lateness, covariance)
 
 
 def sensitivity(made: Complex, solution: Array) -> Complex:

@@ -197,6 +197,8 @@ class DirectPredictor:
         self._left: dict[int, tuple[int, Array]] = {}
         """Of those that no longer are: when that ended, and the deviations now and at the horizons then."""
         count = expert_count(rates=self._with_rates)
+        self._replaced: tuple[Array, Array] | None = None
+        """Deviations and half-widths of those who made the latest predictions, if others are in office now."""
         self.surplus = [0.0] * self._n
         """By how much of themselves deviations are larger than usual: the motion has just become another one."""
         self._switch = Switch(self._horizons, count, self._n, first_choice(self._horizons))
@@ -259,6 +261,8 @@ class DirectPredictor:
         of the readings, or what the filter for holes says, if that is more.
         """
         std, half_width = self._switch.std, self._switch.half_width
+        if self._replaced is not None:
+            std, half_width = (np.fmax(now, then) for now, then in zip((std, half_width), self._replaced, strict=True))
         if max(self.surplus) > 0.0:
             wider = 1.0 + self._growth * self.surplus
             std, half_width = std * wider, half_width * wider
@@ -287,7 +291,7 @@ class DirectPredictor:
         """
         deviations: Array = np.sqrt(self.filters[channel].variance(self._row_index, ahead_s))
         alike = self._switch.rms_of(TUNING.filter_like)[:, channel]
-        return np.fmax(deviations, np.interp(ahead_s, self._horizons, alike))
+        return experts.TUNING.sure * np.fmax(deviations, np.interp(ahead_s, self._horizons, alike))
 
     def _spread_left(self, channel: int, ahead_s: Array) -> Array:
         """The same of a channel that was predicted so until lately."""
@@ -530,6 +534,7 @@ class DirectPredictor:
         if self._row_index % self._bridged == 0:
             self._be_surprised(known)
         self._until_row -= 1
+        self._replaced = None
         if self._until_row == 0:
             self._until_row = self._learner.every
             self._learn()
@@ -540,8 +545,9 @@ class DirectPredictor:
         if self._limits is not None:
             self._bound(self._limits)
         if self._learner.keep(curves[:, 1:].T, channels):
+            before = self._switch.std, self._switch.half_width
             if self._learner.batch(channels):
-                self._map = self._mapped()
+                self._map, self._replaced = self._mapped(), before
             for c in self.holed:
                 self._fill(c, self._row_index)
             if self._limits is not None:

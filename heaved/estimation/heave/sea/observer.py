@@ -41,6 +41,7 @@ from heaved.estimation.heave.sea.disturbances import DisturbanceDetector
 from heaved.estimation.heave.sea.drift import TUNING as DRIFT
 from heaved.estimation.heave.sea.drift import DriftDetector, walk_of
 from heaved.estimation.heave.sea.filter import BiasRate, GaugeError, SeaFilter
+from heaved.estimation.heave.sea.mistakes import Mistakes
 from heaved.estimation.heave.sea.model import SeaModel, SeaSystem, Steady, heave_std
 from heaved.estimation.heave.sea.output import BumplessTransfer, SeaHeave
 from heaved.estimation.heave.sea.record import SeaRecord
@@ -98,6 +99,7 @@ class SeaObserver:
         self._trial: Trial | None = None
         self._down_sampler = DownSampler()
         self._disturbance: tuple[Array, Array] | None = None
+        self._mistakes = Mistakes()
         self._start_over()
 
     def _start_over(self) -> None:
@@ -125,6 +127,7 @@ class SeaObserver:
         self._disturbances = DisturbanceDetector()
         self._unaided_disturbances = DisturbanceDetector()
         self._aiding.reset()
+        self._mistakes.clear()
         if self._heave is not None:
             kept = self._heave.filter
             self._install(kept.system, kept.steady, nan, np.zeros(len(kept.x)), kept.system.stationary.copy())
@@ -353,6 +356,8 @@ class SeaObserver:
     def _moved(self, heave: SeaHeave) -> None:
         """The state has changed: what follows from it."""
         self._bias_mps2 = float(heave.filter.x[-1])
+        if heave.mistaken_m2 and self._mistakes.are_over(self.t_s):
+            heave.mistaken_m2 = 0.0
         heave.moved()
         self._consistency.step(heave.filter.surprise, heave.is_recovering, self.sea)
         factor = self._consistency.factor
@@ -381,12 +386,19 @@ class SeaObserver:
     def amend(self, t_s: Array, more_mps2: Array) -> None:
         """The past at ``t_s`` (n,) was measured too little by ``more_mps2`` (n,): it is looked at anew, soon."""
         self._record.amend(t_s, more_mps2)
+        self._mistakes.amend(t_s, more_mps2)
 
     def disturb(self, f_hz: Array, psd: Array) -> None:
         """What comes, and what came, has noise that no spectrum of it shows (:meth:`SeaHeave.disturb`)."""
         self._disturbance = f_hz, psd
         if self._heave is not None:
             self._heave.disturb(f_hz, psd)
+
+    def mistake(self, t_s: float, shapes: tuple[float, float], covariance: Array) -> None:
+        """What :meth:`disturb` says on average, at its moment (:mod:`heaved.estimation.heave.sea.mistakes`)."""
+        self._mistakes.push(t_s, shapes, covariance)
+        if self._heave is not None:
+            self._heave.mistaken_m2 = self._mistakes.square_m2(self._heave.answer)
 
     def _reset(self, reason: str) -> None:
         self.resets[reason] += 1
@@ -458,6 +470,7 @@ class SeaObserver:
             heave.filter.P = heave.filter.covariance.copy()
             unaided_P = None if P is None else P.copy()
             self._aiding.renew(SeaFilter(system, steady, fit.t_s, np.frombuffer(fit.x).copy(), unaided_P))
+        self._mistakes.known_until(fit.t_s)
         self._disturbances.restart()
         self._unaided_disturbances.restart()
         self._drift = DriftDetector(system, steady, self._drift)
