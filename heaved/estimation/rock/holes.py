@@ -14,7 +14,7 @@ state of 11 s brings with it. Moments over their number are the covariance that 
 from __future__ import annotations
 
 from math import exp, inf, nan
-from typing import Final
+from typing import Final, TypeVar
 
 import msgspec
 import numpy as np
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 
 Array = NDArray[np.float64]
+Place = TypeVar("Place", float, NDArray[np.float64])
 
 ORDER: Final = 50
 """Of the autoregression: 10 s."""
@@ -76,8 +77,14 @@ POINTS: Final = np.arange(4)
 
 def cubic(place: Array) -> Array:
     """(..., 4) weights on four nodes 0, 1, 2, 3 of the value at a place between 1 and 3 (Lagrange)."""
-    a, b, c, d = place, place - 1.0, place - 2.0, place - 3.0
-    return np.stack([-b * c * d / 6.0, a * c * d / 2.0, -a * b * d / 2.0, a * b * c / 6.0], axis=-1)
+    weights = np.empty((*place.shape, len(POINTS)))
+    weights[..., 0], weights[..., 1], weights[..., 2], weights[..., 3] = _four(place)
+    return weights
+
+
+def _four(a: Place) -> tuple[Place, Place, Place, Place]:
+    b, c, d = a - 1.0, a - 2.0, a - 3.0
+    return -b * c * d / 6.0, a * c * d / 2.0, -a * b * d / 2.0, a * b * c / 6.0
 
 
 def _first_of_four(place: Array, count: int) -> NDArray[np.intp]:
@@ -268,7 +275,7 @@ class HoleFilter:
     def _weights(self, row: float) -> Array:
         """On the four newest nodes, newest first, of a row between the newest two."""
         place = min(max(3.0 + (row - self._node) / self._every, 1.0), 3.0)
-        return cubic(np.array(place))[::-1]
+        return np.array(_four(place)[::-1])
 
     def value(self, row: float) -> tuple[float, float]:
         """What is expected of a row up to the newest node, and its variance without noise."""
