@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections import deque
 from math import comb, exp, inf, nan
-from typing import Final
+from typing import Final, TypeVar
 
 import msgspec
 import numpy as np
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 
 Array = NDArray[np.float64]
+Place = TypeVar("Place", float, NDArray[np.float64])
 
 ORDER: Final = 50
 """Of the autoregression: 10 s."""
@@ -87,8 +88,14 @@ BEND_SQUARE: Final = sum(weight * weight for weight in BEND)
 
 def cubic(place: Array) -> Array:
     """(..., 4) weights on four nodes 0, 1, 2, 3 of the value at a place between 1 and 3 (Lagrange)."""
-    a, b, c, d = place, place - 1.0, place - 2.0, place - 3.0
-    return np.stack([-b * c * d / 6.0, a * c * d / 2.0, -a * b * d / 2.0, a * b * c / 6.0], axis=-1)
+    weights = np.empty((*place.shape, len(POINTS)))
+    weights[..., 0], weights[..., 1], weights[..., 2], weights[..., 3] = _four(place)
+    return weights
+
+
+def _four(a: Place) -> tuple[Place, Place, Place, Place]:
+    b, c, d = a - 1.0, a - 2.0, a - 3.0
+    return -b * c * d / 6.0, a * c * d / 2.0, -a * b * d / 2.0, a * b * c / 6.0
 
 
 def _first_of_four(place: Array, count: int) -> NDArray[np.intp]:
@@ -304,7 +311,7 @@ class HoleFilter:
     def _weights(self, row: float) -> Array:
         """On the four newest nodes, newest first, of a row between the newest two."""
         place = min(max(3.0 + (row - self._node) / self._every, 1.0), 3.0)
-        return cubic(np.array(place))[::-1]
+        return np.array(_four(place)[::-1])
 
     def value(self, row: float) -> tuple[float, float]:
         """What is expected of a row up to the newest node, and its variance without noise."""
