@@ -408,7 +408,8 @@ class BlockCodec:
         where = self._place(field)
         if isfinite(number) and not low <= number <= high:
             limits = [f"{one:g}" if one is not None else "any" for one in (field.raw_min, field.raw_max)]
-            detail = f"{where} holds {number:.6g}, outside {'..'.join(limits)}: the sensor has no reading (out of its range?)"
+            hint = "the sensor has no reading (out of its range?)"
+            detail = f"{where} holds {number:.6g}, outside {'..'.join(limits)}: {hint}"
             return Decoded({}, Fault.OUT_OF_RANGE, detail)
         if field.scale_from is not None and registers[field.scale_from] == 0:
             register = self.block.start + field.scale_from
