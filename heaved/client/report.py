@@ -278,10 +278,11 @@ def reference_text(mru: ReferenceStatus) -> str:
     told = [f"heave {signed(mru.heave_difference_m, ' m', 3)} from ours"] if mru.heave_difference_m is not None else []
     if mru.heave_std_difference_m is not None:
         both = "" if mru.heave_explained_m is None else f", both explain {mru.heave_explained_m:.3f} m"
-        told.append(f"{mru.heave_std_difference_m:.3f} m RMS over {mru.compared_s or 0.0:.0f} s{both}")
+        told.append(f"{mru.heave_std_difference_m:.3f} m RMS over {mru.compared_s:.0f} s{both}")
     if mru.heave_correlation is not None:
         delay = "" if mru.heave_delay_s is None else f", {mru.heave_delay_s * 1e3:+.0f} ms late"
-        told.append(f"correlation {mru.heave_correlation:.3f}{delay}, {mru.heave_scale or 0.0:.3f} times ours")
+        scale = "" if mru.heave_scale is None else f", {mru.heave_scale:.3f} times ours"
+        told.append(f"correlation {mru.heave_correlation:.3f}{delay}{scale}")
     return "   ".join([*told, f"age {duration(mru.age_s)}"])
 
 

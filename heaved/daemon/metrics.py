@@ -277,11 +277,10 @@ class Metrics:
             table.unknown("heaved_attitude_pitch_radians", "Pitch of the craft, fused."),
             table.unknown("heaved_attitude_pitch_std_radians", "Standard deviation of that pitch."),
         )
-
         self._have_reference(table)
 
     def _have_reference(self, table: _Table) -> None:
-        """Of an existing MRU, by what of it is compared: a part of its unit each, since a metric has one."""
+        """Of an existing MRU; heave in metres and angles in radians apart, since a metric has one unit."""
         names = ("latest", "mean", "std", "explained")
         self.reference_difference = table.gauge(
             "heaved_reference_difference_meters",

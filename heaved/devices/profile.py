@@ -105,7 +105,7 @@ class Condition(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     one_of: Annotated[tuple[Annotated[str, msgspec.Meta(max_length=32)], ...], msgspec.Meta(min_length=1)]
     """Capitals and small letters are told apart."""
     quantities: tuple[Quantity, ...] = ()
-    """None: all of them."""
+    """Left out: all of them."""
 
     def __post_init__(self) -> None:
         if (self.index is None) == (self.columns is None):
@@ -407,8 +407,9 @@ class BlockCodec:
         high = field.raw_max if field.raw_max is not None else _FINITE_MAX
         where = self._place(field)
         if isfinite(number) and not low <= number <= high:
-            shown = f"{low if field.raw_min is not None else '-inf'}..{high if field.raw_max is not None else 'inf'}"
-            detail = f"{where} holds {number:.6g}, outside {shown}: the sensor has no reading (out of its range?)"
+            limits = [f"{one:g}" if one is not None else "any" for one in (field.raw_min, field.raw_max)]
+            hint = "the sensor has no reading (out of its range?)"
+            detail = f"{where} holds {number:.6g}, outside {'..'.join(limits)}: {hint}"
             return Decoded({}, Fault.OUT_OF_RANGE, detail)
         if field.scale_from is not None and registers[field.scale_from] == 0:
             register = self.block.start + field.scale_from
