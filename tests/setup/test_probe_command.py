@@ -111,6 +111,33 @@ def test_before_it_is_written_it_is_asked(
     assert "was left alone" in capsys.readouterr().err
 
 
+def test_a_file_that_cannot_be_added_to_is_refused_before_anybody_is_asked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "heaved.toml"
+    file.write_text("[stream]\nport = 99999\n")
+    assert main(["probe", "tcp://127.0.0.1:1", "--write", str(file), "--yes"]) == 78
+    assert "stream.port" in capsys.readouterr().err
+    assert main(["probe", "tcp://127.0.0.1:1", "--write", str(tmp_path / "none" / "x.toml"), "--yes"]) == 78
+    assert "nothing can be written into its directory" in capsys.readouterr().err
+
+
+def test_sensors_on_two_adapters_have_names_of_their_own(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with (
+        in_background(lambda: PickySlave(9600, Wt901())) as one,
+        in_background(lambda: PickySlave(115200, Wt901())) as other,
+    ):
+        plugged_in(monkeypatch, one.path, other.path)
+        assert main(["probe", "--scan", "--ids", "80", "--timeout", "0.05", "--seconds", "0", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [device["device"]["name"] for device in told["devices"]] == ["imu", "imu-2"]
+    assert [device["link"] for device in told["devices"]] == [
+        f"rtu://{one.path}?baudrate=9600&parity=N", f"rtu://{other.path}?baudrate=115200&parity=N",
+    ]  # fmt: skip
+
+
 def test_a_script_gets_one_object(capsys: pytest.CaptureFixture[str]) -> None:
     with in_background(lambda: PickySlave(115200, Wt901())) as slave:
         link = f"rtu://{slave.path}?baudrate=115200"
