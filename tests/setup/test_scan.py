@@ -29,7 +29,7 @@ def quick_ears(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scanning, "LISTEN_S", 0.005)
 
 
-def short(ids: tuple[int, ...], *settings: tuple[int, Parity], timeout_s: float = 0.02) -> Plan:
+def short(ids: tuple[int, ...], *settings: tuple[int, Parity], timeout_s: float = 0.06) -> Plan:
     return Plan((ids,), settings or ((9600, "N"), (115200, "N"), (19200, "O")), timeout_s)
 
 
