@@ -211,10 +211,11 @@ def _scanned(
     """The line with the settings at which somebody answers."""
     import asyncio
 
+    from heaved.config.read import packaged_profiles
     from heaved.setup.scan import plan
     from heaved.setup.scan import scan as look
 
-    asked = plan(ids, timeout_s)
+    asked = plan(ids, timeout_s, packaged_profiles())
     bounds = f"at most {_long(asked.bound_s())}"
     if len(asked.rounds) > 1:
         bounds += f", the usual ids within {_long(asked.bound_s(1))}"

@@ -72,7 +72,7 @@ def test_from_an_adapter_to_a_configuration(
         assert main([*arguments, "--write", str(file), "--yes"]) == 78
         again = capsys.readouterr()
         assert {request[1] for request in slave.requests} == {3, 4}
-    assert f"{slave.path}: 2 settings, 2 requests: at most " in first.err
+    assert f"{slave.path}: 2 settings, 6 requests: at most " in first.err
     assert f"{slave.path}: id 80 at {slave.path} (115200 8N1)" in first.err
     assert f"{file}: written" in first.err
     assert "id 80: fits\n  100%  witmotion-wt901c485\n" in first.out
