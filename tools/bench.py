@@ -54,9 +54,10 @@ from heaved.estimation.heave.sea.refit import look
 from heaved.estimation.hull import estimate
 from heaved.estimation.hull.estimator import HullDeformation
 from heaved.estimation.hull.refit import refit
-from heaved.estimation.rock import maximum_likelihood
 from heaved.estimation.rock.direct import DirectPredictor
 from heaved.estimation.rock.estimator import DirectRockPredictor
+from heaved.estimation.rock.maximum_likelihood import MaximumLikelihoodPredictor
+from heaved.estimation.rock.params import Params
 from heaved.outputs.motion import Lead, motion_at
 from heaved.outputs.register_map import RegisterMap, RegistersParams
 from heaved.outputs.telegrams.formats import FORMATS
@@ -172,7 +173,7 @@ def predictors() -> dict[str, Callable[[float, Sample], object]]:
     """Fresh ones; three axes and seven horizons unless it says otherwise."""
     direct, rated = DirectRockPredictor(), DirectRockPredictor()
     single = DirectPredictor(1)
-    paper = maximum_likelihood.MaximumLikelihoodPredictor(maximum_likelihood.Params(horizons_s=ML_HORIZONS_S))
+    paper = MaximumLikelihoodPredictor(Params(horizons_s=ML_HORIZONS_S))
     return {
         "ml": lambda t, x: paper.step(t, x[:3]),
         "direct": lambda t, x: direct.step(t, x[:3]),

@@ -75,13 +75,17 @@ def sim(
     sensor: Annotated[str, typer.Option(help="A (tactical MEMS), B (industrial), C (consumer) or ideal.")] = "A",
     laser: Annotated[str, typer.Option(help="on, off, a share such as 50%, or outages such as 300+120.")] = "on",
     shake: ShakeName = "",
+    mru: Annotated[
+        str, typer.Option(help="Of an existing MRU (role reference_mru): delay=0.15,noise=0.01,highpass=100, s, m, s.")
+    ] = "",
     seed: Annotated[int, typer.Option(min=0, help="Of the sea and of all errors.")] = 1,
 ) -> None:
-    """Serve simulated Modbus sensors until Ctrl-C."""
+    """Serve simulated sensors until Ctrl-C: slaves on Modbus, and an existing MRU with its telegrams."""
     import tempfile
 
     from heaved.demo import demo as demonstration
     from heaved.simulate.faults import parse_faults
+    from heaved.simulate.mru import parse_mru
     from heaved.simulate.play import Player, read_recording
 
     devices = (demonstration.demo_config() if config is None else load(config)).device
@@ -95,7 +99,9 @@ def sim(
             devices = demonstration.on_serial_line(devices, Path(directory))
         try:
             source = (
-                demonstration.instruments(sea, devices, sensor=sensor, laser=laser, shake=shake, seed=seed)
+                demonstration.instruments(
+                    sea, devices, sensor=sensor, laser=laser, shake=shake, seed=seed, mru=parse_mru(mru)
+                )
                 if play is None
                 else Player(read_recording(play))
             )

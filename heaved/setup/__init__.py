@@ -1,1 +1,1 @@
-"""From a box to a service: what is found, measured and written before a daemon can run."""
+"""From a box to a service: what is done once, before the daemon runs."""

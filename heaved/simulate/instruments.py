@@ -15,6 +15,7 @@ from heaved.samples import CraftSample, Fault, ImuSample, LaserSample, Sample
 from heaved.simulate.crane import CraneAtWork, CraneSensors
 from heaved.simulate.gyro_shaking import GyroLine, GyroShake
 from heaved.simulate.hydrofoil import CraftShake, CraftShaking, Passage, Voyage
+from heaved.simulate.mru import MruModel, SimulatedMru
 from heaved.simulate.second_imu import CraneBase, SecondImu
 from heaved.simulate.sensors import (
     LASER_DISTANCE_M,
@@ -184,9 +185,10 @@ class Instruments:
     def __init__(
         self, sea: MotionSource, *, sensor: str | ImuModel = "A", laser: str = "on", shake: str | Shake = NONE,
         seed: int = 1, base: CraneBase | None = None, voyage: Voyage | None = None, crane: CraneAtWork | None = None,
+        mru: MruModel | None = None,
     ) -> None:  # fmt: skip
         """``base``: of a second IMU. ``voyage``: of a craft, whose sensors share no sea with the others. ``crane``: by
-        default one at work.
+        default one at work. ``mru``: an existing motion reference unit at the IMU.
 
         Raises:
             ValueError: unknown ``sensor`` (:data:`SENSORS`), ``laser`` pattern (:func:`laser_pattern`) or ``shake``
@@ -209,6 +211,7 @@ class Instruments:
         self._craft: dict[str, CraftSensors] = {}
         self.crane = crane or CraneAtWork(seed=seed)
         self._encoders: dict[str, CraneSensors] = {}
+        self._mru, self._mrus = mru or MruModel(), dict[str, SimulatedMru]()
 
     def read(self, device: DeviceSpec, t_s: float) -> Sample:
         """What ``device`` measures at ``t_s``, seconds from the start of the simulation."""
@@ -222,6 +225,10 @@ class Instruments:
             if device.name not in self._encoders:
                 self._encoders[device.name] = CraneSensors(self.crane, seed=self._seed, name=device.name)
             return self._encoders[device.name].read(t_s)
+        if device.role == "reference_mru":
+            if device.name not in self._mrus:
+                self._mrus[device.name] = SimulatedMru(self._sea, self._mru, seed=self._seed, name=device.name)
+            return self._mrus[device.name].read(t_s)
         if device.role != "imu":
             return self._craft_sensors(device).read(t_s) if self._voyage else CraftSample(t_s=t_s)
         if device.name not in self._imus:

@@ -117,7 +117,26 @@ class HeaveEstimator:
             observer_m=observer_m,
             correction_m=correction_m,
             lead_s=observer.design_lead_s + taught.learned_s,
-            forecast=observer.forecast(shift_s, taught.learned_s, no_less, gain) if are_forecasts_wanted else (),
+            forecast=self._forecast(shift_s, no_less, motion.velocity_mps) if are_forecasts_wanted else (),
+        )
+
+    def _forecast(self, shift_s: float, scale: float, velocity_mps: float) -> tuple[HeaveForecast, ...]:
+        """For each horizon, with what gain and lead may be off by: as fast as the wave is now at its fastest."""
+        observer, taught = self.observer, self.laser.lead
+        found = observer.forecast(shift_s, taught.learned_s, scale, taught.gain)
+        if not taught.updates:
+            return found
+        return tuple(
+            [
+                msgspec.structs.replace(
+                    one,
+                    std_m=hypot(
+                        one.std_m,
+                        taught.error_std_m(one.heave_m, hypot(velocity_mps, observer.omega_radps * one.heave_m)),
+                    ),
+                )
+                for one in found
+            ]
         )
 
     def delayed(self) -> DelayedHeave | None:

@@ -66,7 +66,11 @@ class SavedObserver(msgspec.Struct, frozen=True, kw_only=True):
     frequencies_hz: tuple[float, ...] = ()
     """Of the lines of a harmonic observer."""
     sea: SeaModel | None = None
-    """Of a sea observer."""
+    """Of a sea observer,"""
+    bias_mps2: float | None = None
+    """the bias of the accelerometer that it has found, and"""
+    bias_std_mps2: float = 1.0
+    """how well."""
 
 
 class LaserAided(Protocol):

@@ -117,10 +117,14 @@ class AttitudePropagator:
 
     Attributes:
         latest: roll and pitch of the last sample, or of when they were last known.
+        are_rates_measured: whether body rates that are believed came with the last sample.
+        rates: derivatives of roll and pitch at the last sample, rad/s.
     """
 
     def __init__(self) -> None:
         self.latest = UNKNOWN
+        self.are_rates_measured = False
+        self.rates = (nan, nan)
         self._line_s = TUNING.line_s
         """For so long a straight line is as good as it has to be."""
         self._t_s = self._roll_rate = self._pitch_rate = self._yaw_rate = nan
@@ -142,18 +146,6 @@ class AttitudePropagator:
     def are_rates_believed(self) -> bool:
         """Whether the body rates have led from angle to angle."""
         return self._rated >= TUNING.compared and self._off_square < TUNING.agreed**2 * self._moved_square
-
-    @property
-    def are_rates_measured(self) -> bool:
-        """Whether body rates that are believed came with the last sample."""
-        return self.latest.t_s == self._t_s and self.are_rates_believed and isfinite(self._roll_rate + self._pitch_rate)
-
-    @property
-    def rates(self) -> tuple[float, float]:
-        """Derivatives of roll and pitch at the last sample, rad/s."""
-        if self.are_rates_measured:
-            return self._roll_rate, self._pitch_rate
-        return self.latest.roll_rate_radps, self.latest.pitch_rate_radps
 
     @property
     def yaw_rate_radps(self) -> float:
@@ -183,6 +175,10 @@ class AttitudePropagator:
                 )
             now = later or predicted(t_s, now, rock) or now
         self.latest = now
+        self.rates = self._roll_rate, self._pitch_rate
+        self.are_rates_measured = now.t_s == self._t_s and self.are_rates_believed and isfinite(sum(self.rates))
+        if not self.are_rates_measured:
+            self.rates = now.roll_rate_radps, now.pitch_rate_radps
 
     def _turn(self, sample: ImuSample, roll_rad: float, pitch_rad: float) -> tuple[float, float]:
         """What the angles have turned by since the last rates; nan: too long ago, or they were not known."""

@@ -43,7 +43,9 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     first_s: float = 20.0
     """Record before the first."""
     row_s: float = 0.25
-    """The record is of means over this: waves lose nothing in them, vibration is averaged out."""
+    """The record is of means over this: waves lose nothing in them, vibration is averaged out. (Not of the down-sampler
+    of the heave, whose means lie where the samples do, and overlap: ten columns of a row are of one moment here, and
+    rows lie on one even grid, across holes too, for spectra are taken of them.)"""
     hole_s: float = 1.0
     """Longer without a sample the vessel may have done anything; the record is in runs between such holes."""
     line_s: float = 20.0

@@ -1,4 +1,4 @@
-"""From a box to a service."""
+"""Looking for sensors, and writing down what they are."""
 
 from __future__ import annotations
 
