@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from heaved.setup.probe import Tell, Wishes
     from heaved.setup.probe_report import Examined
 
-_ROLE_HELP = "What the device is to be: imu, laser, imu2, craft, heave_sensor, pitch_sensor, crane."
+_ROLE_HELP = "What the device is to be, such as imu or laser; an unknown one lists them."
 
 
 def probe(

@@ -46,7 +46,7 @@ _ANYTHING: Final = Block(start=0, fields=(Field(quantity="signal", offset=0),))
 """One register: asked of an id to see whether there is anybody."""
 
 FACTORY_IDS: Final = (80, 1)
-"""Of the profiles that come with the program, as delivered: WitMotion; Baumer and Benewake."""
+"""Of the profiles that come with the program, as delivered: WitMotion; Baumer, Benewake and Riftek."""
 FEW_IDS: Final = 2
 """So few that are named are looked for as thoroughly as those."""
 
@@ -403,7 +403,8 @@ def first_registers(profiles: Sequence[Profile]) -> list[Block]:
     """A block of one register for the first of each block of the profiles, each once, but for holding register 0, which
     everybody is asked for. Some devices do not refuse a register that they have not got, but ignore the request.
     """
-    places = {(block.function, block.start): None for profile in profiles for block in profile.blocks}
+    real = [profile for profile in profiles if not profile.name.startswith(SIMULATED)]
+    places = {(block.function, block.start): None for profile in real for block in profile.blocks}
     places.pop((_ANYTHING.function, _ANYTHING.start), None)
     return [Block(function=function, start=start, fields=_ANYTHING.fields) for function, start in places]
 

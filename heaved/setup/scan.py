@@ -33,7 +33,7 @@ SETTINGS: Final[tuple[tuple[int, Parity], ...]] = (
     (19200, "N"),
     (38400, "N"),
     (57600, "N"),
-    (9600, "E"),
+    (9600, "E"),  # Riftek as delivered.
     (230400, "N"),
     (115200, "E"),
     (38400, "E"),

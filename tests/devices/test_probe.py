@@ -250,7 +250,7 @@ async def test_a_device_that_ignores_what_it_has_not_got_is_found_all_the_same()
     slave = RtuSlave(answer)
     link, known = parse_link(f"rtu://{slave.path}?baudrate=115200"), (PROFILES["witmotion-wt901c485"],)
     try:
-        lines = (await probe(link, (79, 80, 81), known, 0.05, lambda device_id: None)).lines
+        lines = (await probe(link, (79, 80, 81), known, 0.1, lambda device_id: None)).lines
     finally:
         slave.close()
     assert lines[:2] == ["id 80: fits", "  100%  witmotion-wt901c485"]
