@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from math import isfinite
 from pathlib import Path
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from heaved.setup.probe import Tell, Wishes
     from heaved.setup.probe_report import Examined
 
-_ROLE_HELP = "What the device is to be: imu, laser, imu2, craft, heave_sensor, pitch_sensor, crane."
+_ROLE_HELP = "What the device is to be, such as imu or laser; an unknown one lists them."
 
 
 def probe(
@@ -68,6 +68,8 @@ def probe(
         _list_adapters(as_json=as_json)
     if role and role not in get_args(Role):
         fail(f"--role {role!r}: must be one of {', '.join(get_args(Role))}", 1)
+    if write is not None:
+        _refuse_faulty(write)
     wanted = _ids(ids)
     wishes = Wishes(
         ids=wanted[0], timeout_s=timeout, seconds=0.0 if live else seconds, rate_hz=rate, name=name,
@@ -90,6 +92,16 @@ def _refuse_odd_options(*, live: bool, as_json: bool, write: Path | None, yes: b
         fail("--yes says to what? Name the configuration: --write FILE", 1)
     if write is not None and not yes and not (sys.stdin.isatty() and sys.stdout.isatty()):
         fail("--write asks before it writes, and there is no terminal to answer on: add --yes", 1)
+
+
+def _refuse_faulty(path: Path) -> None:
+    """A file that could not be added to is named before anybody waits for a scan."""
+    from heaved.setup.config_file import Addition, RefusedError
+
+    try:
+        Addition(path, "").drop()
+    except RefusedError as error:
+        fail(str(error), EX_CONFIG)
 
 
 def _ids(text: str | None) -> tuple[tuple[int, ...], tuple[int, ...] | None]:
@@ -199,10 +211,11 @@ def _scanned(
     """The line with the settings at which somebody answers."""
     import asyncio
 
+    from heaved.config.read import packaged_profiles
     from heaved.setup.scan import plan
     from heaved.setup.scan import scan as look
 
-    asked = plan(ids, timeout_s)
+    asked = plan(ids, timeout_s, packaged_profiles())
     bounds = f"at most {_long(asked.bound_s())}"
     if len(asked.rounds) > 1:
         bounds += f", the usual ids within {_long(asked.bound_s(1))}"
@@ -231,20 +244,24 @@ def _long(seconds: float) -> str:
 def _report(
     links: list[Link], hints: list[str], wishes: Wishes, write: Path | None, *, yes: bool, as_json: bool
 ) -> None:
+    from heaved.setup.config_file import taken_names
     from heaved.setup.device_table import link_text
     from heaved.setup.probe_report import lines, tree
 
+    taken = set(taken_names(write)) if write is not None else set()
     everybody: list[Examined] = []
     for link in links:
 
         def found(examined: Examined) -> None:
             everybody.append(examined)
+            if examined.table is not None:
+                taken.add(examined.table.device.name)
             if not as_json:
                 rate_hz = examined.table.device.rate_hz if examined.table is not None else wishes.rate_hz or 100.0
                 for line in lines(examined, rate_hz):
                     say(printable(line))
 
-        _examine(link, wishes, write, hints, found, is_only=len(links) == 1)
+        _examine(link, wishes, taken, hints, found, is_only=len(links) == 1)
     if as_json:
         _say_json({"devices": [{"link": link_text(one.device.link)} | tree(one) for one in everybody], "hints": hints})
     for hint in hints:
@@ -262,7 +279,7 @@ def _report(
 def _examine(
     link: Link,
     wishes: Wishes,
-    write: Path | None,
+    taken: Collection[str],
     hints: list[str],
     found: Callable[[Examined], None],
     *,
@@ -272,7 +289,6 @@ def _examine(
 
     from heaved.config.read import packaged_profiles
     from heaved.setup.adapters import beside_us
-    from heaved.setup.config_file import taken_names
     from heaved.setup.probe import examine_line
 
     if sys.stderr.isatty():
@@ -281,7 +297,6 @@ def _examine(
         )
     if warning := beside_us(link):
         hints.append(f"{link}: {warning}")
-    taken = taken_names(write) if write is not None else ()
     try:
         with _telling() as tell:
             told = asyncio.run(examine_line(link, wishes, packaged_profiles(), taken, tell, found))
@@ -332,7 +347,7 @@ def _live(links: list[Link], hints: list[str], wishes: Wishes) -> None:
 
     everybody: list[Examined] = []
     for link in links:
-        _examine(link, wishes, None, hints, everybody.append, is_only=len(links) == 1)
+        _examine(link, wishes, (), hints, everybody.append, is_only=len(links) == 1)
     for hint in hints:
         say(printable(hint), err=True)
     # What is known first; of several the first: --ids chooses.

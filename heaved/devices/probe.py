@@ -24,7 +24,7 @@ from heaved.devices.frames import explain_exception
 from heaved.devices.link import most_rate_hz
 from heaved.devices.profile import Block, ByteOrder, Field, Profile, Quantity, block_registers, decode
 from heaved.devices.timer import DeadlineTimer
-from heaved.links import Link, TcpLink
+from heaved.links import Link, SerialLink, TcpLink
 from heaved.samples import GRAVITY_MPS2, Fault
 
 MOST_SHOWN: Final = 4
@@ -44,6 +44,11 @@ SIMULATED: Final = "heaved-sim-"
 """Start of the names of the simulator's profiles, which are listed last."""
 _ANYTHING: Final = Block(start=0, fields=(Field(quantity="signal", offset=0),))
 """One register: asked of an id to see whether there is anybody."""
+
+FACTORY_IDS: Final = (80, 1)
+"""Of the profiles that come with the program, as delivered: WitMotion; Baumer, Benewake and Riftek."""
+FEW_IDS: Final = 2
+"""So few that are named are looked for as thoroughly as those."""
 
 _NOBODY: Final = (explain_exception(10), explain_exception(11))
 """A gateway's answer for an id behind which there is no device."""
@@ -304,6 +309,9 @@ async def probe(
                 if device_id not in found
             ]
             hints += _odd_hints(odd)
+            if isinstance(link, SerialLink):
+                silent = [i for i in ids if i not in found and i not in line.late_s and i not in dict(odd)]
+                found += await _find_choosy(line, thorough_ids(silent, len(ids)), profiles, timeout_s)
             for device_id in found:
                 findings = await examine(
                     line, device_id, profiles, timeout_s, rest_s=0.0 if isinstance(link, TcpLink) else timeout_s
@@ -384,6 +392,32 @@ async def find_ids(
         if not answer.answered and (answer.fault is not Fault.TIMEOUT or "own request" in answer.detail):
             odd.append((device_id, answer.detail))
     return found, odd
+
+
+def thorough_ids(ids: Sequence[int], asked: int) -> list[int]:
+    """Those of ``ids`` that are worth more than one request each, where ``asked`` are asked in all."""
+    return [device_id for device_id in ids if device_id in FACTORY_IDS or asked <= FEW_IDS]
+
+
+def first_registers(profiles: Sequence[Profile]) -> list[Block]:
+    """A block of one register for the first of each block of the profiles, each once, but for holding register 0, which
+    everybody is asked for. Some devices do not refuse a register that they have not got, but ignore the request.
+    """
+    real = [profile for profile in profiles if not profile.name.startswith(SIMULATED)]
+    places = {(block.function, block.start): None for profile in real for block in profile.blocks}
+    places.pop((_ANYTHING.function, _ANYTHING.start), None)
+    return [Block(function=function, start=start, fields=_ANYTHING.fields) for function, start in places]
+
+
+async def _find_choosy(line: Reader, ids: Sequence[int], profiles: Sequence[Profile], timeout_s: float) -> list[int]:
+    """Those that answer to a read of what they have, and to no other."""
+    found: list[int] = []
+    for device_id in ids:
+        for place in first_registers(profiles):
+            if (await line.read(device_id, place, 1, timeout_s)).answered:
+                found.append(device_id)
+                break
+    return found
 
 
 async def examine(

@@ -31,6 +31,7 @@ SPARE: Final = 0.8
 _ROLES: Final[tuple[Role, ...]] = ("imu", "laser", "imu2", "heave_sensor", "pitch_sensor")
 """In the order in which they are taken for granted."""
 _CRANE: Final = {"slew_rad", "boom_rad", "jib_rad", "line_out_m"}
+_MRU: Final = {"heave_m", "roll_rad", "pitch_rad"}
 _CRAFT: Final = {"speed_mps", "flap_fore_rad", "flap_aft_rad"}
 
 
@@ -48,6 +49,8 @@ def role_of(profile: Profile) -> Role | None:
         return "craft"
     if measured & _CRANE:
         return "crane"
+    if measured >= _MRU and "az_mps2" not in measured:
+        return "reference_mru"
     return next((role for role in _ROLES if measured.issuperset(role_needs(role))), None)
 
 

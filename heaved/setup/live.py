@@ -32,6 +32,11 @@ _USUAL_S: Final = 20.0
 """Time constants of where a value was, and of how far it usually is from there."""
 _SETTLED: Final = 20
 """Readings from which that is known."""
+_COLUMNS: Final = ("", "register", "hex", "raw", "type", "value", "unit", "min", "max", "new/s")
+_NEEDS_COLUMNS: Final = {"type": 88, "raw": 78, "hex": 70, "new/s": 66}
+"""Width of a terminal below which a column is left out,"""
+_PAIR_COLUMNS: Final = 12
+"""and so much more where values take two registers."""
 _UNITS: Final = {"mps2": "m/s2", "rad": "deg", "radps": "deg/s", "m": "m", "c": "degC", "s": "s", "mps": "m/s"}
 
 
@@ -130,13 +135,21 @@ class View:
         for column in (polls.sent_s, polls.round_trips_s, polls.registers, polls.values):
             column.clear()
 
-    def render(self, now_s: float) -> RenderableType:
-        """All of it."""
+    def render(self, now_s: float, width: int) -> RenderableType:
+        """All of it for a terminal of ``width`` columns. On a narrow one what the registers are made of is left out, as
+        a number that is cut short would be another number.
+        """
+        pairs = _PAIR_COLUMNS if any(len(cell.indices) > 1 for cell in self.cells) else 0
+        left_out = {name for name, least in _NEEDS_COLUMNS.items() if width < least + pairs}
         table = Table(box=None, pad_edge=False, header_style="dim")
-        for name in ("register", "hex", "raw", "type", "value", "unit", "min", "max", "changes/s", ""):
-            table.add_column(name, justify="left" if name in ("type", "unit", "") else "right", no_wrap=True)
+        kept = [name for name in _COLUMNS if name not in left_out]
+        for name in kept:
+            table.add_column(name, justify="left" if name in ("", "type", "unit") else "right", no_wrap=True)
         for cell in self.cells:
-            table.add_row(*self._row(cell, now_s))
+            row = self._row(cell, now_s)
+            moved = now_s - cell.leapt_at_s < _FADES_S
+            style = "bold reverse" if moved else "" if cell.quantity is not None else "dim"
+            table.add_row(*(Text(row[name], style) for name in kept))
         return Group(Text(printable(self._title), "bold"), Text(self._pace(now_s)), table, *self._foot())
 
     def _pace(self, now_s: float) -> str:
@@ -147,33 +160,34 @@ class View:
         old_s = now_s - self._last_s
         return pace + (f"; no answer for {old_s:.0f} s" if old_s > 1.0 else "")
 
-    def _row(self, cell: Cell, now_s: float) -> Iterator[str | Text]:
-        moved = now_s - cell.leapt_at_s < _FADES_S
-        style = "bold reverse" if moved else "" if cell.quantity is not None else "dim"
+    def _row(self, cell: Cell, now_s: float) -> dict[str, str]:
+        """What stands in each column."""
         factor, unit = _shown_in(cell.quantity)
         span_s = self._last_s - self._began_s
-        pace = f"{cell.changes / span_s:.1f}" if span_s > 0.0 else ""
-        numbers = (cell.value, cell.low, cell.high)
-        value, low, high = (f"{factor * number:.4f}" if cell.words else "" for number in numbers)
+        value, low, high = (f"{factor * number:.3f}" for number in (cell.value, cell.low, cell.high))
         if cell.quantity is None:
             value, low, high = "", low.partition(".")[0], high.partition(".")[0]
-        raw = " ".join(str(_signed(word)) if cell.kind in ("int16", "-") else str(word) for word in cell.words)
-        name = cell.quantity or ""
-        yield Text(f"{cell.function} 0x{cell.address:02X}", style)
-        yield Text(" ".join(f"{word:04X}" for word in cell.words), style)
-        yield Text(raw, style)
-        yield Text(cell.kind, style)
-        yield Text(value, style)
-        yield Text(unit, style)
-        yield Text(low, style)
-        yield Text(high, style)
-        yield Text(pace, style)
-        yield Text(f"{name.rpartition('_')[0] or name}{' ◀ moves' if moved else ''}", style)
+        if not cell.words:
+            value = low = high = ""
+        is_signed = cell.kind.startswith("int16") or cell.quantity is None
+        name = (cell.quantity or "").rpartition("_")[0] or cell.quantity or ""
+        return {
+            "": name + (" ◀" if now_s - cell.leapt_at_s < _FADES_S else ""),
+            "register": f"{'input ' if cell.function == 'input' else ''}0x{cell.address:02X}",
+            "hex": " ".join(f"{word:04X}" for word in cell.words),
+            "raw": " ".join(str(_signed(word) if is_signed else word) for word in cell.words),
+            "type": cell.kind,
+            "value": value,
+            "unit": unit,
+            "min": low,
+            "max": high,
+            "new/s": f"{cell.changes / span_s:.1f}" if span_s > 0.0 else "",
+        }
 
     def _foot(self) -> Iterator[Text]:
         if self._lost:
             yield Text(f"{self._lost} without an answer, the latest: {printable(self._detail)}", "yellow")
-        yield Text("lift a corner: what moves is marked. Ctrl-C ends", "dim")
+        yield Text("lift a corner: what moves is marked ◀. Ctrl-C ends", "dim")
 
 
 def _shown_in(quantity: Quantity | None) -> tuple[float, str]:
@@ -210,5 +224,5 @@ class Screen:
         now_s = time.monotonic()
         self._view.push(polls, now_s)
         if now_s - self._drawn_s >= REDRAW_S:
-            self._live.update(self._view.render(now_s), refresh=True)
+            self._live.update(self._view.render(now_s, self._live.console.width), refresh=True)
             self._drawn_s = now_s

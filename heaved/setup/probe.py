@@ -70,7 +70,7 @@ async def examine_line(
         report = await probe(link, wishes.ids, profiles, wishes.timeout_s, asking)
     except ConnectionError as error:
         raise ConnectionError(explain(link, str(error))) from error
-    hints, names = report.hints, set(taken_names)
+    hints, names = report.hints, set(taken_names)  # Its own: the caller's may grow meanwhile.
     share = _share(link, report.devices)
     for device in report.devices:
         examined = await _examine(device, link, wishes, names, share, tell)

@@ -12,14 +12,18 @@ import re
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from enum import Enum
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
 from heaved.devices.frames import Request, crc16, find_rtu_answer, rtu_senders
+from heaved.devices.probe import FACTORY_IDS, first_registers, thorough_ids
 from heaved.links import Parity, SerialLink, character_s, explain_open_failure, silence_s
 from heaved.serial_port import SerialPort
 from heaved.setup.adapters import explain
+
+if TYPE_CHECKING:
+    from heaved.devices.profile import Profile
 
 SETTINGS: Final[tuple[tuple[int, Parity], ...]] = (
     (9600, "N"),  # WitMotion as delivered; most of what is sold.
@@ -29,7 +33,7 @@ SETTINGS: Final[tuple[tuple[int, Parity], ...]] = (
     (19200, "N"),
     (38400, "N"),
     (57600, "N"),
-    (9600, "E"),
+    (9600, "E"),  # Riftek as delivered.
     (230400, "N"),
     (115200, "E"),
     (38400, "E"),
@@ -41,8 +45,6 @@ SETTINGS: Final[tuple[tuple[int, Parity], ...]] = (
     (2400, "N"),
 )
 """Baud rates and parities, most usual first. Two stop bits are heard as one, and answered to as well."""
-FACTORY_IDS: Final = (80, 1)
-"""Of the profiles that come with the program, as delivered: WitMotion, and Baumer and Benewake."""
 USUAL_IDS: Final = (*FACTORY_IDS, *range(2, 17), 32, 100, 247)
 ALL_IDS: Final = (*USUAL_IDS, *(i for i in range(1, 248) if i not in USUAL_IDS))
 LISTEN_S: Final = 0.06
@@ -50,6 +52,8 @@ LISTEN_S: Final = 0.06
 OPEN_S: Final = 0.03
 """An adapter takes about so long to be set."""
 REQUEST_BYTES, ANSWER_BYTES = 8, 7
+_FIRST: Final = (3, 0)
+"""What everybody is asked for: holding register 0; who has not got it refuses, which is an answer."""
 _READ: Final = struct.Struct(">BBHH")
 _SENTENCE: Final = re.compile(rb"[$!:][A-Za-z][ -~]{4,}\r?\n")
 _MOST_SHOWN: Final = 12
@@ -101,11 +105,21 @@ class Plan(msgspec.Struct, frozen=True):
     rounds: tuple[tuple[int, ...], ...]
     settings: tuple[tuple[int, Parity], ...]
     timeout_s: float
+    places: tuple[tuple[int, int], ...] = ()
+    """Functions and registers that ids which are likely are asked for besides, if they do not answer."""
+
+    def thorough(self, ids: Sequence[int]) -> list[int]:
+        """Those of the ids of a round that are."""
+        return thorough_ids(ids, sum(map(len, self.rounds)))
+
+    def requests_of(self, ids: Sequence[int]) -> int:
+        """Most that are made of the ids of a round, with one setting."""
+        return len(ids) + len(self.places) * len(self.thorough(ids))
 
     @property
     def requests(self) -> int:
         """Most that are made."""
-        return len(self.settings) * sum(map(len, self.rounds))
+        return len(self.settings) * sum(map(self.requests_of, self.rounds))
 
     def bound_s(self, rounds: int | None = None) -> float:
         """Longest time that it takes, or that its first ``rounds`` take."""
@@ -113,14 +127,18 @@ class Plan(msgspec.Struct, frozen=True):
         for ids in self.rounds[:rounds]:
             for setting in self.settings:
                 link = SerialLink("", *setting)
-                total += OPEN_S + LISTEN_S + len(ids) * (wait_s(link, self.timeout_s) + silence_s(link))
+                total += OPEN_S + LISTEN_S
+                total += self.requests_of(ids) * (wait_s(link, self.timeout_s) + silence_s(link))
         return total
 
 
-def plan(ids: Sequence[int] | None, timeout_s: float) -> Plan:
-    """``ids``: whom to ask; None: the usual ones with every setting, then all others."""
+def plan(ids: Sequence[int] | None, timeout_s: float, profiles: Sequence[Profile] = ()) -> Plan:
+    """``ids``: whom to ask; None: the usual ones with every setting, then all others. ``profiles``: of what is likely
+    to be there.
+    """
     rounds = (tuple(ids),) if ids is not None else (USUAL_IDS, ALL_IDS[len(USUAL_IDS) :])
-    return Plan(rounds, SETTINGS, timeout_s)
+    places = tuple((3 if block.function == "holding" else 4, block.start) for block in first_registers(profiles))
+    return Plan(rounds, SETTINGS, timeout_s, places)
 
 
 def wait_s(link: SerialLink, timeout_s: float) -> float:
@@ -154,10 +172,11 @@ class _Ear:
         await self._wait(duration_s)
         return self._heard
 
-    async def ask(self, device_id: int, timeout_s: float) -> tuple[Heard, bytes]:
-        """Read one register of a slave. Raises: ConnectionError: the port has gone."""
-        request = self._request = Request(device_id, 3, 1)
-        body = _READ.pack(device_id, request.function, 0, request.count)
+    async def ask(self, device_id: int, place: tuple[int, int], timeout_s: float) -> tuple[Heard, bytes]:
+        """Read one register, ``place``: its function and address. Raises: ConnectionError: the port has gone."""
+        function, register = place
+        request = self._request = Request(device_id, function, 1)
+        body = _READ.pack(device_id, function, register, request.count)
         sent = body + crc16(body).to_bytes(2, "little")
         self._heard = b""
         if not self._port.write(sent) and not self._loss:
@@ -241,26 +260,33 @@ class _Search:
         except OSError as error:
             if error.errno is not None or not self._notes.refused(link):
                 raise ConnectionError(explain(link, explain_open_failure(link, error))) from error
-            self._done += len(queue)
+            self._done += self._asked.requests_of(queue)
             return []
         found: list[int] = []
         try:
             self._notes.hears_unasked(link, await ear.listen(LISTEN_S))
             # Who shares the line has the same settings: they are asked to the end, whoever has answered.
             for device_id in queue:
-                self._progress(self._done, self._asked.requests, f"{_setting(link)} id {device_id}")
-                self._done += 1
-                what, heard = await ear.ask(device_id, self._asked.timeout_s)
-                if what is Heard.ANSWER:
-                    found += [device_id, *(sender.device_id for sender in rtu_senders(heard))]
-                    self._answered[link] = found
-                elif what is Heard.GARBAGE and device_id not in self._heard_of:
-                    self._heard_of.append(device_id)
-                self._notes.hears(link, device_id, what, heard)
-                await asyncio.sleep(silence_s(link))
+                await self._ask(ear, link, device_id, _FIRST, found)
+            for device_id in self._asked.thorough(queue):
+                for place in self._asked.places:
+                    if device_id not in found:
+                        await self._ask(ear, link, device_id, place, found)
         finally:
             ear.close()
         return found
+
+    async def _ask(self, ear: _Ear, link: SerialLink, device_id: int, place: tuple[int, int], found: list[int]) -> None:
+        self._progress(self._done, self._asked.requests, f"{_setting(link)} id {device_id}")
+        self._done += 1
+        what, heard = await ear.ask(device_id, place, self._asked.timeout_s)
+        if what is Heard.ANSWER:
+            found += [device_id, *(sender.device_id for sender in rtu_senders(heard))]
+            self._answered[link] = found
+        elif what is Heard.GARBAGE and device_id not in self._heard_of:
+            self._heard_of.append(device_id)
+        self._notes.hears(link, device_id, what, heard)
+        await asyncio.sleep(silence_s(link))
 
 
 class _Notes:

@@ -191,6 +191,8 @@ def noise(
     density = _white_density(_without(t_s, x, shaken_by), rate_hz, top_hz)
     # Rounding spreads step^2 / 12 over the band up to half the rate.
     steps = step / sqrt(6.0 * rate_hz) if step else nan
+    if not density > 0.0:  # It has hardly changed: what it is lies within the rounding.
+        return Noise(density=density, steps=steps)
     tau_s = float(t_s[-1] - t_s[0]) / TUNING.blocks
     variance, white = _allan_variance(x, max(round(tau_s * rate_hz), 1)), density**2 / (2.0 * tau_s)
     short = _allan_variance(x, max(round(min(1.0, tau_s) * rate_hz), 1))

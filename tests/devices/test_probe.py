@@ -241,6 +241,22 @@ async def test_probing_goes_on_after_answers_that_are_none() -> None:
     assert "id 4" not in hints
 
 
+async def test_a_device_that_ignores_what_it_has_not_got_is_found_all_the_same() -> None:
+    def answer(request: bytes) -> bytes:
+        first, count = int.from_bytes(request[2:4]) - 0x34, int.from_bytes(request[4:6])
+        known = request[:2] == b"\x50\x03" and first >= 0 and first + count <= 12
+        return rtu_answer(request, wt901(len(slave.requests))[first : first + count]) if known else b""
+
+    slave = RtuSlave(answer)
+    link, known = parse_link(f"rtu://{slave.path}?baudrate=115200"), (PROFILES["witmotion-wt901c485"],)
+    try:
+        lines = (await probe(link, (79, 80, 81), known, 0.1, lambda device_id: None)).lines
+    finally:
+        slave.close()
+    assert lines[:2] == ["id 80: fits", "  100%  witmotion-wt901c485"]
+    assert [line for line in lines if line.startswith("id")] == ["id 80: fits"]
+
+
 @pytest.mark.parametrize("serial", [True, False])
 async def test_a_late_device_is_named_with_the_timeout_that_it_needs(serial: bool) -> None:
     loop = asyncio.get_running_loop()

@@ -130,7 +130,7 @@ def test_devices_on_one_line_share_it() -> None:
 
 ROLES: dict[str, Role | None] = {
     "witmotion-wt901c485": "imu", "baumer-om20": "laser", "heaved-sim-imu2": "imu2", "heaved-sim-crane": "crane",
-    "heaved-sim-craft": "craft",
+    "heaved-sim-craft": "craft", "smc-imu-108": "reference_mru", "bewis-mins127": "pitch_sensor",
 }  # fmt: skip
 
 

@@ -95,6 +95,14 @@ def test_a_device_with_a_clock_is_timed_by_it_though_its_readings_repeat() -> No
     assert "by the device's clock the age of an answer varies by 10.0 ms" in "\n".join(measured_lines(shown, 20.0))
 
 
+def test_an_imu_that_stands_still_in_its_registers_is_said_to_be_finer_than_they_are() -> None:
+    times = [k / 100.0 for k in range(1000)]
+    rows = [[0, 0, 2048 + (k == 500), 0, 0, 0, 0, 0, 0, 364, 0xFF4A, 91] for k in range(1000)]
+    text = "\n".join(measured_lines(measured(polled("witmotion-wt901c485", rows, times), WITMOTION, LINE, 0.0), 40.0))
+    assert "too few to say how often it measures" in text
+    assert "the rounding of the register: its own is less" in text
+
+
 def test_of_no_answers_nothing_is_said() -> None:
     shown = measured(Polls(lost={"no answer": 3}), WITMOTION, LINE, 20.0)
     assert shown.channels == []

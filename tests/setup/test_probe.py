@@ -151,7 +151,7 @@ async def test_a_sensor_that_falls_silent_while_it_is_measured() -> None:
         requests += 1
         return sensor(request) if requests < 200 else b""
 
-    (found,), _, _ = await on_pty(answer, seconds=60.0, timeout_s=0.03)
+    (found,), _, _ = await on_pty(answer, seconds=60.0, timeout_s=0.06)
     assert found.table is not None
     (note,) = found.notes
     assert "id 80 has stopped answering: no answer" in note
@@ -192,7 +192,7 @@ async def test_watching_goes_on_through_silence_until_ctrl_c() -> None:
         if len(answers) == 12:
             task.cancel()
 
-    wishes = Wishes(ids=(80,), timeout_s=0.02, seconds=0.0)
+    wishes = Wishes(ids=(80,), timeout_s=0.1, seconds=0.0)
     task = asyncio.create_task(watch(View("it", WITMOTION[0]), SerialLink(slave.path, 115200), 80, wishes, push))
     try:
         await task

@@ -66,13 +66,15 @@ def test_from_an_adapter_to_a_configuration(
     file = tmp_path / "heaved.toml"
     with in_background(lambda: PickySlave(115200, Wt901())) as slave:
         plugged_in(monkeypatch, slave.path)
-        arguments = ["probe", "--scan", "--ids", "1,80", "--timeout", "0.05", "--seconds", "0.2"]
+        arguments = ["probe", "--scan", "--ids", "80", "--timeout", "0.1", "--seconds", "0.2"]
         assert main([*arguments, "--write", str(file), "--yes"]) == 0
         first = capsys.readouterr()
-        assert main([*arguments, "--write", str(file), "--yes"]) == 78
+        known = ["probe", f"rtu://{slave.path}?baudrate=115200", "--ids", "80", "--timeout", "0.5", "--seconds", "0"]
+        assert main([*known, "--write", str(file), "--yes"]) == 78
         again = capsys.readouterr()
         assert {request[1] for request in slave.requests} == {3, 4}
-    assert f"{slave.path}: 2 settings, 4 requests: at most " in first.err
+    assert f"{slave.path}: 2 settings, " in first.err
+    assert " requests: at most " in first.err
     assert f"{slave.path}: id 80 at {slave.path} (115200 8N1)" in first.err
     assert f"{file}: written" in first.err
     assert "id 80: fits\n  100%  witmotion-wt901c485\n" in first.out
@@ -101,7 +103,16 @@ def test_before_it_is_written_it_is_asked(
 
     monkeypatch.setattr(typer, "confirm", confirm)
     with in_background(lambda: PickySlave(115200, Wt901())) as slave:
-        arguments = ["probe", f"rtu://{slave.path}?baudrate=115200", "--ids", "80", "--seconds", "0"]
+        arguments = [
+            "probe",
+            f"rtu://{slave.path}?baudrate=115200",
+            "--ids",
+            "80",
+            "--timeout",
+            "0.5",
+            "--seconds",
+            "0",
+        ]
         assert main([*arguments, "--write", str(file)]) == 1
         assert not file.exists()
         assert main([*arguments, "--write", str(file), "--name", "deck", "--rate", "40"]) == 0
@@ -111,10 +122,37 @@ def test_before_it_is_written_it_is_asked(
     assert "was left alone" in capsys.readouterr().err
 
 
+def test_a_file_that_cannot_be_added_to_is_refused_before_anybody_is_asked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "heaved.toml"
+    file.write_text("[stream]\nport = 99999\n")
+    assert main(["probe", "tcp://127.0.0.1:1", "--write", str(file), "--yes"]) == 78
+    assert "stream.port" in capsys.readouterr().err
+    assert main(["probe", "tcp://127.0.0.1:1", "--write", str(tmp_path / "none" / "x.toml"), "--yes"]) == 78
+    assert "nothing can be written into its directory" in capsys.readouterr().err
+
+
+def test_sensors_on_two_adapters_have_names_of_their_own(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with (
+        in_background(lambda: PickySlave(9600, Wt901())) as one,
+        in_background(lambda: PickySlave(115200, Wt901())) as other,
+    ):
+        plugged_in(monkeypatch, one.path, other.path)
+        assert main(["probe", "--scan", "--ids", "80", "--timeout", "0.1", "--seconds", "0", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [device["device"]["name"] for device in told["devices"]] == ["imu", "imu-2"]
+    assert [device["link"] for device in told["devices"]] == [
+        f"rtu://{one.path}?baudrate=9600&parity=N", f"rtu://{other.path}?baudrate=115200&parity=N",
+    ]  # fmt: skip
+
+
 def test_a_script_gets_one_object(capsys: pytest.CaptureFixture[str]) -> None:
     with in_background(lambda: PickySlave(115200, Wt901())) as slave:
         link = f"rtu://{slave.path}?baudrate=115200"
-        assert main(["probe", link, "--ids", "80", "--seconds", "0.5", "--json"]) == 0
+        assert main(["probe", link, "--ids", "80", "--timeout", "0.5", "--seconds", "0.5", "--json"]) == 0
     captured = capsys.readouterr()
     told = json.loads(captured.out, parse_constant=pytest.fail)
     (device,) = told["devices"]
@@ -128,13 +166,13 @@ def test_a_script_gets_one_object(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_nobody_answers_and_what_was_heard_instead(capsys: pytest.CaptureFixture[str]) -> None:
     with in_background(lambda: PickySlave(2400, lambda request: b"", lambda data: b"\xf8\x80")) as slave:
-        assert main(["probe", f"rtu://{slave.path}", "--ids", "1,2", "--timeout", "0.02", "--json"]) == 69
+        assert main(["probe", f"rtu://{slave.path}", "--ids", "3-5", "--timeout", "0.05", "--json"]) == 69
         out, scanned = capsys.readouterr()
         link = f"rtu://{slave.path}?baudrate=9600"
-        assert main(["probe", link, "--ids", "1,2", "--timeout", "0.02", "--json"]) == 69
+        assert main(["probe", link, "--ids", "3-5", "--timeout", "0.05", "--json"]) == 69
         captured = capsys.readouterr()
     assert json.loads(out)["devices"] == []
-    assert "bytes that are no frame came when id 1 was asked at 9600 8N1 (f8 80)" in scanned
+    assert "bytes that are no frame came when id 3 was asked at 9600 8N1 (f8 80)" in scanned
     assert "nobody answers at any usual baud rate" in scanned
     assert "2 bytes that are no valid frame" in captured.err
     assert "check baudrate" in captured.err
@@ -143,7 +181,7 @@ def test_nobody_answers_and_what_was_heard_instead(capsys: pytest.CaptureFixture
 
 def test_an_adapter_that_echoes_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     with in_background(lambda: PickySlave(9600, lambda request: request, lambda data: data)) as slave:
-        assert main(["probe", f"rtu://{slave.path}", "--ids", "1", "--timeout", "0.02"]) == 69
+        assert main(["probe", f"rtu://{slave.path}", "--ids", "3-5", "--timeout", "0.05"]) == 69
     assert "the adapter hears its own requests" in capsys.readouterr().err
 
 

@@ -9,6 +9,7 @@ import pytest
 from modbus_slaves import rtu, rtu_answer
 from picky_slaves import PickySlave
 
+from heaved.config.read import packaged_profiles
 from heaved.devices.frames import Request
 from heaved.links import SerialLink
 from heaved.setup import scan as scanning
@@ -29,7 +30,7 @@ def quick_ears(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scanning, "LISTEN_S", 0.005)
 
 
-def short(ids: tuple[int, ...], *settings: tuple[int, Parity], timeout_s: float = 0.02) -> Plan:
+def short(ids: tuple[int, ...], *settings: tuple[int, Parity], timeout_s: float = 0.06) -> Plan:
     return Plan((ids,), settings or ((9600, "N"), (115200, "N"), (19200, "O")), timeout_s)
 
 
@@ -62,6 +63,27 @@ async def test_nothing_is_ever_written_but_reads_of_one_register() -> None:
     frames = [slave.all_heard[i : i + 8] for i in range(0, len(slave.all_heard), 8)]
     assert frames
     assert {frame[1:6] for frame in frames} == {bytes((3, 0, 0, 0, 1))}
+
+
+def choosy(request: bytes) -> bytes:
+    """Ignores whatever it has not got: it has holding register 0x34 alone."""
+    return rtu_answer(request, [7]) if request[:6] == bytes((80, 3, 0, 0x34, 0, 1)) else b""
+
+
+async def test_a_device_that_ignores_what_it_has_not_got_is_found_by_what_the_profiles_have() -> None:
+    asked = plan(None, 0.06, packaged_profiles())
+    # A Baumer's and a WitMotion's among them, and not what everybody is asked for.
+    assert {(4, 200), (3, 0x34)} <= set(asked.places)
+    assert (3, 0) not in asked.places
+    # Two of the usual ids are likely enough for more requests.
+    assert asked.requests == (247 + 2 * len(asked.places)) * len(SETTINGS)
+    slave = PickySlave(115200, choosy)
+    few = Plan(((80, 81, 82),), ((9600, "N"), (115200, "N")), 0.06, asked.places)
+    assert (await told(slave, few)).ids == (80,)
+    assert [request[:6] for request in slave.requests if request[0] != 80] == [
+        bytes((i, 3, 0, 0, 0, 1)) for i in (81, 82)
+    ]
+    assert few.requests == 2 * (3 + len(asked.places))
 
 
 async def test_a_line_on_which_nobody_answers() -> None:

@@ -157,6 +157,14 @@ def test_the_rounding_of_a_register_is_known_for_what_it_is() -> None:
     assert found.steps == pytest.approx(math.sqrt(step**2 / 12.0 / 50.0))
 
 
+def test_a_register_that_never_changes_says_nothing_but_its_rounding() -> None:
+    t_s = np.arange(1000) / 100.0
+    found = noise(t_s, np.full(1000, 9.81), step=0.005)
+    assert found.density == pytest.approx(0.0, abs=1e-12)
+    assert math.isnan(found.walk)
+    assert found.steps == pytest.approx(0.005 / math.sqrt(600.0))
+
+
 # ---- lines -----------------------------------------------------------------------------------------------------------
 
 
