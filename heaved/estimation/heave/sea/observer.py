@@ -441,8 +441,7 @@ class SeaObserver:
         self._disturbances.restart()
         self._unaided_disturbances.restart()
         self._drift = DriftDetector(system, steady, self._drift)
-        for y in (np.nan_to_num(np.frombuffer(fit.innovation)) / sqrt(steady.S)).tolist():
-            self._drift.push(y)
+        self._drift.fill(np.nan_to_num(np.frombuffer(fit.innovation)) / sqrt(steady.S))
         self._candidates, self._looked_s = fit.candidates, fit.t_s
         self._consistency.fitted(fit.whiteness, fit.waves, heave.steady_std_m, heave.sea_std_m, fit.waves_seen)
         self.refreshes += 1
