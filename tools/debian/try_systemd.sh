@@ -41,12 +41,14 @@ until_true() { for _ in $(seq 100); do if "$@"; then return; fi; sleep 0.2; done
 all_up() { [ "$(device)" = "[True, True]" ]; }
 
 say "install"
+dpkg -P heaved >/dev/null 2>&1 || true
 dpkg -i /heaved.deb >/dev/null
 ! systemctl is-active --quiet heaved
 ! systemctl is-enabled --quiet heaved
 ip addr add 10.9.9.1/32 dev lo  # No loopback address: the unit forbids it.
 sed 's#tcp://127.0.0.1:#tcp://10.9.9.1:#' /opt/heaved/lib/python3*/site-packages/heaved/_config/sensors.toml >/etc/heaved/heaved.toml
 systemctl start sensors
+until_true sh -c 'ss -Hltn | grep -q 10.9.9.1:15021'
 
 say "sensors at an address that the unit does not allow"
 systemctl start heaved
@@ -76,6 +78,7 @@ until_true sh -c "test \$(systemctl show --value -p MainPID heaved) != $pid && s
 until_true all_up
 start=$(date +%s%N)
 systemctl stop heaved
+! journalctl -u heaved --no-pager | grep "has failed"
 echo "stopped within $((($(date +%s%N) - start) / 1000000)) ms"
 test -s /var/lib/private/heaved/state.json
 
