@@ -33,8 +33,11 @@ mkdir -p "$root/etc/systemd/system/multi-user.target.wants"
 ln -sf ../trial.service "$root/etc/systemd/system/multi-user.target.wants/trial.service"
 cat >"$root/trial.sh" <<'TRIAL'
 set -euo pipefail
-trap 'echo "FAILED in line $LINENO"; journalctl -u heaved --no-pager | tail -n 20' ERR
+trap 'echo "FAILED in line $LINENO"; log | tail -n 20' ERR
 export PATH=/usr/sbin:/usr/bin:/sbin:/bin LANG=C.UTF-8
+began=$(date +%s)
+log() { journalctl -u heaved --no-pager --since "@$began"; }
+export began && export -f log
 say() { echo "== $*"; }
 device() { heaved status --json | python3 -c 'import json, sys; print([d["up"] for d in json.load(sys.stdin)["status"]["devices"]])'; }
 until_true() { for _ in $(seq 100); do if "$@"; then return; fi; sleep 0.2; done; echo "never: $*"; return 1; }
@@ -54,7 +57,7 @@ say "sensors at an address that the unit does not allow"
 systemctl start heaved
 sleep 3
 [ "$(device)" = "[False, False]" ]
-journalctl -u heaved --no-pager | grep -m 1 -e "not permitted to talk to 10.9.9.1" -e "nobody answers the connection"
+log | grep -m 1 -e "not permitted to talk to 10.9.9.1" -e "nobody answers the connection"
 
 say "heaved install-service"
 heaved install-service --write
@@ -72,20 +75,20 @@ nsenter --target "$pid" --mount -- ls -ld /var/lib/heaved/ /root /home 2>&1 || t
 
 say "reload, kill, stop"
 systemctl reload heaved
-until_true sh -c 'journalctl -u heaved --no-pager | grep -q "configuration read again"'
+until_true bash -c 'log | grep -q "configuration read again"'
 kill -KILL "$pid"
 until_true sh -c "test \$(systemctl show --value -p MainPID heaved) != $pid && systemctl is-active --quiet heaved"
 until_true all_up
 start=$(date +%s%N)
 systemctl stop heaved
-! journalctl -u heaved --no-pager | grep "has failed"
+! log | grep "has failed"
 echo "stopped within $((($(date +%s%N) - start) / 1000000)) ms"
 test -s /var/lib/private/heaved/state.json
 
 say "a warm start"
 systemctl start heaved
 heaved wait --timeout 30
-journalctl -u heaved --no-pager | grep -m 1 "state restored"
+log | grep -m 1 "state restored"
 
 say "remove, purge"
 systemctl enable heaved 2>/dev/null
