@@ -87,7 +87,7 @@ test -s /var/lib/private/heaved/state.json
 
 say "a warm start"
 systemctl start heaved
-heaved wait --timeout 30
+heaved wait --timeout 120
 log | grep -m 1 "state restored"
 
 say "remove, purge"
