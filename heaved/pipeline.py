@@ -25,6 +25,7 @@ import msgspec
 from heaved.estimation.heave import saved_state
 from heaved.estimation.heave.estimator import HeaveEstimator
 from heaved.estimation.heave.forecast_check import ForecastCheck
+from heaved.estimation.heave.laser.placement import LaserPlace
 from heaved.estimation.heave.observer import SavedObserver, Verdict
 from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.imu.conditioning import Conditioner
@@ -110,7 +111,9 @@ class Pipeline:
         if up is not None:
             self.heave.step(up)
         if self.heave.has_laser:
-            self.laser.step(t_s, self.heave.observer)
+            vertical, observer = self.vertical, self.heave.observer
+            self.laser.tilts.push(vertical.attitude, vertical.lean(t_s, observer.omega_radps), vertical.late_s)
+            self.laser.step(t_s, observer)
         self.stages.push(readings.sample)
         frame = self._frame(t_s, rock)
         if self.check is not None:
@@ -207,6 +210,7 @@ class Pipeline:
             lead_comparisons=lead.updates,
             laser_constant_m=self.laser.reference.constant_m,
             laser_error_rms_m=self.laser.reference.error_rms_m(),
+            laser_place=self.laser.placement.shown,
             training_windows=correction.windows,
             windows_with_nothing_to_learn=correction.nothing_to_learn,
             trained_accepted=self._trained[Verdict.ACCEPTED],
@@ -266,6 +270,7 @@ class PipelineSummary(msgspec.Struct, frozen=True, kw_only=True):
     lead_comparisons: int
     laser_constant_m: float
     laser_error_rms_m: float
+    laser_place: LaserPlace
     training_windows: int
     """That were handed out to be trained on."""
     windows_with_nothing_to_learn: int

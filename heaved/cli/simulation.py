@@ -74,6 +74,12 @@ def sim(
     ] = None,
     sensor: Annotated[str, typer.Option(help="A (tactical MEMS), B (industrial), C (consumer) or ideal.")] = "A",
     laser: Annotated[str, typer.Option(help="on, off, a share such as 50%, or outages such as 300+120.")] = "on",
+    laser_at: Annotated[
+        str, typer.Option(metavar="FORWARD,PORT,UP", help="Where the laser is from the IMU, in metres.")
+    ] = "0,0,0",
+    laser_beam: Annotated[
+        str, typer.Option(metavar="X,Y,Z", help="Where its beam points; upwards, it looks at something over the ship.")
+    ] = "0,0,-1",
     shake: ShakeName = "",
     mru: Annotated[
         str, typer.Option(help="Of an existing MRU (role reference_mru): delay=0.15,noise=0.01,highpass=100, s, m, s.")
@@ -85,6 +91,7 @@ def sim(
 
     from heaved.demo import demo as demonstration
     from heaved.simulate.faults import parse_faults
+    from heaved.simulate.gauge import gauge_at
     from heaved.simulate.mru import parse_mru
     from heaved.simulate.play import Player, read_recording
 
@@ -100,7 +107,14 @@ def sim(
         try:
             source = (
                 demonstration.instruments(
-                    sea, devices, sensor=sensor, laser=laser, shake=shake, seed=seed, mru=parse_mru(mru)
+                    sea,
+                    devices,
+                    sensor=sensor,
+                    laser=laser,
+                    gauge=gauge_at(laser_at, laser_beam),
+                    shake=shake,
+                    seed=seed,
+                    mru=parse_mru(mru),
                 )
                 if play is None
                 else Player(read_recording(play))

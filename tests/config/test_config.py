@@ -96,6 +96,13 @@ FAULTS: dict[str, tuple[str, str]] = {
     "no such choice": ('[heave]\nobserver = "kalman"', "heave.observer: must be 'harmonic' or 'sea' (got 'kalman')"),
     "no such role": (LASER.replace('role = "laser"', 'role = "gps"'), "'crane' or 'reference_mru' (got 'gps')"),
     "neither sign": ("[laser]\nsign = 2", "laser.sign: must be 1 or -1 (got 2)"),
+    "a laser on another ship": ("[laser]\nforward_m = 501", "laser.forward_m: Expected `float` <= 500.0 (got 501)"),
+    "a laser nowhere": ("[laser]\nup_m = nan", "laser.up_m: Expected `float` >= -500.0 (got nan)"),
+    "a beam that points nowhere": ("[laser]\nbeam = [0, 0, 0]", "laser.beam: must point down or up"),
+    "a level beam": ("[laser]\nbeam = [1, 0, 0]", "laser.beam: must point down or up, by no more than 60 degrees"),
+    "a beam that leans too far": ("[laser]\nbeam = [0.9, 0, -0.5]", "from it (got [0.9, 0, -0.5])"),
+    "a beam of two numbers": ("[laser]\nbeam = [0, -1]", "laser.beam: Expected `array` of length 3"),
+    "a beam of nan": ("[laser]\nbeam = [0, 0, nan]", "laser.beam: must be finite"),
     "nan": ("[heave]\nmax_gap_s = nan", "heave.max_gap_s: "),
     "nan in a list": ("[heave]\nband_hz = [nan, 0.6]", "heave.band_hz: must be finite"),
     "infinity": ("[correction]\nstep_s = inf", "correction.step_s: "),
@@ -337,6 +344,15 @@ CAUTIONS: dict[str, tuple[str, str]] = {
             'role = "laser"', 'role = "laser"\ndevice_id = 2'
         ),
         "device laser: timeout_ms 50 is longer than the period of imu (10 ms) on the same line",
+    ),
+    "a laser that may look at the ship": (
+        IMU + 'profile = "witmotion-wt901c485"\n' + LASER + "\n[laser]\nsign = -1\nforward_m = 3",
+        "laser.sign: -1 with a beam that looks down is a laser that stands on something fixed and looks at the ship; "
+        "for one on board that looks the other way write beam = [0, 0, 1]",
+    ),
+    "a laser elsewhere without an attitude": (
+        IMU + IMU_PROFILE + LASER + "\n[laser]\nport_m = 3",
+        "laser.forward_m, laser.port_m: no imu measures roll and pitch",
     ),
 }
 
