@@ -114,3 +114,8 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     def has_laser(self) -> bool:
         """Whether there is a device to learn from."""
         return any(device.role == "laser" for device in self.device)
+
+    @property
+    def attitude_late_s(self) -> float:
+        """By how much the IMU's angles are older than its accelerations."""
+        return next((device.attitude_latency_ms * 1e-3 for device in self.device if device.role == "imu"), 0.0)

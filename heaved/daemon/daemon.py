@@ -413,6 +413,7 @@ def make_pipeline(config: Config, stages: Stages | None = None) -> Pipeline:
         lead_s=config.compensation.lead_s,
         stages=stages or Stages(config.hull, config.attitude, config.crane, refit_inline=False),
         quiet=config.quiet,
+        attitude_late_s=config.attitude_late_s,
     )
 
 
