@@ -25,6 +25,7 @@ from heaved.cli.common import (
 if TYPE_CHECKING:
     from heaved.config import Config
     from heaved.devices.profile import DeviceSpec
+    from heaved.simulate.slave import Source
 
 
 def demo(
@@ -74,6 +75,13 @@ def sim(
     ] = None,
     sensor: Annotated[str, typer.Option(help="A (tactical MEMS), B (industrial), C (consumer) or ideal.")] = "A",
     laser: Annotated[str, typer.Option(help="on, off, a share such as 50%, or outages such as 300+120.")] = "on",
+    mount: Annotated[
+        list[str] | None,
+        typer.Option(metavar="DEVICE:X,Y,Z", help="An IMU stands askew, in degrees as rotation_deg; may be repeated."),
+    ] = None,
+    tilt: Annotated[
+        str, typer.Option(metavar="ROLL,PITCH", help="What IMUs are bolted to is tilted, port up and bow up, degrees.")
+    ] = "0,0",
     shake: ShakeName = "",
     seed: Annotated[int, typer.Option(min=0, help="Of the sea and of all errors.")] = 1,
 ) -> None:
@@ -82,6 +90,7 @@ def sim(
 
     from heaved.demo import demo as demonstration
     from heaved.simulate.faults import parse_faults
+    from heaved.simulate.mounted import Mounted, parse_mounts, parse_tilt
     from heaved.simulate.play import Player, read_recording
 
     devices = (demonstration.demo_config() if config is None else load(config)).device
@@ -94,11 +103,12 @@ def sim(
         if link is LinkKind.rtu:
             devices = demonstration.on_serial_line(devices, Path(directory))
         try:
-            source = (
+            source: Source = (
                 demonstration.instruments(sea, devices, sensor=sensor, laser=laser, shake=shake, seed=seed)
                 if play is None
                 else Player(read_recording(play))
             )
+            source = Mounted(source, parse_mounts(mount or (), devices), parse_tilt(tilt))
             demonstration.serve(devices, source, parse_faults(",".join(fault or ())), seed=seed, ready=ready)
         except OSError as error:
             in_use = "; stop what serves there (another heaved sim?), or change the link"
