@@ -21,12 +21,13 @@ second, 2.6 at 50 and 2 at 100; with gyroscopes four times as noisy to 6, 5 and 
 
 from __future__ import annotations
 
-from math import inf
 from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
+
+from heaved.setup.calibrate_record import means
 
 if TYPE_CHECKING:
     from heaved.setup.calibrate_record import Record
@@ -139,18 +140,9 @@ def _even(record: Record) -> tuple[Array, Array, Array, float]:
     if rate_hz < TUNING.least_hz:
         raise LatencyError(f"{rate_hz:.1f} samples a second are too few: set rate_hz to 10 or more")
     up, rates, force = (
-        _means(t_s, values[good], rate_hz) for values in (record.up, record.rates_radps, record.force_mps2)
+        means(t_s, values[good], rate_hz)[1] for values in (record.up, record.rates_radps, record.force_mps2)
     )
     return up, rates, force, 1.0 / rate_hz
-
-
-def _means(t_s: Array, values: Array, rate_hz: float) -> Array:
-    """Means over even steps of a line through the samples: all of them tell, and all series lose the same."""
-    edges = np.arange(t_s[0], t_s[-1], 1.0 / rate_hz)
-    integral = np.zeros_like(values)
-    np.cumsum(0.5 * np.diff(t_s)[:, None] * (values[1:] + values[:-1]), axis=0, out=integral[1:])
-    at = np.column_stack([np.interp(edges, t_s, column) for column in integral.T])
-    return np.asarray(np.diff(at, axis=0) * rate_hz)
 
 
 def _across(up: Array) -> Array:
@@ -165,7 +157,7 @@ def _transforms(series: tuple[Array, ...], step_s: float) -> _Seen:
     count = len(series[0])
     phase = 2.0 * np.pi * np.arange(count) / count
     window, slope = 0.5 - 0.5 * np.cos(phase), np.pi / (count * step_s) * np.sin(phase)
-    f_hz = np.fft.rfftfreq(count, step_s)
+    f_hz = np.asarray(np.fft.rfftfreq(count, step_s), dtype=np.float64)
     band = (f_hz >= TUNING.band_hz[0]) & (f_hz <= min(TUNING.band_hz[1], 0.4 / step_s))
     f = 2.0 * np.pi * f_hz[band]
     shown, turned, apparent, about = (

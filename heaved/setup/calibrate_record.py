@@ -122,6 +122,25 @@ def turned_back(record: Record, vessel_from_sensor: Matrix, bias_mps2: Vector) -
     )
 
 
+def in_vessel_axes(record: Record, rotation_deg: Vector, bias_mps2: Vector) -> Record:
+    """The same in the axes of a vessel on which the sensor is mounted so."""
+    R = np.array(rotation(*rotation_deg))
+    x, y, z = (-R @ np.array(bias_mps2)).tolist()
+    first, second, third = ((row[0], row[1], row[2]) for row in R.T.tolist())
+    return turned_back(record, (first, second, third), (x, y, z))
+
+
+def means(t_s: Array, values: Array, rate_hz: float) -> tuple[Array, Array]:
+    """Middle and mean (m,), (m, k) of even steps of straight lines through values (n, k): every sample tells, and all
+    series lose the same of what is fast.
+    """
+    edges = np.arange(t_s[0], t_s[-1], 1.0 / rate_hz)
+    integral = np.zeros_like(values)
+    np.cumsum(0.5 * np.diff(t_s)[:, None] * (values[1:] + values[:-1]), axis=0, out=integral[1:])
+    at = np.column_stack([np.interp(edges, t_s, column) for column in integral.T])
+    return 0.5 * (edges[1:] + edges[:-1]), np.asarray(np.diff(at, axis=0) * rate_hz)
+
+
 def _level_from(roll: Array, pitch: Array, yaw: Array) -> Array:
     """(n, 3, 3) ``Rz(-yaw) Ry(-pitch) Rx(roll)``."""
     sr, cr, sp, cp, sy, cy = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch), np.sin(yaw), np.cos(yaw)
