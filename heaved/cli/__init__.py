@@ -66,6 +66,7 @@ for _command in (
     client.watch,
     client.page,
     setup.probe,
+    setup.calibrate,
     recordings.replay,
     recordings.export,
     recordings.report,

@@ -35,6 +35,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     rate_hz: float = 20.0
     """No wave needs more."""
     least_s: float = 120.0
+    hole_s: float = 1.0
+    """Longer without a sample nobody knows how it has moved: the record is taken in pieces, none shorter than that."""
     slow_hz: float = 0.03
     """Corner below which nothing is integrated, for noise of the accelerometers grows with the square,"""
     steepness: int = 16
@@ -54,6 +56,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
 
 
 TUNING: Final = Tuning()
+WITHOUT_RATES: Final = 5
+"""Columns of forces and angles."""
 
 
 class LaserError(Exception):
@@ -83,17 +87,27 @@ def motion_of(record: Record, *, rotation_deg: Vector, bias_mps2: Vector, attitu
     if record.has_rates:
         columns = np.column_stack((columns, vessel.rates_radps))
     good = np.isfinite(columns).all(axis=1)
-    t_s = vessel.t_s[good]
-    if len(t_s) < 2 or t_s[-1] - t_s[0] < TUNING.least_s:
+    t_s, columns = vessel.t_s[good], columns[good]
+    ends = np.flatnonzero(np.diff(t_s) > TUNING.hole_s) + 1
+    parts = [
+        _piece(t_s[part], columns[part], attitude_late_s)
+        for part in np.split(np.arange(len(t_s)), ends)
+        if len(part) > 1 and t_s[part[-1]] - t_s[part[0]] >= TUNING.least_s
+    ]
+    if not parts:
         raise LaserError(
-            f"{record.seconds:.0f} s are too few: make a record of {TUNING.least_s:.0f} s or more, better 300"
+            f"there are no {TUNING.least_s:.0f} s without a hole in the record: make a longer one, better 300 s"
         )
-    t_s, rows = means(t_s, columns[good], TUNING.rate_hz)
+    return Motion(*(np.concatenate([getattr(one, name) for one in parts]) for name in Motion.__struct_fields__))
+
+
+def _piece(t_s: Array, columns: Array, attitude_late_s: float) -> Motion:
+    t_s, rows = means(t_s, columns, TUNING.rate_hz)
     step_s = 1.0 / TUNING.rate_hz
     # What the angles show is so much older.
     roll, pitch = (np.interp(t_s + attitude_late_s, t_s, rows[:, i]) for i in (3, 4))
-    if record.has_rates:
-        gx, gy, gz = rows[:, 5:].T
+    if rows.shape[1] > WITHOUT_RATES:
+        gx, gy, gz = rows[:, WITHOUT_RATES:].T
         across, along = gy * np.sin(roll) + gz * np.cos(roll), gy * np.cos(roll) - gz * np.sin(roll)
         turned = (gx - across * np.tan(pitch), -along)
         roll, pitch = (
@@ -115,7 +129,10 @@ def geometry_of(record: Record, motion: Motion, start: Geometry) -> GeometryFit:
     """
     seen = np.isfinite(record.laser_m)
     t_s, reading_m = record.laser_t_s[seen], record.laser_m[seen]
+    # Not in a hole, nor near the end of a piece.
+    after = np.clip(np.searchsorted(motion.t_s, t_s), 1, len(motion.t_s) - 1)
     inside = (t_s >= motion.t_s[0]) & (t_s <= motion.t_s[-1])
+    inside &= motion.t_s[after] - motion.t_s[after - 1] < TUNING.hole_s
     t_s, reading_m = t_s[inside], reading_m[inside]
     if not len(t_s):
         raise LaserError("the laser has no reading: check that it sees a target")

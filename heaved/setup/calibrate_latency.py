@@ -14,9 +14,9 @@ and Newton solve it, linear in all but T, over the frequencies at which she move
 Windowing is exact: the transform of the derivative is taken by parts.
 
 **Limit.** Late angles and a lean do nearly the same to a vessel whose sway goes with her roll: with both unknown, five
-minutes of a sea of 1.9 m, angles of 0.02 degrees and gyroscopes of 5e-5 rad/s/sqrt(Hz) show T to 4 ms at 20 samples a
-second, 2.6 at 50 and 2 at 100; with gyroscopes four times as noisy to 6, 5 and 4.5 ms. Of angles that do not lean it is
-1.7 and 1 ms, and 2.5 and 2.9. More motion, or a longer record, shows more; the standard error says so.
+minutes of a sea of 1.9 m, angles of 0.02 degrees and gyroscopes of 5e-5 rad/s/sqrt(Hz) show T to 4.5 ms at 20 samples
+a second, 3 at 50 and 2.3 at 100; with gyroscopes four times as noisy to 7, 6 and 5 ms. Of angles that do not lean it is
+1.9 ms at 20 and 1.2 at 100, and 3 ms. More motion, or a longer record, shows more; the standard error says so.
 """
 
 from __future__ import annotations
@@ -27,9 +27,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.setup.calibrate_record import means
+from heaved.setup.calibrate_record import means, pieces
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from heaved.setup.calibrate_record import Record
 
 Array = NDArray[np.float64]
@@ -44,10 +46,13 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     band_hz: tuple[float, float] = (0.04, 1.0)
     """In which vessels move."""
     least_s: float = 60.0
+    hole_s: float = 1.0
+    """Longer without a sample nobody knows how it has moved: the record is taken in pieces, none shorter than that."""
     least_hz: float = 4.0
     rounds: int = 8
-    neighbours: float = 1.5
-    """A Hann window makes of three neighbouring frequencies two that are independent."""
+    neighbours: float = 1.95
+    """Neighbouring frequencies under a Hann window tell by so much less than independent ones: the sum of the squares
+    of their correlations, 1 + 2 (0.67^2 + 0.17^2)."""
     lean_std_per_s: float = 0.15
     """How much is held of k, of T,"""
     late_std_s: float = 0.3
@@ -56,10 +61,10 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """scales and axes of the gyroscopes before the record is looked at."""
     lag_s: float = 0.01
     """The same of how late accelerations are after the rates, if their low-pass is not known."""
+    moved_rad: float = 0.001
+    """RMS of a motion that shows how rates and angles go together."""
     known_s: float = 0.003
     """Standard error up to which it is written."""
-    rises: float = 4.0
-    """Standard errors that the lean must have to be told of."""
 
 
 TUNING: Final = Tuning()
@@ -82,6 +87,8 @@ class _Seen(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """a,"""
     about: Complex
     """(n, 1) and the rate about the vertical."""
+    count: int
+    """Values that they are made of."""
 
 
 class LatencyError(Exception):
@@ -115,34 +122,60 @@ def latency_of(record: Record, lag_s: float = 0.0) -> Latency:
     ):
         if not is_there:
             raise LatencyError(f"the sensor has no {what}")
-    if record.seconds < TUNING.least_s:
-        raise LatencyError(f"{record.seconds:.0f} s are too few: make a record of {TUNING.least_s:.0f} s or more")
-    up, rates, force, step_s = _even(record)
+    parts = pieces(_whole(record), TUNING.hole_s, TUNING.least_s)
+    if not parts:
+        raise LatencyError(
+            f"there are no {TUNING.least_s:.0f} s without a hole in the record: make a longer one, and see that the "
+            "device answers"
+        )
+    seen = [_seen(part) for part in parts]
+    if sum(float(np.sum(np.abs(one.turned) ** 2)) for one in seen) == 0.0:
+        raise LatencyError("the body rates do not move: a wrong register in the profile?")
+    return _fitted(seen, sum(part.seconds for part in parts), max(lag_s, TUNING.lag_s))
+
+
+def coherence(record: Record, signs: Array) -> float | None:
+    """Share of the motion of the angles that the body rates make when their signs are changed so, less than 0 if they
+    make it worse; None: there is too little motion, or record, to say.
+    """
+    parts = pieces(_whole(record), TUNING.hole_s, TUNING.least_s)
+    moved = left = threshold = 0.0
+    for part in parts:
+        try:
+            seen = _seen(msgspec.structs.replace(part, rates_radps=part.rates_radps * signs))
+        except LatencyError:
+            return None
+        shown, made = seen.derivative / seen.f[:, None], seen.turned / seen.f[:, None]
+        moved += float(np.sum(np.abs(shown) ** 2))
+        left += float(np.sum(np.abs(shown - made) ** 2))
+        # By Parseval, half of the power at the positive frequencies, and 3/8 of it under the window.
+        threshold += TUNING.moved_rad**2 * 3.0 / 16.0 * seen.count**2
+    return 1.0 - left / moved if moved > threshold else None
+
+
+def _whole(record: Record) -> Record:
+    """The samples that have all of it."""
+    good = np.isfinite(record.up).all(axis=1) & np.isfinite(record.rates_radps).all(axis=1)
+    good &= np.isfinite(record.force_mps2).all(axis=1)
+    return msgspec.structs.replace(
+        record, t_s=record.t_s[good], force_mps2=record.force_mps2[good], angles_rad=record.angles_rad[good],
+        rates_radps=record.rates_radps[good],
+    )  # fmt: skip
+
+
+def _seen(record: Record) -> _Seen:
+    t_s = record.t_s
+    rate_hz = min(TUNING.rate_hz, (len(t_s) - 1) / record.seconds)
+    if rate_hz < TUNING.least_hz:
+        raise LatencyError(f"{rate_hz:.1f} samples a second are too few: set rate_hz to 10 or more")
+    _, rows = means(t_s, np.column_stack((record.up, record.rates_radps, record.force_mps2)), rate_hz)
+    up, rates, force = rows[:, :3], rows[:, 3:6], rows[:, 6:]
     mean = up.mean(axis=0)
     mean /= np.linalg.norm(mean)
     across = _across(mean)
-    shown = up @ across
     turned = np.cross(up, rates) @ across
     apparent = (force / np.linalg.norm(force, axis=1)[:, None]) @ across
-    about = (rates @ mean)[:, None]
-    seen = _transforms((shown, turned, apparent, about), step_s)
-    if float(np.sum(np.abs(seen.turned) ** 2)) == 0.0:
-        raise LatencyError("the body rates do not move: a wrong register in the profile?")
-    return _fitted(seen, record.seconds, max(lag_s, TUNING.lag_s))
-
-
-def _even(record: Record) -> tuple[Array, Array, Array, float]:
-    """Vertical, rates and force on an even grid; its step."""
-    good = np.isfinite(record.up).all(axis=1) & np.isfinite(record.rates_radps).all(axis=1)
-    good &= np.isfinite(record.force_mps2).all(axis=1)
-    t_s = record.t_s[good]
-    rate_hz = min(TUNING.rate_hz, (len(t_s) - 1) / max(float(t_s[-1] - t_s[0]), 1e-9))
-    if rate_hz < TUNING.least_hz:
-        raise LatencyError(f"{rate_hz:.1f} samples a second are too few: set rate_hz to 10 or more")
-    up, rates, force = (
-        means(t_s, values[good], rate_hz)[1] for values in (record.up, record.rates_radps, record.force_mps2)
-    )
-    return up, rates, force, 1.0 / rate_hz
+    return _transforms((up @ across, turned, apparent, (rates @ mean)[:, None]), 1.0 / rate_hz)
 
 
 def _across(up: Array) -> Array:
@@ -165,10 +198,12 @@ def _transforms(series: tuple[Array, ...], step_s: float) -> _Seen:
     )
     first = series[0] - series[0].mean(axis=0)
     derivative = 1j * f[:, None] * shown - np.fft.rfft(slope[:, None] * first, axis=0)[band]
-    return _Seen(f=f, shown=shown, derivative=derivative, turned=turned, apparent=apparent, about=about)
+    return _Seen(
+        f=f, shown=shown, derivative=derivative, turned=turned, apparent=apparent, about=about, count=count
+    )  # fmt: skip
 
 
-def _fitted(seen: _Seen, seconds: float, lag_s: float) -> Latency:
+def _fitted(parts: Sequence[_Seen], seconds: float, lag_s: float) -> Latency:
     """Unknowns: T, k, k times the lag of the accelerations after the rates, what the two rates are scaled by beyond
     one, and the rotation of the gyroscopes against the angles: about the vertical, and what of the rate about it is in
     each.
@@ -180,25 +215,27 @@ def _fitted(seen: _Seen, seconds: float, lag_s: float) -> Latency:
     x = np.zeros(8)
     information = np.zeros((8, 8))
     for turn in range(TUNING.rounds):
-        left, slopes = _residuals(x, seen)
-        by = 1.0 / np.sqrt(_smoothed(np.mean(np.abs(left) ** 2, axis=1), seen.f))
-        rows = np.concatenate([np.concatenate((slopes[:, i].real, slopes[:, i].imag)) for i in range(2)])
-        right = np.concatenate([np.concatenate((left[:, i].real, left[:, i].imag)) for i in range(2)])
-        scale = np.tile(by, 4)
-        rows, right = rows * scale[:, None], right * scale
-        variance = TUNING.neighbours * max(float(np.mean(right**2)), 1e-30)
-        information = rows.T @ rows / variance + np.diag(held**-2.0)
-        step = np.linalg.solve(information, rows.T @ right / variance - x / held**2)
+        information, right = np.diag(held**-2.0), -x / held**2
+        for seen in parts:
+            left, slopes = _residuals(x, seen)
+            weight = 1.0 / (TUNING.neighbours * _smoothed(np.mean(np.abs(left) ** 2, axis=1), seen.f))
+            # Each of real and imaginary part has half of the power.
+            weighed = 2.0 * weight[:, None, None] * slopes.conj()
+            information = information + np.einsum("fai,faj->ij", weighed, slopes).real
+            right = right + np.einsum("fai,fa->i", weighed, left).real
+        step = np.linalg.solve(information, right)
         x = x + step
         if turn and float(np.max(np.abs(step / held))) < 1e-6:
             break
-    left, _ = _residuals(x, seen)
-    moved = float(np.sum(np.abs(seen.derivative / seen.f[:, None]) ** 2))
-    explained = 1.0 - float(np.sum(np.abs(left / seen.f[:, None]) ** 2)) / moved if moved > 0.0 else 0.0
+    moved = left_over = 0.0
+    for seen in parts:
+        left, _ = _residuals(x, seen)
+        moved += float(np.sum(np.abs(seen.derivative / seen.f[:, None]) ** 2))
+        left_over += float(np.sum(np.abs(left / seen.f[:, None]) ** 2))
     late_s, late_std_s, lean, lean_std = _averaged(x, np.asarray(np.linalg.inv(information)), float(held[LEAN]))
     return Latency(
         late_s=late_s, late_std_s=late_std_s, lean_per_s=lean, lean_std_per_s=lean_std, seconds=seconds,
-        explained=explained,
+        explained=1.0 - left_over / moved if moved > 0.0 else 0.0,
     )  # fmt: skip
 
 

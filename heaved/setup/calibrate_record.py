@@ -122,6 +122,27 @@ def turned_back(record: Record, vessel_from_sensor: Matrix, bias_mps2: Vector) -
     )
 
 
+def pieces(record: Record, hole_s: float, least_s: float) -> list[Record]:
+    """Its stretches between holes, but for those that are shorter than that; lasers go with none."""
+    ends = np.flatnonzero(np.diff(record.t_s) > hole_s) + 1
+    none = np.zeros(0)
+    return [
+        Record(
+            t_s=record.t_s[part], force_mps2=record.force_mps2[part], angles_rad=record.angles_rad[part],
+            rates_radps=record.rates_radps[part], laser_t_s=none, laser_m=none,
+        )
+        for part in np.split(np.arange(len(record.t_s)), ends)
+        if len(part) > 1 and record.t_s[part[-1]] - record.t_s[part[0]] >= least_s
+    ]  # fmt: skip
+
+
+def joined(first: Record, second: Record) -> Record:
+    """One after the other."""
+    return Record(
+        **{name: np.concatenate((getattr(first, name), getattr(second, name))) for name in Record.__struct_fields__}
+    )
+
+
 def in_vessel_axes(record: Record, rotation_deg: Vector, bias_mps2: Vector) -> Record:
     """The same in the axes of a vessel on which the sensor is mounted so."""
     R = np.array(rotation(*rotation_deg))

@@ -26,6 +26,7 @@ UNKNOWN_RAD: Final = 0.035
 """and so are those that leave the rotation uncertain by more than 2 degrees."""
 DOUBTFUL_RAD: Final = 0.0035
 """A standard error of 0.2 degrees is said to be one."""
+ROUNDS: Final = 6
 TURN: Final = "how far it is turned about the vertical"
 
 
@@ -65,11 +66,14 @@ def by_rest(up: Vector, up_std_rad: float, *, z_deg: float, roll_rad: float = 0.
     """
     x, y, z = up
     # Of Rz Ry Rx the last row is (-sin y, cos y sin x, cos y cos x).
-    level = rotation(degrees(float(np.arctan2(y, z))), degrees(asin(min(1.0, max(-1.0, -x)))), z_deg)
+    x_deg, y_deg = degrees(float(np.arctan2(y, z))), degrees(asin(min(1.0, max(-1.0, -x))))
     vessel = np.array(rotation(degrees(roll_rad), -degrees(pitch_rad), 0.0))
-    return Turned(
-        rotation_deg=angles_deg(_matrix(vessel.T @ np.array(level))), tilt_std_rad=up_std_rad, turn_std_rad=np.inf
-    )
+    found, heading_deg = (0.0, 0.0, 0.0), z_deg
+    # Of a vessel with a list, its z is not quite the heading of the sensor in the level frame.
+    for _ in range(ROUNDS):
+        found = angles_deg(_matrix(vessel.T @ np.array(rotation(x_deg, y_deg, heading_deg))))
+        heading_deg += (z_deg - found[2] + 180.0) % 360.0 - 180.0
+    return Turned(rotation_deg=found, tilt_std_rad=up_std_rad, turn_std_rad=np.inf)
 
 
 def by_two(
