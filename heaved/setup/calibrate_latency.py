@@ -255,7 +255,7 @@ def _averaged(x: Array, covariance: Array, lean_std: float) -> tuple[float, floa
     variance += (1.0 - share) * float(covariance[LATE, LATE] - gain @ covariance[both, LATE])
     mean_k = share * float(x[LEAN])
     var = share * (var_k + float(x[LEAN]) ** 2) - mean_k**2
-    return late, float(np.sqrt(variance)), mean_k, float(np.sqrt(var))
+    return float(late), float(np.sqrt(variance)), float(mean_k), float(np.sqrt(var))
 
 
 def _smoothed(power: Array, f: Array) -> Array:

@@ -7,7 +7,7 @@ from math import pi, radians
 import msgspec
 import numpy as np
 import pytest
-from askew import AHRS_B, any_mount, cut, read, without_angles, without_rates
+from askew import AHRS_B, any_mount, cut, lifted, read, without_angles, without_rates
 
 from heaved.estimation.heave.laser.geometry import Geometry
 from heaved.setup.calibrate_laser import LaserError, geometry_of, motion_of
@@ -88,22 +88,6 @@ def test_in_a_harbour_nothing_is_claimed() -> None:
 
 
 # ---- signs -----------------------------------------------------------------------------------------------------------
-
-
-def lifted(lift: Lift, angle_deg: float = 40.0) -> Record:
-    """A sensor in the hand: flat, lifted about one of its axes within five seconds, held."""
-    t_s = np.arange(0.0, 10.0, 0.05)
-    at = radians(angle_deg) * np.clip((t_s - 2.5) / 5.0, 0.0, 1.0)
-    rate, nil = np.gradient(at, t_s), np.zeros_like(t_s)
-    s, c = 9.81 * np.sin(at), 9.81 * np.cos(at)
-    if lift is Lift.PORT_UP:
-        force, angles, rates = (nil, s, c), (at, nil, nil), (rate, nil, nil)
-    else:
-        force, angles, rates = (s, nil, c), (nil, at, nil), (nil, -rate, nil)
-    return Record(
-        t_s=t_s, force_mps2=np.column_stack(force), angles_rad=np.column_stack(angles),
-        rates_radps=np.column_stack(rates), laser_t_s=nil[:0], laser_m=nil[:0],
-    )  # fmt: skip
 
 
 @pytest.mark.parametrize("lift", list(Lift))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from math import degrees
+from math import degrees, radians
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from heaved.setup.calibrate_record import Record
+from heaved.setup.calibrate_signs import Lift
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import SENSORS, ImuModel, Recording, record
 
@@ -87,4 +88,20 @@ def cut(record: Record, keep: Array | NDArray[np.bool_]) -> Record:
     return msgspec.structs.replace(
         record, t_s=record.t_s[keep], force_mps2=record.force_mps2[keep], angles_rad=record.angles_rad[keep],
         rates_radps=record.rates_radps[keep],
+    )  # fmt: skip
+
+
+def lifted(lift: Lift, angle_deg: float = 40.0) -> Record:
+    """A sensor in the hand: flat, lifted about one of its axes within five seconds, held."""
+    t_s = np.arange(0.0, 10.0, 0.05)
+    at = radians(angle_deg) * np.clip((t_s - 2.5) / 5.0, 0.0, 1.0)
+    rate, nil = np.gradient(at, t_s), np.zeros_like(t_s)
+    s, c = 9.81 * np.sin(at), 9.81 * np.cos(at)
+    if lift is Lift.PORT_UP:
+        force, angles, rates = (nil, s, c), (at, nil, nil), (rate, nil, nil)
+    else:
+        force, angles, rates = (s, nil, c), (nil, at, nil), (nil, -rate, nil)
+    return Record(
+        t_s=t_s, force_mps2=np.column_stack(force), angles_rad=np.column_stack(angles),
+        rates_radps=np.column_stack(rates), laser_t_s=nil[:0], laser_m=nil[:0],
     )  # fmt: skip

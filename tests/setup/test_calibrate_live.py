@@ -1,0 +1,72 @@
+"""Records from devices on lines: simulated slaves that stand askew, and lines on which nobody is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import msgspec
+import numpy as np
+import pytest
+from askew import vessel_from_sensor
+
+from heaved.config.read import packaged_profiles
+from heaved.devices.profile import DeviceSpec
+from heaved.setup import calibrate_live
+from heaved.setup.calibrate_live import DeviceError, read_for
+from heaved.simulate.faults import parse_faults
+from heaved.simulate.instruments import Instruments
+from heaved.simulate.mounted import Mounted
+from heaved.simulate.plant import SimulatedPlant
+from heaved.simulate.seaway import seaway
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+PROFILES = {profile.name: profile for profile in packaged_profiles()}
+MOUNT = (170.0, 10.0, 40.0)
+
+
+def devices(directory: Path) -> list[DeviceSpec]:
+    link = f"rtu://{directory}/bus?baudrate=230400"
+    return [
+        DeviceSpec(name="imu", role="imu", link=link, profile=PROFILES["heaved-sim-imu"], rate_hz=50.0),
+        DeviceSpec(
+            name="laser", role="laser", link=link, device_id=2, profile=PROFILES["heaved-sim-laser"], rate_hz=20.0
+        ),
+    ]
+
+
+async def test_a_record_is_in_the_axes_of_the_sensor_whatever_the_configuration_says(tmp_path: Path) -> None:
+    there = devices(tmp_path)
+    plant = SimulatedPlant(there, Mounted(Instruments(seaway("S0", 1), sensor="ideal"), {"imu": MOUNT}))
+    await plant.start()
+    told: list[float] = []
+    turned = msgspec.structs.replace(
+        there[0], rotation_deg=MOUNT, bias_mps2=(1.0, 1.0, 1.0), stuck_after_s=0.0
+    )  # An ideal sensor in a harbour reads always the same.
+    record = await read_for([turned, msgspec.structs.replace(there[1], stuck_after_s=0.0)], 1.0, told.append)
+    await plant.stop()
+    up = vessel_from_sensor(MOUNT).inv().apply((0.0, 0.0, 1.0))
+    assert record.force_mps2.mean(axis=0) == pytest.approx(9.80665 * up, abs=0.01)
+    assert record.up.mean(axis=0) == pytest.approx(up, abs=1e-3)
+    assert record.laser_m.size > 5
+    assert told
+    assert told[-1] == pytest.approx(1.0)
+    assert np.all(np.diff(record.t_s) > 0.0)
+
+
+async def test_a_line_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(calibrate_live, "SILENT_S", 0.5)
+    with pytest.raises(DeviceError, match=r"no reading for 0 s: imu .*is not there: plug the adapter in"):
+        await read_for(devices(tmp_path)[:1], 5.0, lambda _: None)
+
+
+async def test_a_device_that_stops_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(calibrate_live, "SILENT_S", 0.5)
+    there = devices(tmp_path)[:1]
+    source = Instruments(seaway("S4", 1))
+    plant = SimulatedPlant(there, source, faults=parse_faults("imu:dropout@0.5+60"))
+    await plant.start()
+    with pytest.raises(DeviceError, match="no reading for 0 s: imu"):
+        await read_for(there, 30.0, lambda _: None)
+    await plant.stop()
