@@ -529,7 +529,12 @@ class Guide:
             is_more = key == "m"
 
     def _record(self, seconds: float) -> Record:
-        return self._read(self._devices, seconds, lambda done_s: self._console.progress(done_s, seconds))
+        return self._read(
+            self._devices,
+            seconds,
+            lambda done_s: self._console.progress(done_s, seconds),
+            lambda why: self._console.say(f"It waits: {why}.", "  "),
+        )
 
     def _resting(self) -> Record:
         """A record of the length that the motion wants."""

@@ -94,7 +94,9 @@ class Sensor:
         self._records = list(records)
         self.asked_s: list[float] = []
 
-    def __call__(self, devices: object, seconds: float, progress: Callable[[float], None]) -> Record:
+    def __call__(
+        self, devices: object, seconds: float, progress: Callable[[float], None], waiting: Callable[[str], None]
+    ) -> Record:
         self.asked_s.append(seconds)
         progress(seconds)
         made = self._records.pop(0)

@@ -57,16 +57,31 @@ async def test_a_record_is_in_the_axes_of_the_sensor_whatever_the_configuration_
 
 async def test_a_line_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(calibrate_live, "SILENT_S", 0.5)
-    with pytest.raises(DeviceError, match=r"no reading for 0 s: imu .*is not there: plug the adapter in"):
+    with pytest.raises(DeviceError, match=r"no reading for 1 s: imu .*is not there: plug the adapter in"):
         await read_for(devices(tmp_path)[:1], 5.0, lambda _: None)
 
 
+async def test_a_plug_that_is_found_again_leaves_a_hole_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(calibrate_live, "AWAY_S", 0.2)
+    there = devices(tmp_path)[:1]
+    plant = SimulatedPlant(there, Instruments(seaway("S4", 1)), faults=parse_faults("imu:dropout@0.6+0.8"))
+    await plant.start()
+    waited: list[str] = []
+    record = await read_for(there, 1.2, lambda _: None, waited.append)
+    await plant.stop()
+    assert len(waited) == 1
+    assert np.max(np.diff(record.t_s)) > 0.6
+    assert record.seconds > 1.6
+
+
 async def test_a_device_that_stops_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(calibrate_live, "SILENT_S", 0.5)
+    monkeypatch.setattr(calibrate_live, "LOST_S", 0.5)
     there = devices(tmp_path)[:1]
     source = Instruments(seaway("S4", 1))
-    plant = SimulatedPlant(there, source, faults=parse_faults("imu:dropout@0.5+60"))
+    plant = SimulatedPlant(there, source, faults=parse_faults("imu:dropout@1.5+60"))
     await plant.start()
-    with pytest.raises(DeviceError, match="no reading for 0 s: imu"):
+    with pytest.raises(DeviceError, match="no reading for 1 s: imu"):
         await read_for(there, 30.0, lambda _: None)
     await plant.stop()
