@@ -78,6 +78,10 @@ def calibrate(
 
     if yes and recording is None:
         fail("--yes: without a recording somebody has to be there; give one with --recording FILE.csv", 1)
+    try:
+        lies_deg = calibrating.parse_list(list_)
+    except ValueError as error:
+        fail(f"--list: {error}", 1)
     loaded, state = load(config), calibrate_state.state_path(config)
     if anew:
         calibrate_state.forget(state)
@@ -88,7 +92,7 @@ def calibrate(
             outcome = calibrating.from_recording(
                 calibration,
                 read_record(recording, device.rotation_deg, device.bias_mps2),
-                calibrating.parse_list(list_),
+                lies_deg,
                 is_sure=yes,
             )
         else:
@@ -97,14 +101,13 @@ def calibrate(
             outcome = calibrating.Guide(calibration).run()
     except (calibrating.CalibrationError, edit.EditError) as error:
         fail(str(error), EX_CONFIG)
-    except (RecordingError, ValueError) as error:
+    except RecordingError as error:
         fail(str(error), 1)
     except (QuitError, KeyboardInterrupt) as error:
-        kept = f"what was found so far is kept in {state}: run the command again to go on"
-        say(
-            f"\nstopped; {kept if state.exists() else 'nothing was found yet'}; the configuration is as it was",
-            err=True,
-        )
+        kept = "nothing was kept yet"
+        if state.exists():
+            kept = f"what was found so far is kept in {state}: run the command again to go on"
+        say(f"\nstopped; {kept}; the configuration is as it was", err=True)
         raise typer.Exit(0 if isinstance(error, QuitError) else 130) from error
     if json:
         say(msgspec.json.encode(outcome).decode())

@@ -7,6 +7,7 @@ shown. With a recording in place of the devices the steps that need nobody on bo
 
 from __future__ import annotations
 
+import os
 import re
 from enum import StrEnum
 from math import degrees, radians
@@ -95,7 +96,7 @@ class Calibration:
         """``text``: of the configuration as it was read.
 
         Raises:
-            CalibrationError: it has no IMU.
+            CalibrationError: it has no IMU, or is written in a way in which it could not be changed in the end.
         """
         self.path, self.config, self.console, self.text = path, config, console, text
         numbers = [i for i, device in enumerate(config.device) if device.role == "imu"]
@@ -104,6 +105,10 @@ class Calibration:
         self.number = numbers[0]
         self.device: DeviceSpec = config.device[self.number]
         self.found = kept.Found(device=self.device.name, fingerprint=kept.fingerprint(self.device))
+        try:
+            edit.with_keys(text, "device", {"rotation_deg": self.device.rotation_deg}, index=self.number)
+        except edit.EditError as error:
+            raise CalibrationError(f"{path}: {error}") from error
         self.notes: list[str] = []
 
     # ---- what records say --------------------------------------------------------------------------------------------
@@ -339,8 +344,7 @@ class Calibration:
         try:
             edit.write(self.path, text, before=self.text)
         except edit.EditError as error:
-            raise CalibrationError(f"{error}; what was found is kept, run the command again") from error
-        kept.forget(kept.state_path(self.path))
+            raise CalibrationError(f"{error}; run the command again") from error
 
     def show(self, text: str) -> None:
         """The difference."""
@@ -400,7 +404,6 @@ def finish(calibration: Calibration, *, is_sure: bool) -> Outcome:
     console, changes = calibration.console, calibration.changes()
     if not changes:
         console.say("Nothing in the configuration changes.")
-        kept.forget(kept.state_path(calibration.path))
         return calibration.outcome(changes, written=False)
     text = calibration.changed_text(changes)
     console.say()
@@ -413,7 +416,7 @@ def finish(calibration: Calibration, *, is_sure: bool) -> Outcome:
             f"{calibration.path}: written. A daemon that runs on it reads it again with SIGHUP, or as it starts."
         )
     else:
-        console.say("The file is as it was. What was found is kept: run the command again to come back to this.")
+        console.say("The file is as it was.")
     return calibration.outcome(changes, written=is_wanted)
 
 
@@ -443,6 +446,8 @@ class Guide:
             QuitError: the person does not want to go on; what was found is kept.
             CalibrationError: what was found cannot be kept, or not be written.
         """
+        if not os.access(self._state.parent, os.W_OK):
+            raise CalibrationError(f"{self._state.parent}: you may not write there, and the result has to be: use sudo")
         self._resume()
         does = {
             Step.REST: self._rest, Step.SIGNS: self._signs, Step.TILT: self._tilt, Step.LATENCY: self._latency,
@@ -457,7 +462,12 @@ class Guide:
                     continue
             does[step]()
             self._keep()
-        return finish(self._one, is_sure=False)
+        outcome = finish(self._one, is_sure=False)
+        if outcome.written or not outcome.changes:
+            kept.forget(self._state)
+        else:
+            self._console.say("What was found is kept: run the command again to come back to this.")
+        return outcome
 
     # ---- progress ----------------------------------------------------------------------------------------------------
 
@@ -472,7 +482,11 @@ class Guide:
             done = [
                 f"{step} (skipped)" if step in found.skipped else step.value for step in Step if self._is_done(step)
             ]
-            self._console.say(f"Going on with what {self._state} has kept: {', '.join(done) or 'nothing yet'}.")
+            steps = ", ".join(done) or "nothing yet"
+            self._console.say(
+                f"Going on with what {self._state} has kept {kept.age(self._state)}: {steps}. If the sensor was moved "
+                "since, quit, and begin anew with --anew."
+            )
 
     def _is_done(self, step: Step) -> bool:
         found = self._one.found

@@ -7,7 +7,8 @@ With an attitude, the vertical is that of the angles, and a bias what the specif
 gravity. Such a bias is the error of the accelerometers only as far as the angles do not come from them: a sensor that
 levels itself by its own accelerometers hides their bias across the vertical, and is tilted by it. Without an attitude
 only the length of the specific force tells anything, which is the bias along the vertical; across it, a bias of 0.01
-m/s2 is a tilt of 0.06 degrees and nothing at rest tells one from the other.
+m/s2 is a tilt of 0.06 degrees and nothing at rest tells one from the other. What gravity differs from the standard one
+where she lies (-0.03 to +0.03 m/s2 from the equator to the poles) counts as bias, and so is taken off the heave, too.
 """
 
 from __future__ import annotations

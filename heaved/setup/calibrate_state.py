@@ -6,6 +6,7 @@ Its format is MessagePack, which knows infinity, the standard error of what is n
 from __future__ import annotations
 
 import os
+import time
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
@@ -96,6 +97,15 @@ def save(path: Path, found: Found) -> None:
         beside.replace(path)
     except OSError as error:
         raise StateError(f"{path}: progress cannot be kept: {error.strerror or error}") from error
+
+
+def age(path: Path, now_s: float | None = None) -> str:
+    """How long ago it was kept, in words."""
+    seconds = (time.time() if now_s is None else now_s) - path.stat().st_mtime
+    for unit, size in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
+        if seconds >= 2.0 * size:
+            return f"{seconds / size:.0f} {unit} ago"
+    return "a moment ago"
 
 
 def forget(path: Path) -> None:

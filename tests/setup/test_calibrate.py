@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import socket
 import threading
@@ -153,7 +154,7 @@ def test_an_interrupted_calibration_goes_on_where_it_was(path: Path) -> None:
     assert path.read_text() == TEXT
     person = Person("", "", "1", "", "s", "s", "n")
     outcome = guided(path, person, Sensor(bow_up()))
-    assert "has kept: rest, signs (skipped)" in person.heard
+    assert "has kept a moment ago: rest, signs (skipped)" in person.heard
     assert not outcome.written
     assert path.read_text() == TEXT
     again = Person("", "", "", "", "", "y")
@@ -361,3 +362,51 @@ def test_a_daemon_that_runs_has_the_devices(path: Path, capsys: pytest.CaptureFi
         thread.join()
     assert "systemctl stop heaved" in capsys.readouterr().err
     assert busy(load(path)) == ""
+
+
+class Keyboard(io.StringIO):
+    """What is typed; then Ctrl-C."""
+
+    def readline(self, *size: int) -> str:  # type: ignore[override]
+        line = super().readline()
+        if not line:
+            raise KeyboardInterrupt
+        return line
+
+
+def test_quit_and_control_c_say_what_is_kept(
+    path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path.write_text(TEXT + "[stream]\nport = 1\n")
+    monkeypatch.setattr("sys.stdin", Keyboard("q\n"))
+    assert main(["calibrate", "--config", str(path)]) == 0
+    printed = capsys.readouterr()
+    assert "Step 1 of 5: rest" in printed.out
+    assert "stopped; nothing was kept yet; the configuration is as it was" in printed.err
+    monkeypatch.setattr("sys.stdin", Keyboard("s\n"))
+    assert main(["calibrate", "--config", str(path)]) == 130
+    assert f"kept in {path}.calibration: run the command again" in capsys.readouterr().err
+    monkeypatch.setattr("sys.stdin", Keyboard("s\n" * 4 + "s\n"))
+    assert main(["calibrate", "--config", str(path), "--anew", "--json"]) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["changes"] == {}
+    assert "Nothing in the configuration changes" in printed.err
+    assert not calibrate_state.state_path(path).exists()
+
+
+def test_what_could_not_be_written_in_the_end_is_said_at_once(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    person = Person()
+    with monkeypatch.context() as patched:
+        patched.setattr("os.access", lambda *_: False)
+        with pytest.raises(CalibrationError, match="you may not write there"):
+            guided(path, person, Sensor())
+    device = 'name = "imu", role = "imu", link = "tcp://h:1", profile = "heaved-sim-imu", rate_hz = 20'
+    path.write_text(f"device = [{{ {device} }}]\n")
+    with pytest.raises(CalibrationError, match="as a table of its own"):
+        calibration(path, person)
+
+
+def test_how_old_is_what_was_kept(path: Path) -> None:
+    kept_s = path.stat().st_mtime
+    for seconds, words in ((5.0, "a moment ago"), (600.0, "10 minutes ago"), (1e4, "3 hours ago"), (3e5, "3 days ago")):
+        assert calibrate_state.age(path, kept_s + seconds) == words
