@@ -77,7 +77,7 @@ def sim(
     laser: Annotated[str, typer.Option(help="on, off, a share such as 50%, or outages such as 300+120.")] = "on",
     mount: Annotated[
         list[str] | None,
-        typer.Option(metavar="DEVICE:X,Y,Z", help="An IMU stands askew, in degrees as rotation_deg; may be repeated."),
+        typer.Option(metavar="DEVICE:X,Y,Z", help="An IMU stands so, not as its rotation_deg says. May be repeated."),
     ] = None,
     tilt: Annotated[
         str, typer.Option(metavar="ROLL,PITCH", help="What IMUs are bolted to is tilted, port up and bow up, degrees.")

@@ -21,14 +21,14 @@ LEVEL: Vector = (0.0, 0.0, 0.0)
 
 
 class Mounted:
-    """A source whose IMUs are mounted in some way, by the name of their device."""
+    """A source whose IMUs stand, and have a bias, as their devices say, or otherwise by the name of a device."""
 
     def __init__(self, source: Source, mounts: Mapping[str, Vector], tilt_deg: Vector = LEVEL) -> None:
-        """``mounts``: as ``rotation_deg`` of a device. ``tilt_deg``: by which all that they are bolted to is tilted,
-        likewise.
+        """``mounts``: in place of ``rotation_deg`` of the device. ``tilt_deg``: by which all that they are bolted to is
+        tilted, likewise.
         """
         self._source, self._mounts, self._tilt = source, mounts, rotation(*tilt_deg)
-        self._turns: dict[str, Mounting] = {}
+        self._turns: dict[str, Mounting | None] = {}
 
     def read(self, device: DeviceSpec, t_s: float) -> Sample:
         """What ``device`` measures at ``t_s``."""
@@ -36,12 +36,23 @@ class Mounted:
         if not isinstance(sample, ImuSample | RatesSample) or sample.fault is not Fault.NONE:
             return sample
         if device.name not in self._turns:
-            mounted = _product(self._tilt, rotation(*self._mounts.get(device.name, LEVEL)))
-            (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = mounted
-            self._turns[device.name] = Mounting(angles_deg(((xx, yx, zx), (xy, yy, zy), (xz, yz, zz))))
+            self._turns[device.name] = self._turn_of(device)
+        if (turn := self._turns[device.name]) is None:
+            return sample
         names = (*FORCES, *ANGLES, *RATES) if isinstance(sample, ImuSample) else RATES
-        turned = self._turns[device.name].turn({name: getattr(sample, name) for name in names})
-        return msgspec.structs.replace(sample, **turned)
+        return msgspec.structs.replace(sample, **turn.turn({name: getattr(sample, name) for name in names}))
+
+    def _turn_of(self, device: DeviceSpec) -> Mounting | None:
+        """From the vessel's axes to those of the sensor: the other way round, so its bias in the vessel's is taken off
+        the wrong way, too.
+        """
+        mounted = _product(self._tilt, rotation(*self._mounts.get(device.name, device.rotation_deg)))
+        if mounted == rotation(*LEVEL) and not any(device.bias_mps2):
+            return None
+        bx, by, bz = device.bias_mps2
+        x, y, z = (-(row[0] * bx + row[1] * by + row[2] * bz) for row in mounted)
+        (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = mounted
+        return Mounting(angles_deg(((xx, yx, zx), (xy, yy, zy), (xz, yz, zz))), (x, y, z))
 
 
 def parse_mounts(texts: Sequence[str], devices: Sequence[DeviceSpec]) -> dict[str, Vector]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -70,3 +71,19 @@ def test_a_mounting_that_is_none_is_named(text: str) -> None:
 def test_a_tilt_that_is_none_is_named() -> None:
     with pytest.raises(ValueError, match="ROLL,PITCH"):
         parse_tilt("5")
+
+
+def test_by_default_a_sensor_stands_and_errs_as_its_device_says() -> None:
+    """So that what a configuration takes off is there, whichever it is."""
+    spec = msgspec.structs.replace(IMU, rotation_deg=(-150.0, 30.0, 40.0), bias_mps2=(0.1, -0.2, 0.3))
+    true = ImuSample(
+        t_s=1.0, ax_mps2=0.3, ay_mps2=-1.2, az_mps2=9.6, roll_rad=0.2, pitch_rad=-0.1, yaw_rad=2.0, gx_radps=0.1,
+        gy_radps=0.2, gz_radps=-0.3,
+    )  # fmt: skip
+    found = Mounted(One(true), {}).read(spec, 1.0)
+    assert isinstance(found, ImuSample)
+    stands = Rotation.from_euler("ZYX", [40.0, 30.0, -150.0], degrees=True)
+    read = stands.inv().apply((0.3, -1.2, 9.6)) + spec.bias_mps2
+    assert (found.ax_mps2, found.ay_mps2, found.az_mps2) == pytest.approx(read)
+    assert (found.gx_radps, found.gy_radps, found.gz_radps) == pytest.approx(stands.inv().apply((0.1, 0.2, -0.3)))
+    assert Mounted(One(true), {}).read(IMU, 1.0) is true
