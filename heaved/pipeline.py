@@ -110,7 +110,9 @@ class Pipeline:
         if up is not None:
             self.heave.step(up)
         if self.heave.has_laser:
-            self.laser.step(t_s, self.heave.observer)
+            vertical, observer = self.vertical, self.heave.observer
+            self.laser.tilts.push(vertical.attitude, vertical.lean(t_s, observer.omega_radps), vertical.late_s)
+            self.laser.step(t_s, observer)
         self.stages.push(readings.sample)
         frame = self._frame(t_s, rock)
         if self.check is not None:

@@ -82,6 +82,12 @@ def sim(
     tilt: Annotated[
         str, typer.Option(metavar="ROLL,PITCH", help="What IMUs are bolted to is tilted, port up and bow up, degrees.")
     ] = "0,0",
+    laser_at: Annotated[
+        str, typer.Option(metavar="FORWARD,PORT,UP", help="Where the laser is from the IMU, in metres.")
+    ] = "0,0,0",
+    laser_beam: Annotated[
+        str, typer.Option(metavar="X,Y,Z", help="Where its beam points; upwards, it looks at something over the ship.")
+    ] = "0,0,-1",
     shake: ShakeName = "",
     seed: Annotated[int, typer.Option(min=0, help="Of the sea and of all errors.")] = 1,
 ) -> None:
@@ -90,6 +96,7 @@ def sim(
 
     from heaved.demo import demo as demonstration
     from heaved.simulate.faults import parse_faults
+    from heaved.simulate.gauge import gauge_at
     from heaved.simulate.mounted import Mounted, parse_mounts, parse_tilt
     from heaved.simulate.play import Player, read_recording
 
@@ -104,7 +111,15 @@ def sim(
             devices = demonstration.on_serial_line(devices, Path(directory))
         try:
             source: Source = (
-                demonstration.instruments(sea, devices, sensor=sensor, laser=laser, shake=shake, seed=seed)
+                demonstration.instruments(
+                    sea,
+                    devices,
+                    sensor=sensor,
+                    laser=laser,
+                    gauge=gauge_at(laser_at, laser_beam),
+                    shake=shake,
+                    seed=seed,
+                )
                 if play is None
                 else Player(read_recording(play))
             )

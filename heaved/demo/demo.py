@@ -32,6 +32,7 @@ from heaved.networks import is_loopback_host
 from heaved.outputs.telegrams.formats import FORMATS
 from heaved.page.server import PageError, PageServer
 from heaved.page.server import serve as serve_page
+from heaved.simulate.gauge import AT_THE_IMU, Gauge
 from heaved.simulate.hydrofoil import Passage
 from heaved.simulate.instruments import Instruments
 from heaved.simulate.mounted import Mounted
@@ -107,6 +108,7 @@ def instruments(
     *,
     sensor: str = "A",
     laser: str = "on",
+    gauge: Gauge = AT_THE_IMU,
     shake: str = NONE,
     seed: int = SEED,
 ) -> Instruments:
@@ -118,7 +120,9 @@ def instruments(
     """
     at_sea = any(device.role in ("craft", "heave_sensor", "pitch_sensor") for device in devices)
     voyage = voyages(Vessel(), [seed], Passage())[0] if at_sea else None
-    return Instruments(seaway(sea, seed), sensor=sensor, laser=laser, shake=shake, seed=seed, voyage=voyage)
+    return Instruments(
+        seaway(sea, seed), sensor=sensor, laser=laser, gauge=gauge, shake=shake, seed=seed, voyage=voyage
+    )
 
 
 def serve(

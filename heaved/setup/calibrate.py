@@ -172,7 +172,7 @@ class Calibration:
         if self.found.latency is not None:
             late_s = self.found.latency.late_s
         motion = laser.motion_of(record, rotation_deg=mounting, bias_mps2=bias, attitude_late_s=late_s)
-        found = laser.geometry_of(record, motion, kept.laser_geometry(self.config.laser))
+        found = laser.geometry_of(record, motion, self.config.laser.geometry)
         self.found = msgspec.structs.replace(self.found, laser=found)
 
     # ---- in words ----------------------------------------------------------------------------------------------------

@@ -6,9 +6,9 @@ for an attitude sensor that leans into sway does so in step with the waves, and 
 heave by integrating the vertical acceleration twice, without what is slower than waves.
 
 **Limit.** Five minutes of a sea of 1.9 m, which rolls and pitches a vessel by 0.4 degrees, show the foot of the beam to
-0.05 to 0.1 m with accelerometers of 1e-3 m/s2/sqrt(Hz), and to 0.2 m with noise twice and bias wander five times as
-large; a lever arm of a decimetre is less than a millimetre there. Accelerometers that are crooked by one degree against
-the angles put sway into the heave, in step with the waves, which is another 0.3 to 0.8 m that no standard error shows.
+0.05 to 0.1 m with accelerometers of 1e-3 m/s2/sqrt(Hz), and to 0.1 to 0.2 m with noise twice and bias wander five times
+as large; a lever arm of a decimetre is less than a millimetre there. Accelerometers that are crooked by one degree
+against the angles put sway into the heave, in step with the waves: another 0.1 to 0.3 m that no standard error shows.
 """
 
 from __future__ import annotations
@@ -48,6 +48,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     accelerometers have wandered: it is taken out, and the rest fitted again,"""
     rounds: int = 4
     """until hardly anything changes: by as much as the waves have of what is slow, a hundredth, each time."""
+    latest_s: float = 0.5
+    """A lag that is greater is none."""
     wander_hz: float = 4.0
     good_m: float = 0.1
     """Standard error of the foot of the beam up to which it is known;"""
@@ -136,19 +138,25 @@ def geometry_of(record: Record, motion: Motion, start: Geometry) -> GeometryFit:
     t_s, reading_m = t_s[inside], reading_m[inside]
     if not len(t_s):
         raise LaserError("the laser has no reading: check that it sees a target")
-    heave, velocity, roll, pitch = (
-        np.interp(t_s, motion.t_s, column)
-        for column in (motion.heave_m, motion.velocity_mps, motion.roll_rad, motion.pitch_rad)
-    )
-    slow_hz = TUNING.slower * float(np.std(velocity) / max(np.std(heave), 1e-9)) / (2.0 * np.pi)
-    fit, wander = None, np.zeros(len(t_s))
+    roll, pitch = (np.interp(t_s, motion.t_s, column) for column in (motion.roll_rad, motion.pitch_rad))
+    moves_mps, moves_m = float(np.std(motion.velocity_mps)), float(np.std(motion.heave_m))
+    slow_hz = TUNING.slower * moves_mps / max(moves_m, 1e-9) / (2.0 * np.pi)
+    fit, wander, late_s = None, np.zeros(len(t_s)), 0.0
     for _ in range(TUNING.rounds):
+        # A lag is a shift; to first order alone, as the regression has it, that of a slow accelerometer would look like
+        # a scale that grows with the frequency, and so like a lever arm.
+        heave, velocity = (
+            np.interp(t_s - late_s, motion.t_s, column) for column in (motion.heave_m, motion.velocity_mps)
+        )
         fit = fit_geometry(t_s, reading_m, heave - wander, velocity, roll, pitch, start=start)
         if fit is None:
             break
         rise = fit.geometry.heave_m(reading_m, roll, pitch)
         left = heave - (rise - rise.mean()) / fit.scale - fit.late_s * velocity
         wander = _slow(t_s, np.where(np.isfinite(left), left, 0.0), slow_hz)
+        fit = msgspec.structs.replace(fit, late_s=late_s + fit.late_s)
+        if abs(fit.late_s) < TUNING.latest_s:
+            late_s = fit.late_s
     if fit is None:
         raise LaserError("too few readings, or too little motion, to tell where the laser is: wait for more sea")
     if not fit.is_sign_found:

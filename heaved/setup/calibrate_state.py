@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from heaved.estimation.heave.laser.geometry import Geometry, GeometryFit
+from heaved.estimation.heave.laser.geometry import GeometryFit
 from heaved.setup.calibrate_latency import Latency
 from heaved.setup.calibrate_rest import Rest
 from heaved.setup.calibrate_signs import Verdict
@@ -136,30 +136,20 @@ def device_keys(found: Found, device: DeviceSpec, bias_limit_mps2: float) -> dic
     return {name: value for name, value in keys.items() if not _is_same(value, getattr(device, name))}
 
 
-def laser_geometry(params: LaserParams) -> Geometry:
-    """Where the laser is thought to be."""
-    known = {name: getattr(params, name) for name in ("forward_m", "port_m", "up_m", "beam") if hasattr(params, name)}
-    return Geometry(sign=params.sign, **known)
-
-
 def laser_keys(found: Found, params: LaserParams) -> dict[str, Any]:
     """Likewise the keys of ``[laser]``."""
     if (fit := found.laser) is None:
         return {}
-    thought, geometry = laser_geometry(params), fit.geometry
+    geometry = fit.geometry
     keys: dict[str, Any] = {"sign": geometry.sign}
     if max(fit.foot_forward_std_m, fit.foot_port_std_m) <= PLACE_STD_M:
         keys["forward_m"] = _rounded(geometry.forward_m, 2)
         keys["port_m"] = _rounded(geometry.port_m, 2)
         if fit.is_up_found:
             keys["up_m"] = _rounded(geometry.up_m, 2)
-        if fit.is_lean_found or geometry.beam[2] * thought.beam[2] < 0.0:
+        if fit.is_lean_found or geometry.beam[2] * params.beam[2] < 0.0:
             keys["beam"] = [_rounded(part, 4) for part in geometry.beam]
-    return {
-        name: value
-        for name, value in keys.items()
-        if hasattr(params, name) and not _is_same(value, getattr(thought, name))
-    }
+    return {name: value for name, value in keys.items() if not _is_same(value, getattr(params, name))}
 
 
 def mounting_deg(found: Found) -> Vector | None:

@@ -153,7 +153,7 @@ def place_error_m(
     motion = motion_of(record, rotation_deg=mount, bias_mps2=rest_of(record).bias_mps2, attitude_late_s=late_s)
     found = geometry_of(record, motion, Geometry())
     assert found.geometry.sign == gauge.sign
-    assert max(found.foot_forward_std_m, found.foot_port_std_m) < 0.12
+    assert max(found.foot_forward_std_m, found.foot_port_std_m) < 0.2
     return found.foot_forward_m - gauge.at_m[0], found.foot_port_m - gauge.at_m[1]
 
 
@@ -165,6 +165,19 @@ def test_five_minutes_of_a_sea_show_where_the_laser_is_to_a_decimetre(model: str
     ]
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
     assert rms.tolist() == pytest.approx([0.0, 0.0], abs=0.1)
+
+
+@pytest.mark.parametrize(("crooked_deg", "sea", "most_m"), [(1.0, "S4", 0.3), (0.0, "S5", 0.1)])
+def test_slow_and_noisy_accelerometers_show_it_to_three_decimetres_or_in_more_sea_to_one(
+    crooked_deg: float, sea: str, most_m: float
+) -> None:
+    """A lag of 0.11 s, a scale of 1.02; where they are crooked, too, sway is in the heave."""
+    model = msgspec.structs.replace(SENSORS["B"], mounting_roll_rad=radians(crooked_deg))
+    errors = [
+        place_error_m(read(any_mount(seed), model=model, seed=seed, sea=sea, gauge=AT), any_mount(seed), 0.0, AT)
+        for seed in (1, 2, 3)
+    ]
+    assert np.sqrt(np.mean(np.square(errors), axis=0)).tolist() == pytest.approx([0.0, 0.0], abs=most_m)
 
 
 def test_a_laser_that_looks_up_counts_the_other_way() -> None:

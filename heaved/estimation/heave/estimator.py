@@ -128,6 +128,8 @@ class HeaveEstimator:
         """A window for the trainer, when it is time for one; each is given out once."""
         if not self.has_laser or (self._params.lead.enabled and self.laser.lead.last is None):
             return None  # The first comparison moves the observer, and with it everything there is to learn.
+        if self.laser.placement.is_open(self.t_s):
+            return None
         return self.correction.due(self.t_s, self.observer.omega_radps)
 
     def restore(self, observer: SavedObserver, correction: SavedNetwork | None, age_s: float) -> None:

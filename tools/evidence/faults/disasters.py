@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.samples import GRAVITY_MPS2
-from heaved.simulate.sensors import LASER_DISTANCE_M, REGISTER_STEPS, Recording
+from heaved.simulate.gauge import LASER_DISTANCE_M
+from heaved.simulate.sensors import REGISTER_STEPS, Recording
 from heaved.simulate.vessel import Motion
 
 Array = NDArray[np.float64]

@@ -482,7 +482,9 @@ class SeaObserver:
 
     def unshifted(self) -> Motion:
         """What the laser is compared with: nothing learned taken out."""
-        return UNKNOWN if self._heave is None or not self._is_told else self._heave.unshifted(self.t_s)
+        if self._heave is None or not self._is_told:
+            return UNKNOWN
+        return self._heave.unshifted(self.t_s, self._aiding.unaided)
 
     @property
     def _is_told(self) -> bool:

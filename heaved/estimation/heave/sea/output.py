@@ -175,8 +175,12 @@ class SeaHeave:
             motion = Motion(motion.heave_m + heave_m, motion.velocity_mps + velocity_mps)
         return motion
 
-    def unshifted(self, t_s: float) -> Motion:
-        """What the laser is compared with: nothing learned taken out, nothing left of another model."""
+    def unshifted(self, t_s: float, unaided: SeaFilter | None = None) -> Motion:
+        """What the laser is compared with: nothing learned taken out, nothing left of another model. ``unaided``: the
+        filter of the same model that no laser aids, if that is another one.
+        """
+        if unaided is not None:
+            return along(self._plain_row.dot(unaided.x).tolist(), t_s - unaided.t_s)
         if not self._unshifted:
             self._unshifted = self._plain_row.dot(self.filter.x).tolist()
         return along(self._unshifted, t_s - self.filter.t_s)
