@@ -173,7 +173,7 @@ class Calibration:
             late_s = self.found.latency.late_s
         motion = laser.motion_of(record, rotation_deg=mounting, bias_mps2=bias, attitude_late_s=late_s)
         found = laser.geometry_of(record, motion, self.config.laser.geometry)
-        self.found = msgspec.structs.replace(self.found, laser=found)
+        self.found = msgspec.structs.replace(self.found, laser=found, laser_by_rates=record.has_rates)
 
     # ---- in words ----------------------------------------------------------------------------------------------------
 
@@ -289,6 +289,11 @@ class Calibration:
             notes.append("that is too uncertain to be written, but for the sign: more motion, or more of it.")
         elif worst > laser.TUNING.good_m:
             notes.append("a longer record, or more motion, makes it surer; 0.1 m is good.")
+        if not self.found.laser_by_rates:
+            notes.append(
+                "the sensor has no body rates: if its angles lean into sway and surge, as those of cheap sensors do, the "
+                "place is wrong by metres."
+            )
         if not found.is_lean_found:
             notes.append(
                 "motion tells where the beam ends, hardly where it begins: forward_m and port_m go with the beam that "
@@ -655,9 +660,9 @@ class Guide:
             "swell. The laser is read at the same time.",
             "  ",
         )
-        self._sea = self._attempt(
-            Step.LATENCY, self._sailing, self._one.take_latency, self._one.tell_latency, grows=True
-        )
+        record = self._attempt(Step.LATENCY, self._sailing, self._one.take_latency, self._one.tell_latency, grows=True)
+        # One that shows nothing of the angles, as of a sensor without gyroscopes, may still show the laser.
+        self._sea = record or self._sea
 
     def _laser(self) -> None:
         if len(self._devices) == 1:
@@ -673,14 +678,17 @@ class Guide:
 
         def make() -> Record | None:
             if (made := ready.pop() if ready else None) is not None:
-                self._console.say("The record of the latency serves.", "  ")
+                self._console.say("The record of the latency serves for it.", "  ")
                 return made
             return self._sailing()
 
         self._attempt(Step.LASER, make, self._one.take_laser, self._one.tell_laser, grows=True)
 
     def _sailing(self) -> Record | None:
-        return None if self._console.choose(BEGIN) == "s" else self._record(SEA_S)
+        if self._console.choose(BEGIN) == "s":
+            return None
+        self._sea = self._record(SEA_S)
+        return self._sea
 
 
 def parse_list(text: str) -> tuple[float, float]:

@@ -44,6 +44,8 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
     turned: Turned | None = None
     latency: Latency | None = None
     laser: GeometryFit | None = None
+    laser_by_rates: bool = True
+    """Whether the angles that it was found with came from gyroscopes."""
     skipped: tuple[str, ...] = ()
 
 

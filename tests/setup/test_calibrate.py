@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
-from askew import lifted, off_deg, read, without_angles
+from askew import lifted, off_deg, read, without_angles, without_rates
 
 from heaved.cli import main
 from heaved.config.read import load
@@ -218,6 +218,17 @@ def test_a_sensor_without_angles_is_told_what_stays_unknown(path: Path) -> None:
     assert "Nothing came of it: the sensor has no roll and pitch" in person.heard
     assert outcome.found.latency is None
     assert any("only the bias along the vertical" in note for note in outcome.notes)
+
+
+def test_a_record_that_shows_nothing_of_the_angles_still_shows_the_laser(path: Path) -> None:
+    person = Person("", "", "s", "s", "", "s", "", "n")
+    outcome = guided(path, person, Sensor(at_rest(), without_rates(at_sea())))
+    assert "gyroscopes" in person.heard
+    assert "The record of the latency serves for it" in person.heard
+    assert outcome.found.latency is None
+    assert outcome.found.laser is not None
+    assert outcome.found.laser.geometry.sign == -1
+    assert "the place is wrong by metres" in person.heard
 
 
 def test_nobody_at_the_keyboard_ends_it(path: Path) -> None:
