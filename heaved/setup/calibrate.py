@@ -291,8 +291,8 @@ class Calibration:
             notes.append("a longer record, or more motion, makes it surer; 0.1 m is good.")
         if not self.found.laser_by_rates:
             notes.append(
-                "the sensor has no body rates: if its angles lean into sway and surge, as those of cheap sensors do, the "
-                "place is wrong by metres."
+                "the sensor has no body rates: if its angles lean into sway and surge, as those of cheap sensors do, "
+                "the place is wrong by metres."
             )
         if not found.is_lean_found:
             notes.append(
