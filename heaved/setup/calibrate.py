@@ -269,11 +269,12 @@ class Calibration:
         """What motion has shown of the laser."""
         found = self.found.laser
         assert found is not None
-        grows = "grows" if found.geometry.sign > 0 else "shrinks"
+        grows, ahead = "grows" if found.geometry.sign > 0 else "shrinks", found.foot_forward_m
         self.console.say(f"Its reading {grows} as the vessel rises (sign = {found.geometry.sign}).", "  ")
         self.console.say(
-            f"Its beam meets the target {found.foot_forward_m:.2f} m forward of the IMU, to "
-            f"{found.foot_forward_std_m:.2f}, and {found.foot_port_m:.2f} m to port, to {found.foot_port_std_m:.2f}.",
+            f"Its beam meets the target {abs(found.foot_forward_m):.2f} m {'aft' if ahead < 0.0 else 'forward'} of the "
+            f"IMU, to {found.foot_forward_std_m:.2f}, and {abs(found.foot_port_m):.2f} m to "
+            f"{'starboard' if found.foot_port_m < 0.0 else 'port'}, to {found.foot_port_std_m:.2f}.",
             "  ",
         )
         for note in self.laser_notes():
