@@ -25,6 +25,7 @@ import msgspec
 from heaved.estimation.heave import saved_state
 from heaved.estimation.heave.estimator import HeaveEstimator
 from heaved.estimation.heave.forecast_check import ForecastCheck
+from heaved.estimation.heave.laser.placement import LaserPlace
 from heaved.estimation.heave.observer import SavedObserver, Verdict
 from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.imu.conditioning import Conditioner
@@ -201,6 +202,7 @@ class Pipeline:
             lead_comparisons=lead.updates,
             laser_constant_m=self.laser.reference.constant_m,
             laser_error_rms_m=self.laser.reference.error_rms_m(),
+            laser_place=self.laser.placement.shown,
             training_windows=correction.windows,
             windows_with_nothing_to_learn=correction.nothing_to_learn,
             trained_accepted=self._trained[Verdict.ACCEPTED],
@@ -262,6 +264,7 @@ class PipelineSummary(msgspec.Struct, frozen=True, kw_only=True):
     lead_comparisons: int
     laser_constant_m: float
     laser_error_rms_m: float
+    laser_place: LaserPlace
     training_windows: int
     """That were handed out to be trained on."""
     windows_with_nothing_to_learn: int

@@ -141,6 +141,7 @@ def table(snapshot: Snapshot) -> str:
         lines.append(_row("state", status.state_file))
     lines += _heave_rows(status, motion, _age_s(snapshot))
     lines += _correction_rows(status)
+    lines += _laser_rows(status)
     lines += _stage_rows(status)
     if motion is not None and motion.rock:
         lines += _titled("rock", _columns([("in", "roll", "pitch", "yaw"), *map(_rock_cells, motion.rock)]))
@@ -218,6 +219,18 @@ def accelerometer_text(observer: ObserverStatus) -> str:
     told += [f"bias walk {walk:.1e} m/s2/√s"] if walk is not None else []
     told += [words] if (words := vibration_in_words(observer.vibration)) else []
     return "   ".join(told)
+
+
+def _laser_rows(status: StatusRecord) -> Iterator[str]:
+    """Where it is found to be, once its readings show it."""
+    laser = status.laser
+    if laser is None or laser.ahead_m is None or laser.port_m is None:
+        return
+    along, across = "ahead" if laser.ahead_m >= 0.0 else "aft", "port" if laser.port_m >= 0.0 else "starboard"
+    ahead_m = f"{abs(laser.ahead_m):.2f} m {spread(laser.ahead_std_m, ' m', 2)}"
+    port_m = f"{abs(laser.port_m):.2f} m {spread(laser.port_std_m, ' m', 2)}"
+    at = f"{ahead_m} {along}, {port_m} to {across}"
+    yield _row("laser", f"{'elsewhere: ' if laser.is_elsewhere else ''}{at} of where it is configured")
 
 
 def _correction_rows(status: StatusRecord) -> Iterator[str]:

@@ -6,7 +6,7 @@ import importlib.util
 import ipaddress
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from math import asin, degrees, isfinite
+from math import asin, degrees, hypot, isfinite
 from typing import Any, Final, get_args
 
 import msgspec
@@ -23,6 +23,7 @@ from heaved.devices.mounting import ANGLES, FORCES, rotation
 from heaved.devices.profile import DeviceSpec, Role, profile_faults, role_needs, role_quantities, told_together
 from heaved.estimation.craft import fusion
 from heaved.estimation.crane.geometry import JOINTS, needed
+from heaved.estimation.heave.laser.geometry import Geometry
 from heaved.estimation.heave.sea.whittle_fit import TUNING as FIT
 from heaved.estimation.hull import estimate as hull
 from heaved.links import AnyLink, TcpLink, TcpListenLink, UdpListenLink, parse_any_link, parse_link
@@ -39,8 +40,10 @@ MODBUS: Final = ("tcp", "rtu")
 """Links of devices that are asked."""
 _QUANTITY_OF: Final = dict(zip(JOINTS, role_quantities("crane"), strict=True))
 """What shows a joint of the crane."""
-STEEP: Final = 0.94
-"""Sine of 70 degrees."""
+ON_END: Final = 0.94
+"""Sine of 70 degrees: of an IMU whose x axis stands up."""
+STEEP: Final = 0.5
+"""Least cosine to the mast of the beam of a laser."""
 LONG_TIMEOUT_S: Final = 1.0
 """Twice what a silent device is left alone for."""
 
@@ -193,6 +196,8 @@ def cautions(config: Config) -> list[str]:
                 )
     measured = next((_quantities(device) for device in config.device if device.role == "imu"), set())
     has_attitude = {"roll_rad", "pitch_rad"} <= measured
+    if config.has_laser:
+        found += _laser_cautions(config, has_attitude=has_attitude)
     found += output_cautions(config.output, config.compensation.lead_s, has_attitude=has_attitude)
     return found + services.cautions(config)
 
@@ -331,11 +336,34 @@ def _parsed(text: object, schemes: Sequence[str]) -> AnyLink | None:
     return None
 
 
+def _laser_cautions(config: Config, *, has_attitude: bool) -> list[str]:
+    """Of where the laser is."""
+    laser, found = config.laser, []
+    if max(abs(laser.forward_m), abs(laser.port_m)) > 0.0 and not has_attitude:
+        found.append(
+            "laser.forward_m, laser.port_m: no imu measures roll and pitch, so that nothing of the heave is known from "
+            "where the laser is: it is of no use"
+        )
+    if laser.sign * laser.beam[2] > 0.0 and laser.geometry != Geometry(sign=laser.sign):
+        looks = "looks down" if laser.beam[2] < 0.0 else "looks up"
+        turned = "[0, 0, 1]" if laser.beam[2] < 0.0 else "[0, 0, -1]"
+        found.append(
+            f"laser.sign: {laser.sign} with a beam that {looks} is a laser that stands on something fixed and looks at "
+            f"the ship; for one on board that looks the other way write beam = {turned}"
+        )
+    return found
+
+
 def _heave_faults(config: Config) -> list[str]:
     """Of the observers, their horizons and their laser."""
     faults = []
     if config.laser.role == "aiding" and config.heave.observer != "sea":
         faults.append("laser.role: 'aiding' needs heave.observer = 'sea'; the harmonic observer can only be compared")
+    x, y, z = config.laser.beam
+    if not abs(z) > STEEP * hypot(x, y, z):
+        faults.append(
+            f"laser.beam: must point down or up, by no more than 60 degrees from it (got [{x:g}, {y:g}, {z:g}])"
+        )
     windows_s = list(config.heave.sea.windows_s)
     if windows_s != sorted(set(windows_s)) or not windows_s:
         faults.append(f"heave.sea.windows_s: must be lengths that increase (got {windows_s})")
@@ -428,7 +456,7 @@ def _mounting_cautions(path: str, device: DeviceSpec) -> list[str]:
                 "one answer: there will be no attitude; map the axes in the profile instead"
             )
     steep = abs(rotation(*device.rotation_deg)[2][0])
-    if device.role == "imu" and steep > STEEP:
+    if device.role == "imu" and steep > ON_END:
         found.append(
             f"{path}.rotation_deg: its x axis stands {degrees(asin(min(steep, 1.0))):.0f} degrees up or down: roll and "
             "yaw of the sensor turn about the same axis there, so the vessel's heading is only as good as they are of "

@@ -15,6 +15,7 @@ from heaved.outputs.records import (
     DeviceStatus,
     HeaveStatus,
     HullStatus,
+    LaserStatus,
     ObserverStatus,
     OutputStatus,
     StatusRecord,
@@ -70,6 +71,7 @@ def status_record(
         lead_s=rounded(summary.lead_s),
         observer=_observer(acquisition, summary, config, frame.sea if frame is not None else None, now_s),
         correction=_correction(acquisition, summary, frame, now_s),
+        laser=_laser(summary) if config.has_laser else None,
         hull=_hull(frame) if config.hull.enabled else None,
         attitude=_attitude(frame, now_s) if config.attitude.enabled else None,
         rock=wire.rock_status(acquisition.rock_scores(), _SHOWN_S),
@@ -120,6 +122,17 @@ def _observer(
         vibration=wire.vibration_record(sea.vibration) if sea is not None else (),
         noise_mps2_rthz=wire.density(sea.noise_mps2_rthz) if sea is not None else None,
         bias_walk_mps2_rts=wire.density(sea.bias_walk_mps2_rts) if sea is not None else None,
+    )
+
+
+def _laser(summary: PipelineSummary) -> LaserStatus:
+    place = summary.laser_place
+    return LaserStatus(
+        is_elsewhere=place.is_elsewhere,
+        ahead_m=rounded(place.ahead_m),
+        ahead_std_m=rounded(place.ahead_std_m),
+        port_m=rounded(place.port_m),
+        port_std_m=rounded(place.port_std_m),
     )
 
 

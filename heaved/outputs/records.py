@@ -328,6 +328,18 @@ class CorrectionStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=
     """Times that no training was worth its while: a regression has shown that no network would be accepted."""
 
 
+class LaserStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Where the beam of the laser meets its target, as its readings show; without numbers before they do."""
+
+    is_elsewhere: bool = False
+    """Not where it is configured."""
+    ahead_m: float | None = None
+    """Of where it would be by the configuration; and to port."""
+    ahead_std_m: float | None = None
+    port_m: float | None = None
+    port_std_m: float | None = None
+
+
 class HullStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """The last HULL in short."""
 
@@ -379,6 +391,8 @@ class StatusRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     lead_s: float | None = None
     observer: ObserverStatus | None = None
     correction: CorrectionStatus | None = None
+    laser: LaserStatus | None = None
+    """When there is one."""
     hull: HullStatus | None = None
     """When [hull] is enabled."""
     attitude: AttitudeStatus | None = None

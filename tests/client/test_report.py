@@ -17,6 +17,7 @@ from heaved.outputs.records import (
     CorrectionStatus,
     DeviceStatus,
     HeaveStatus,
+    LaserStatus,
     MotionRecord,
     ObserverStatus,
     OutputStatus,
@@ -149,6 +150,7 @@ def test_table_shows_what_there_is() -> None:
         correction=CorrectionStatus(
             state=CorrectionState.ACTIVE, runs=12, last_result="accepted", age_s=35.0, nothing_to_learn=3
         ),
+        laser=LaserStatus(is_elsewhere=True, ahead_m=8.124, ahead_std_m=0.05, port_m=-0.031, port_std_m=0.004),
         clock=ClockStatus(utc_offset_s=1.7e9, steps=2),
         config_file="/etc/heaved/heaved.toml",
         state_file="/var/lib/heaved/state.json",
@@ -167,6 +169,7 @@ def test_table_shows_what_there_is() -> None:
         "+12.3 ms",
         "active, 12 trainings, the last accepted, 3 times nothing to learn, network in use since 35.0 s",
         "rtu:///dev/ttyUSB0: no answer: check the cable",
+        "elsewhere: 8.12 m ±0.05 m ahead, 0.03 m ±0.00 m to starboard of where it is configured",
         "1 connected, 44 lines dropped",
         "stepped 2 times",
     ):

@@ -52,6 +52,9 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     known: float = 0.01
     """It is known where the gauge is when what is not known of it moves the reading by less than such a share of the
     heave, or less than its noise."""
+    known_s: float = 30.0
+    """Nor is it known from fewer seconds of readings: how long errors are alike shows in two or three of their periods.
+    """
     anywhere_m: float = 20.0
     """Before anything is known of the place it may be so far from the configured one."""
     gone_s: float = 60.0
@@ -77,6 +80,16 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
 TUNING: Final = Tuning()
 LEAST_STD_M: Final = 1e-3
 """No place is known better."""
+
+
+class LaserPlace(msgspec.Struct, frozen=True, kw_only=True):
+    """Where the beam meets its target, from where it would by the configuration, in metres; nan: not known."""
+
+    is_elsewhere: bool = False
+    ahead_m: float = nan
+    ahead_std_m: float = nan
+    port_m: float = nan
+    port_std_m: float = nan
 
 
 class Placement:
@@ -194,6 +207,7 @@ class Placement:
         ahead_m, across_m = (inf, inf) if found is None else (found.foot_forward_std_m, found.foot_port_std_m)
         unknown_m = hypot(_within(ahead_m) * pitch, _within(across_m) * roll)
         is_known = unknown_m < max(self._noise_std_m, TUNING.known * heave_m)
+        is_known = is_known and len(rows) * TUNING.every_s >= TUNING.known_s - 1e-3
         if self.is_known and not is_known:
             return  # There are few readings, or little sea: it was known better.
         self.unknown_m, self.is_known = unknown_m, is_known
@@ -254,6 +268,20 @@ class Placement:
     def is_lost(self) -> bool:
         """Whether the gauge is elsewhere, and it is not known where: its readings are no reference."""
         return self.is_off and self.geometry == self.configured
+
+    @property
+    def shown(self) -> LaserPlace:
+        """What the readings say."""
+        if self.fit is None:
+            return LaserPlace()
+        ahead, port = self.fit.off_m(self.configured)
+        return LaserPlace(
+            is_elsewhere=self.is_off,
+            ahead_m=ahead,
+            ahead_std_m=self.fit.foot_forward_std_m,
+            port_m=port,
+            port_std_m=self.fit.foot_port_std_m,
+        )
 
     @property
     def remark(self) -> str:
