@@ -237,14 +237,16 @@ def assemble(
     lead_s: float = 0.0,
     stages: Stages | None = None,
     quiet: quiescence.Params | None = None,
+    attitude_late_s: float = 0.0,
 ) -> Pipeline:
     """The pipeline of a configuration.
 
     ``lead_s``: the heave is published for this long after each sample (the consumer's reaction time). ``stages``: what
     lives beside the heave; none by default. ``rock``: its parameters, or an estimator that is there already.
+    ``attitude_late_s``: see :class:`Vertical`.
     """
     stages = stages or Stages()
-    vertical = Vertical(MAX_RATE_HZ)
+    vertical = Vertical(MAX_RATE_HZ, attitude_late_s)
     rocking = rock if isinstance(rock, RockEstimator) else RockEstimator(rock)
     heaving = HeaveEstimator(heave, laser, correction, has_laser=has_laser, lead_s=lead_s, max_rate_hz=MAX_RATE_HZ)
     return Pipeline(

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from heaved import __version__
-from heaved.cli import client, daemon, probe, recordings, service, simulation
+from heaved.cli import calibrate, client, daemon, probe, recordings, service, simulation
 from heaved.cli.common import say
 
 # Before numpy is loaded: its matrices are tiny here, and a second BLAS thread costs milliseconds when it wakes.
@@ -66,6 +66,7 @@ for _command in (
     client.watch,
     client.page,
     probe.probe,
+    calibrate.calibrate,
     service.install_service,
     service.manual,
     recordings.replay,

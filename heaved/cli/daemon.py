@@ -38,6 +38,7 @@ def check_config(file: Annotated[Path, typer.Argument(metavar="FILE")]) -> None:
     config = load_to_run(file)
     from heaved.config.rules import cautions, rate_faults
     from heaved.devices.bandwidth import bandwidth_hz, lag_ms
+    from heaved.devices.mounting import mounting_lines
 
     if faults := rate_faults(config):
         fail("\n".join(f"{file}: {fault}" for fault in faults), EX_CONFIG)
@@ -46,6 +47,8 @@ def check_config(file: Annotated[Path, typer.Argument(metavar="FILE")]) -> None:
         hertz = bandwidth_hz(device)
         bandwidth = f", bandwidth {hertz:g} Hz (a lag of about {lag_ms(hertz):.0f} ms)" if hertz else ""
         say(f"  {device_line(device)}, {device.profile.name} at {device.rate_hz:g} Hz{bandwidth}")
+        for line in mounting_lines(device):
+            say(f"    {line}")
     if not any(device.role == "imu" for device in config.device):
         say('  no device of role "imu": enough for a replay, but the daemon would have no heave')
     for output in config.output:

@@ -25,6 +25,7 @@ from heaved.cli.common import (
 if TYPE_CHECKING:
     from heaved.config import Config
     from heaved.devices.profile import DeviceSpec
+    from heaved.simulate.slave import Source
 
 
 def demo(
@@ -74,6 +75,13 @@ def sim(
     ] = None,
     sensor: Annotated[str, typer.Option(help="A (tactical MEMS), B (industrial), C (consumer) or ideal.")] = "A",
     laser: Annotated[str, typer.Option(help="on, off, a share such as 50%, or outages such as 300+120.")] = "on",
+    mount: Annotated[
+        list[str] | None,
+        typer.Option(metavar="DEVICE:X,Y,Z", help="An IMU stands so, not as its rotation_deg says. May be repeated."),
+    ] = None,
+    tilt: Annotated[
+        str, typer.Option(metavar="ROLL,PITCH", help="What IMUs are bolted to is tilted, port up and bow up, degrees.")
+    ] = "0,0",
     laser_at: Annotated[
         str, typer.Option(metavar="FORWARD,PORT,UP", help="Where the laser is from the IMU, in metres.")
     ] = "0,0,0",
@@ -92,6 +100,7 @@ def sim(
     from heaved.demo import demo as demonstration
     from heaved.simulate.faults import parse_faults
     from heaved.simulate.gauge import gauge_at
+    from heaved.simulate.mounted import Mounted, parse_mounts, parse_tilt
     from heaved.simulate.mru import parse_mru
     from heaved.simulate.play import Player, read_recording
 
@@ -105,7 +114,7 @@ def sim(
         if link is LinkKind.rtu:
             devices = demonstration.on_serial_line(devices, Path(directory))
         try:
-            source = (
+            source: Source = (
                 demonstration.instruments(
                     sea,
                     devices,
@@ -119,6 +128,7 @@ def sim(
                 if play is None
                 else Player(read_recording(play))
             )
+            source = Mounted(source, parse_mounts(mount or (), devices), parse_tilt(tilt))
             demonstration.serve(devices, source, parse_faults(",".join(fault or ())), seed=seed, ready=ready)
         except OSError as error:
             in_use = "; stop what serves there (another heaved sim?), or change the link"

@@ -239,7 +239,8 @@ class Daemon:
             _log.warning(f"[{table}] has changed: restart the daemon to bring it into force")
         # The devices are those of before until they are polled otherwise.
         self._journal.renewed(msgspec.structs.replace(self.config, device=old.device))
-        if any(getattr(new, table) != getattr(old, table) for table in _AT_ONCE) or new.has_laser != old.has_laser:
+        at_once = (*_AT_ONCE, "has_laser", "mounting")
+        if any(getattr(new, name) != getattr(old, name) for name in at_once):
             self._replace_pipeline()
             await self.workers.have(self.config)
         if new.hull != old.hull:
@@ -416,6 +417,7 @@ def make_pipeline(config: Config, stages: Stages | None = None) -> Pipeline:
         lead_s=config.compensation.lead_s,
         stages=stages or Stages(config.hull, config.attitude, config.crane, config.reference_mru, refit_inline=False),
         quiet=config.quiet,
+        attitude_late_s=config.attitude_late_s,
     )
 
 

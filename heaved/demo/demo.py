@@ -35,6 +35,7 @@ from heaved.page.server import serve as serve_page
 from heaved.simulate.gauge import AT_THE_IMU, Gauge
 from heaved.simulate.hydrofoil import Passage
 from heaved.simulate.instruments import Instruments
+from heaved.simulate.mounted import Mounted
 from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.seaway import seaway
 from heaved.simulate.shaking import NONE
@@ -258,7 +259,7 @@ def _sensor_process(connection: Connection, devices: tuple[DeviceSpec, ...], sea
     async def run() -> None:
         closed = asyncio.Event()
         asyncio.get_running_loop().add_reader(connection.fileno(), closed.set)
-        plant = SimulatedPlant(devices, instruments(sea, devices, shake=shake), any_port=True)
+        plant = SimulatedPlant(devices, Mounted(instruments(sea, devices, shake=shake), {}), any_port=True)
         await plant.start()
         connection.send(_Served(plant.devices, time.monotonic() - plant.time_s()))
         await closed.wait()

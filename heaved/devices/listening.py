@@ -13,6 +13,7 @@ from math import inf, nan
 from typing import TYPE_CHECKING, Any, Final
 
 from heaved.devices.liveness import LivenessCheck
+from heaved.devices.mounting import mounting_of
 from heaved.devices.profile import Decoded, DeviceSpec, Quantity, role_quantities
 from heaved.devices.sentences import SentenceReader, name_of
 from heaved.devices.station import KINDS, PollResult
@@ -58,6 +59,7 @@ class Listening:
         self._clock = clock
         self._reader = SentenceReader(device.profile.sentences)
         self._liveness = LivenessCheck(device)
+        self._mounting = mounting_of(device)
         self._wanted = frozenset(role_quantities(device.role))
         self._period_s = 1.0 / device.rate_hz
         self._silence_s = max(device.timeout_ms * 1e-3, LEAST_SILENCE_PERIODS * self._period_s)
@@ -206,7 +208,8 @@ class Listening:
         if fault is Fault.NONE:
             reconnected = 0 < self._good_on < self._opened
             self._good_on = self._opened
-        measured: dict[str, Any] = {name: value for name, value in values.items() if name in self._wanted}
+        turned = values if self._mounting is None else self._mounting.turn(values)
+        measured: dict[str, Any] = {name: value for name, value in turned.items() if name in self._wanted}
         self._on_result(
             PollResult(
                 device=self._device.name,

@@ -32,6 +32,8 @@ Quantity = Literal[
     "temperature_c", "signal", "device_time_s",
 ]  # fmt: skip
 Role = Literal["imu", "laser", "imu2", "craft", "heave_sensor", "pitch_sensor", "crane", "reference_mru"]
+MountAngle = Annotated[float, msgspec.Meta(ge=-360, le=360)]
+Bias = Annotated[float, msgspec.Meta(ge=-5, le=5)]
 Name = Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9_.-]{1,64}$")]
 
 
@@ -179,6 +181,13 @@ class DeviceSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     still, and its encoders with it; nor in role "reference_mru", which tells whole centimetres."""
     bandwidth_hz: Annotated[float, msgspec.Meta(ge=0, le=10_000)] = 0.0
     """To which the sensor's low-pass is set; 0: as its profile says."""
+    rotation_deg: tuple[MountAngle, MountAngle, MountAngle] = (0.0, 0.0, 0.0)
+    """How an IMU is mounted: turned from the vessel's axes by z, then by y, then by x, see
+    :mod:`heaved.devices.mounting`."""
+    bias_mps2: tuple[Bias, Bias, Bias] = (0.0, 0.0, 0.0)
+    """Of its accelerometers, in its own axes; taken off before it is turned."""
+    attitude_latency_ms: Annotated[float, msgspec.Meta(ge=-1000, le=1000)] = 0.0
+    """By how much its angles are older than the accelerations of the same answer."""
     allow: tuple[str, ...] = ()
     """Networks (CIDR) whose sentences are taken on a ``udp-listen`` link, besides those of this machine."""
 

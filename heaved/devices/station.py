@@ -9,6 +9,7 @@ import msgspec
 
 from heaved.devices.link import request_wire_s
 from heaved.devices.liveness import Contact, LivenessCheck
+from heaved.devices.mounting import mounting_of
 from heaved.devices.profile import (
     Block,
     BlockCodec,
@@ -90,6 +91,7 @@ class Station:
         self.pace = Pace(1.0 / spec.rate_hz, start_s)
         self.contact = contact
         self._liveness = LivenessCheck(spec)
+        self._mounting = mounting_of(spec)
         self._wanted = frozenset(role_quantities(spec.role))
         self.cuts = [cuts(block) for block in spec.profile.blocks]
         self.main, self.dating = _dated_by(spec)
@@ -152,6 +154,8 @@ class Station:
         kind = KINDS[self.spec.role]
         if fault is not Fault.NONE:
             return kind(t_s=t_s, fault=fault)
+        if self._mounting is not None:
+            values = self._mounting.turn(values)
         measured: dict[str, Any] = {name: value for name, value in values.items() if name in self._wanted}
         return kind(t_s=t_s, **measured)
 

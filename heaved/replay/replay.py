@@ -252,6 +252,7 @@ def assembled(config: Config, stages: Stages, *, has_laser: bool) -> Pipeline:
         lead_s=config.compensation.lead_s,
         stages=stages,
         quiet=config.quiet,
+        attitude_late_s=config.attitude_late_s,
     )
 
 

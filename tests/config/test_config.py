@@ -184,6 +184,23 @@ FAULTS: dict[str, tuple[str, str]] = {
         IMU + "latency_ms = 80" + IMU_PROFILE,
         "device[0].latency_ms: 80 is beyond timeout_ms (50): no device measures after it has answered",
     ),
+    "a laser that is turned": (
+        LASER.replace("rate_hz = 20", "rate_hz = 20\nrotation_deg = [0, 0, 90]"),
+        "device[0].rotation_deg: is for an IMU; a device in role 'laser' has nothing to apply it to",
+    ),
+    "a lateness of what has no angles": (
+        LASER.replace("rate_hz = 20", "rate_hz = 20\nattitude_latency_ms = 10"),
+        "device[0].attitude_latency_ms: is for an IMU; a device in role 'laser' has nothing to apply it to",
+    ),
+    "a tilted sensor of one axis": (
+        IMU + "rotation_deg = [0.0, 3.0, 0.0]" + IMU_PROFILE,
+        "device[0].rotation_deg: the vertical acceleration of a tilted sensor takes all three, and profile 'inline' "
+        "has no ax_mps2 and no ay_mps2",
+    ),
+    "a bias that is none": (
+        IMU + "bias_mps2 = [9.8, 0, 0]" + IMU_PROFILE,
+        "device[0].bias_mps2: Expected `float` <= 5.0",
+    ),
     "a profile that is not there": (
         IMU + 'profile = "mine/imu.toml"',
         "no profile 'mine/imu.toml'; there is no file /nonexistent/mine/imu.toml; give a file or one of: ",
@@ -387,6 +404,40 @@ def test_a_correction_needs_torch(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not cautions(msgspec.structs.replace(config, device=config.device[:1]))
     off = msgspec.structs.replace(config.correction, enabled=False)
     assert not cautions(msgspec.structs.replace(config, correction=off))
+
+
+SENTENCES = """
+[device.profile]
+name = "inline"
+[[device.profile.sentences]]
+header = "$PA"
+fields = [
+    { quantity = "ax_mps2", index = 1, unit = "m/s2" },
+    { quantity = "ay_mps2", index = 2, unit = "m/s2" },
+    { quantity = "az_mps2", index = 3, unit = "m/s2" },
+    { quantity = "roll_rad", index = 4, unit = "rad" },
+]
+[[device.profile.sentences]]
+header = "$PB"
+fields = [{ quantity = "pitch_rad", index = 1, unit = "rad" }]
+"""
+
+
+@pytest.mark.parametrize(
+    ("rotation", "profile", "expected"),
+    [
+        ("[0, -85, 0]", 'profile = "witmotion-wt901c485"', ["its x axis stands 85 degrees up or down"]),
+        ("[180, 0, 90]", 'profile = "witmotion-wt901c485"', []),
+        ("[0, 0, 30]", SENTENCES, ["roll and pitch take each other"]),
+        ("[30, 0, 180]", SENTENCES, []),
+    ],
+)
+def test_what_a_mounting_costs_is_said(rotation: str, profile: str, expected: list[str]) -> None:
+    link = 'link = "tcp://127.0.0.1:15020"'
+    text = IMU.replace(link, 'link = "serial:///dev/x"') if profile is SENTENCES else IMU
+    found = cautions(read(f"{text}\nrotation_deg = {rotation}\nbandwidth_hz = 20\n{profile}"))
+    assert len(found) == len(expected)
+    assert all(part in caution for part, caution in zip(expected, found, strict=True))
 
 
 @pytest.mark.parametrize("name", ["heaved.toml", "demo.toml", "sensors.toml", "hull.toml", "hydrofoil.toml"])

@@ -15,8 +15,8 @@ from heaved.daemon.recording import recording_directory
 from heaved.devices.profile import DeviceSpec, Profile
 from heaved.outputs import wire
 from heaved.recorder.layout import FRAMES, SAMPLES, Call
-from heaved.recorder.read import open_recorded
-from heaved.recorder.tables import samples_of, values_of
+from heaved.recorder.read import frame_values, open_recorded
+from heaved.recorder.tables import samples_of
 from heaved.replay.live import LiveRecording, Rerun
 from heaved.simulate.instruments import Instruments
 from heaved.simulate.mru import MruModel
@@ -99,7 +99,7 @@ async def test_an_mru_beside_ours(tmp_path: Path) -> None:
     differences = [
         float(value)
         for batch in frames_hour.batches()
-        for value in values_of(frames_hour.header.layout, FRAMES, batch, "mru_roll_difference_deg")
+        for value in frame_values(frames_hour, ["mru_roll_difference_deg"], batch)["mru_roll_difference_deg"]
         if value == value
     ]
     for record in records:

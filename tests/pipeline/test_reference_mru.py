@@ -11,7 +11,7 @@ from pipelines import run, sea
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.reference_mru.estimator import HeavePositive, Params, ReferenceMru
-from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.estimation.rock import params as rock
 from heaved.estimation.stages import Stages
 from heaved.pipeline import Pipeline, assemble
 from heaved.simulate.mru import MruModel, SimulatedMru

@@ -28,7 +28,7 @@ from evidence.results import Output, Report
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.heave.sea.refit import look
-from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.estimation.rock import params as rock
 from heaved.pipeline import Pipeline, assemble
 from heaved.simulate.gauge import AT_THE_IMU, Gauge
 from heaved.simulate.seaway import seaway

@@ -101,10 +101,12 @@ class AttitudeError:
         record: means over the last minutes, a row every quarter of a second.
     """
 
-    def __init__(self) -> None:
-        self.lean_per_s = self.late_s = 0.0
-        self.covariance: Array = 0.5 * np.diag(np.square(TUNING.usual))
-        self._if_any: Array = np.array(TUNING.usual)
+    def __init__(self, late_s: float = 0.0) -> None:
+        """``late_s``: as somebody has measured it; 0: nobody has."""
+        self._belief = attitude_fit.told(late_s)
+        self.lean_per_s, self.late_s = self._belief.null
+        self.covariance: Array = 0.5 * np.diag(np.square(self._belief.spread))
+        self._if_any: Array = np.hypot(self._belief.null, self._belief.spread)
         """Of the two, where they are not nothing: whoever wants the angles has one sensor, not the average of those
         that lean and those that do not."""
         self.noise: Noise | None = None
@@ -223,7 +225,8 @@ class AttitudeError:
     @property
     def angles_late_s(self) -> float:
         """By which the angles are late. Where it is less than nothing it is the accelerometers that are."""
-        return self.late_s if self.late_s > SHOWN * sqrt(float(self.covariance[1, 1])) else 0.0
+        is_known = self._belief.null[1] > 0.0 or self.late_s > SHOWN * sqrt(float(self.covariance[1, 1]))
+        return max(self.late_s, 0.0) if is_known else 0.0
 
     def _close(self, t_s: float) -> None:
         """Keep the row that has ended, and look at them all when it is time to."""
@@ -264,7 +267,7 @@ class AttitudeError:
 
     def _learn(self, record: list[Run], turned: list[Run]) -> Array:
         """The two, as the record shows them; ``turned``: that part of it whose rates gyroscopes have measured."""
-        belief, told = attitude_fit.turned(turned), (np.zeros((2, 2)), np.zeros(2))
+        belief, told = attitude_fit.turned(turned, self._belief), (np.zeros((2, 2)), np.zeros(2))
         if (found := attitude_fit.spectra(record)) is not None:
             told = attitude_fit.below_waves(found, belief)
         solution, self.covariance, self._if_any = attitude_fit.averaged(belief, *told)

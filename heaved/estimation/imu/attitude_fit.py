@@ -92,6 +92,13 @@ NOTHING: Final = Belief(np.zeros((2, 2)), np.zeros(2))
 """There are no gyroscopes."""
 
 
+def told(late_s: float) -> Belief:
+    """There are none, and somebody has measured the lateness: it is that, or off it as by another low-pass."""
+    if late_s == 0.0:
+        return NOTHING
+    return Belief(NOTHING.information, NOTHING.right, (0.0, late_s), (TUNING.usual[0], TUNING.low_pass_s))
+
+
 class Run(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """A stretch of the record without a hole, evenly spaced; arrays (n,), rad, of roll and of pitch (n, 2)."""
 
@@ -241,8 +248,8 @@ def noise(record: Sequence[Run], solution: Array, covariance: Array) -> Noise | 
     )
 
 
-def turned(record: Sequence[Run]) -> Belief:
-    """What gyroscopes say of the two; the rates of the ``record`` are theirs.
+def turned(record: Sequence[Run], otherwise: Belief = NOTHING) -> Belief:
+    """What gyroscopes say of the two; the rates of the ``record`` are theirs. ``otherwise``: while they say nothing.
 
     The angle less what they have made of it is k times the integral, less lateness times the rate: its changes from row
     to row are fitted with the changes of these. Scales and axes of gyroscopes are not those of the angles, so a part of
@@ -250,7 +257,7 @@ def turned(record: Sequence[Run]) -> Belief:
     accelerometers, too, unless these have another low-pass.
     """
     if sum(len(run.angle) for run in record) < TUNING.turns:
-        return NOTHING
+        return otherwise
     angle, rate, apart = (
         np.concatenate([np.diff(values, axis=0) for values in one])
         for one in zip(*[(run.angle, run.rate, run.apart) for run in record], strict=True)

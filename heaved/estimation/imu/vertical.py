@@ -80,7 +80,8 @@ class Vertical:
         level_mps2: acceleration forward and to port in the level frame, of the last sample; nan: not known.
     """
 
-    def __init__(self, max_rate_hz: float) -> None:
+    def __init__(self, max_rate_hz: float, attitude_late_s: float = 0.0) -> None:
+        """``attitude_late_s``: how much older the angles are than the accelerations, as was measured; 0: nobody has."""
         self.fault = Fault.NONE
         self.arrivals = Arrivals()
         self.notes = NOTHING
@@ -98,7 +99,7 @@ class Vertical:
         """Mean square of what the tilt makes of the vertical acceleration."""
         self._across = _TiltAcross()
         self._level_bias = LevelBias()
-        self._attitude_error = AttitudeError()
+        self._attitude_error = AttitudeError(attitude_late_s)
 
     def step(
         self, readings: Conditioned, rock: Sequence[RockPrediction], *, lag_s: float, bias_mps2: float

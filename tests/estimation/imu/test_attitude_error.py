@@ -245,3 +245,37 @@ def test_what_is_not_known_is_known_in_shape() -> None:
     expected = (means[:, :1] - means[:, 1:]) / little
     assert len(shapes) > 50
     assert np.all(np.std(np.array(list(shapes.values())) - expected, axis=0) < 0.1 * np.std(expected, axis=0))
+
+
+def test_a_lateness_that_was_measured_serves_from_the_first_sample() -> None:
+    recording = recorded(inf, 0.08)
+    slope = recording.truth.roll_rate_radps, recording.truth.pitch_rate_radps
+    true = recording.truth.heave_acceleration_mps2
+    errors = {}
+    for told_s in (0.0, 0.08):
+        one, off = AttitudeError(told_s), []
+        assert one.angles_late_s == told_s
+        for i, sample in enumerate(sample for sample in recording.samples() if isinstance(sample, ImuSample)):
+            if sample.t_s > 120.0:
+                break
+            roll, pitch = sample.roll_rad, sample.pitch_rad
+            x, y, up = level_acceleration(sample.ax_mps2, sample.ay_mps2, sample.az_mps2, roll, pitch)
+            rates = slope[0][i], slope[1][i]
+            off.append(one.step(sample.t_s, x, y, up, roll, pitch, *rates, are_rates_measured=False) - true[i])
+        # Before three pieces of the record are there nothing else can know it.
+        errors[told_s] = float(np.std(sosfiltfilt(butter(4, 0.4, fs=RATE_HZ, output="sos"), off)))
+    assert errors[0.08] < 0.8 * errors[0.0]
+
+
+def test_gyroscopes_are_believed_before_what_was_measured_once() -> None:
+    recording = recorded(inf, 0.08)
+    one = AttitudeError(0.2)
+    for sample in recording.samples():
+        assert isinstance(sample, ImuSample)
+        roll, pitch = sample.roll_rad, sample.pitch_rad
+        x, y, up = level_acceleration(sample.ax_mps2, sample.ay_mps2, sample.az_mps2, roll, pitch)
+        rates = angle_rates(sample, roll, pitch)[:2]
+        one.step(sample.t_s, x, y, up, roll, pitch, *rates, are_rates_measured=True)
+        if sample.t_s > 60.0:
+            break
+    assert one.late_s == pytest.approx(0.08, abs=0.01)
