@@ -99,7 +99,7 @@ def _refuse_faulty(path: Path) -> None:
     from heaved.setup.config_file import Addition, RefusedError
 
     try:
-        Addition(path, "").drop()
+        Addition(path, "")
     except RefusedError as error:
         fail(str(error), EX_CONFIG)
 
@@ -379,13 +379,13 @@ def _write(path: Path, everybody: list[Examined], *, yes: bool, quiet: bool) -> 
     if not text:
         fail(f"{path}: was left alone: there is no device that could be written", EX_CONFIG)
     try:
-        with Addition(path, text) as addition:
-            say(printable_lines(addition.diff), nl=False, err=quiet)
-            for remark in addition.remarks:
-                say(f"{path}: {printable(remark)}", err=True)
-            if not yes and not typer.confirm(f"Write this to {path}?"):
-                fail(f"{path}: was left alone", 1)
-            addition.keep()
+        addition = Addition(path, text)
+        say(printable_lines(addition.diff), nl=False, err=quiet)
+        for remark in addition.remarks:
+            say(f"{path}: {printable(remark)}", err=True)
+        if not yes and not typer.confirm(f"Write this to {path}?"):
+            fail(f"{path}: was left alone", 1)
+        addition.keep()
     except RefusedError as error:
         fail(str(error), EX_CONFIG)
     say(f"{path}: written; heaved check-config {path} says the rest", err=True)

@@ -318,14 +318,14 @@ def read_text(path: Path) -> str:
         raise EditError(f"{path}: is not UTF-8 text, save it as such: {error}") from error
 
 
-def validated(path: Path, text: str) -> Config:
-    """What a text says as the configuration at ``path``.
+def validated(path: Path, text: str, *, to_run: bool = False) -> Config:
+    """What a text says as the configuration at ``path``. ``to_run``: every stage has its devices, too.
 
     Raises:
         EditError: it is not TOML.
         heaved.config.read.ConfigError: it has faults.
     """
-    return parse(_decoded(text), file=str(path), directory=path.parent)
+    return parse(_decoded(text), file=str(path), directory=path.parent, to_run=to_run)
 
 
 def write(path: Path, text: str, *, before: str | None) -> None:

@@ -48,12 +48,12 @@ def path(tmp_path: Path) -> Path:
 
 def test_it_is_put_at_the_end_and_all_else_stays(path: Path) -> None:
     path.chmod(0o640)
-    with Addition(path, LASER) as addition:
-        assert path.read_text() == IMU
-        added = [line[1:] for line in addition.diff.splitlines()[2:] if line.startswith("+")]
-        assert added == ["", *LASER.splitlines()]
-        assert not [line for line in addition.diff.splitlines()[2:] if line.startswith("-")]
-        addition.keep()
+    addition = Addition(path, LASER)
+    assert path.read_text() == IMU
+    added = [line[1:] for line in addition.diff.splitlines()[2:] if line.startswith("+")]
+    assert added == ["", *LASER.splitlines()]
+    assert not [line for line in addition.diff.splitlines()[2:] if line.startswith("-")]
+    addition.keep()
     assert path.read_text() == IMU + "\n" + LASER
     assert path.stat().st_mode & 0o777 == 0o640
     assert [device.name for device in load(path).device] == ["imu", "laser"]
@@ -61,8 +61,7 @@ def test_it_is_put_at_the_end_and_all_else_stays(path: Path) -> None:
 
 
 def test_what_is_not_kept_leaves_nothing_behind(path: Path) -> None:
-    with Addition(path, LASER):
-        pass
+    Addition(path, LASER)
     assert path.read_text() == IMU
     assert list(path.parent.iterdir()) == [path]
 
@@ -72,8 +71,8 @@ def test_the_packaged_configuration_takes_one_more(tmp_path: Path) -> None:
     shutil.copy(data_directory() / "heaved.toml", path)
     assert taken_names(path) == {"imu", "laser"}
     more = LASER.replace('"laser"', '"imu2"').replace("ttyUSB1", "ttyUSB7").replace("baumer-om20", "heaved-sim-imu2")
-    with Addition(path, more) as addition:
-        addition.keep()
+    addition = Addition(path, more)
+    addition.keep()
     assert len(load(path).device) == 3
 
 
@@ -89,17 +88,17 @@ def test_the_packaged_configuration_takes_one_more(tmp_path: Path) -> None:
 def test_line_ends_and_marks_stay_as_they_are(tmp_path: Path, before: bytes, after: bytes) -> None:
     path = tmp_path / "it.toml"
     path.write_bytes(before)
-    with Addition(path, LASER) as addition:
-        addition.keep()
+    addition = Addition(path, LASER)
+    addition.keep()
     assert path.read_bytes() == after
 
 
 def test_a_file_that_is_not_there_is_begun(tmp_path: Path) -> None:
     path = tmp_path / "new.toml"
     assert taken_names(path) == ()
-    with Addition(path, LASER) as addition:
-        assert any("no heave" in remark for remark in addition.remarks)
-        addition.keep()
+    addition = Addition(path, LASER)
+    assert any("no heave" in remark for remark in addition.remarks)
+    addition.keep()
     assert path.read_text() == LASER
     assert path.stat().st_mode & 0o777 == 0o644
 
@@ -109,18 +108,18 @@ def test_a_link_stays_a_link(path: Path, tmp_path: Path) -> None:
     elsewhere.mkdir()
     link = elsewhere / "heaved.toml"
     link.symlink_to(path)
-    with Addition(link, LASER) as addition:
-        addition.keep()
+    addition = Addition(link, LASER)
+    addition.keep()
     assert link.is_symlink()
     assert path.read_text().endswith(LASER)
     assert list(elsewhere.iterdir()) == [link]
 
 
 def test_somebody_else_who_changes_the_file_meanwhile_is_heard(path: Path) -> None:
-    with Addition(path, LASER) as addition:
-        path.write_text(IMU + "# mine\n")
-        with pytest.raises(RefusedError, match="has been changed meanwhile"):
-            addition.keep()
+    addition = Addition(path, LASER)
+    path.write_text(IMU + "# mine\n")
+    with pytest.raises(RefusedError, match="was changed by somebody else meanwhile"):
+        addition.keep()
     assert path.read_text() == IMU + "# mine\n"
     assert list(path.parent.iterdir()) == [path]
 
