@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from heaved.estimation.heave.params import Params as HeaveParams
     from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow
     from heaved.estimation.lever_arm import Point
-    from heaved.estimation.rock.maximum_likelihood import Params as RockParams
+    from heaved.estimation.rock.params import Params as RockParams
 
 MAX_RATE_HZ: Final = 250.0
 """Sizes the buffers; a faster sensor is served too, with a shorter memory of late lasers."""
@@ -174,6 +174,8 @@ class Pipeline:
         return SavedState(
             frequencies_hz=observer.frequencies_hz,
             sea=observer.sea,
+            bias_mps2=observer.bias_mps2,
+            bias_std_mps2=observer.bias_std_mps2,
             lead_learned_s=lead.learned_s if lead.updates else None,
             gain_learned=lead.gain,
             correction=self.heave.correction.saved(),
@@ -186,7 +188,13 @@ class Pipeline:
             ValueError: the state does not fit the configuration; says what does not, and nothing was taken over.
         """
         saved_state.check(state)
-        self.heave.restore(SavedObserver(frequencies_hz=state.frequencies_hz, sea=state.sea), state.correction, age_s)
+        observer = SavedObserver(
+            frequencies_hz=state.frequencies_hz,
+            sea=state.sea,
+            bias_mps2=state.bias_mps2,
+            bias_std_mps2=state.bias_std_mps2,
+        )
+        self.heave.restore(observer, state.correction, age_s)
         if state.lead_learned_s is not None:
             self.laser.lead.restore(state.lead_learned_s, state.gain_learned)
 

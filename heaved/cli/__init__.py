@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from heaved import __version__
-from heaved.cli import client, daemon, recordings, setup, simulation
+from heaved.cli import calibrate, client, daemon, probe, recordings, service, simulation
 from heaved.cli.common import say
 
 # Before numpy is loaded: its matrices are tiny here, and a second BLAS thread costs milliseconds when it wakes.
@@ -65,8 +65,10 @@ for _command in (
     client.wait,
     client.watch,
     client.page,
-    setup.probe,
-    setup.calibrate,
+    probe.probe,
+    calibrate.calibrate,
+    service.install_service,
+    service.manual,
     recordings.replay,
     recordings.export,
     recordings.report,

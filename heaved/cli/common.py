@@ -23,6 +23,8 @@ EX_UNAVAILABLE = 69
 """The daemon cannot be reached (sysexits.h)."""
 EX_IOERR = 74
 """Nobody takes what is printed (sysexits.h)."""
+EX_NOPERM = 77
+"""It needs rights that the user has not (sysexits.h)."""
 EX_CONFIG = 78
 """The configuration has faults (sysexits.h)."""
 

@@ -89,15 +89,19 @@ def sim(
         str, typer.Option(metavar="X,Y,Z", help="Where its beam points; upwards, it looks at something over the ship.")
     ] = "0,0,-1",
     shake: ShakeName = "",
+    mru: Annotated[
+        str, typer.Option(help="Of an existing MRU (role reference_mru): delay=0.15,noise=0.01,highpass=100, s, m, s.")
+    ] = "",
     seed: Annotated[int, typer.Option(min=0, help="Of the sea and of all errors.")] = 1,
 ) -> None:
-    """Serve simulated Modbus sensors until Ctrl-C."""
+    """Serve simulated sensors until Ctrl-C: slaves on Modbus, and an existing MRU with its telegrams."""
     import tempfile
 
     from heaved.demo import demo as demonstration
     from heaved.simulate.faults import parse_faults
     from heaved.simulate.gauge import gauge_at
     from heaved.simulate.mounted import Mounted, parse_mounts, parse_tilt
+    from heaved.simulate.mru import parse_mru
     from heaved.simulate.play import Player, read_recording
 
     devices = (demonstration.demo_config() if config is None else load(config)).device
@@ -119,6 +123,7 @@ def sim(
                     gauge=gauge_at(laser_at, laser_beam),
                     shake=shake,
                     seed=seed,
+                    mru=parse_mru(mru),
                 )
                 if play is None
                 else Player(read_recording(play))

@@ -18,7 +18,8 @@ from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.hull import estimate as hull
 from heaved.estimation.lever_arm import Point
-from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.estimation.reference_mru import estimator as reference_mru
+from heaved.estimation.rock import params as rock
 from heaved.outputs.influx import InfluxParams
 from heaved.outputs.mqtt import MqttParams
 from heaved.outputs.register_map import RegistersParams
@@ -97,6 +98,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     hull: hull.Params = hull.Params()
     attitude: fusion.Params = fusion.Params()
     crane: crane.Params = crane.Params()
+    reference_mru: reference_mru.Params = reference_mru.Params()
     quiet: quiescence.Params = quiescence.Params()
     point: tuple[Point, ...] = ()
     compensation: CompensationParams = CompensationParams()

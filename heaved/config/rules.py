@@ -175,6 +175,8 @@ def cautions(config: Config) -> list[str]:
         found += _mounting_cautions(path, device)
         if device.role == "crane" and not config.crane.is_there:
             found.append(f"{path}.role: its readings go nowhere: [crane] does not say how the crane is built")
+        if device.role == "reference_mru" and not any(other.role == "imu" for other in config.device):
+            found.append(f'{path}.role: there is nothing to compare it with: no device of role "imu" is configured')
         if device.timeout_ms > 1e3 * LONG_TIMEOUT_S:
             found.append(
                 f"{path}.timeout_ms: {device.timeout_ms:g} ms of waiting for each lost answer, and nothing else is "
@@ -194,6 +196,11 @@ def cautions(config: Config) -> list[str]:
                     f"device {device.name}: timeout_ms {device.timeout_ms:g} is longer than the period of {names} on "
                     "the same line: each answer that it loses costs them polls; lower it, or give each its own line"
                 )
+    if config.correction.enabled and config.has_laser and importlib.util.find_spec("torch") is None:
+        found.append(
+            "correction.enabled: torch is not installed, so no correction is trained: pip install torch (of the Debian "
+            "package: heaved-torch), or set it to false"
+        )
     measured = next((_quantities(device) for device in config.device if device.role == "imu"), set())
     has_attitude = {"roll_rad", "pitch_rad"} <= measured
     if config.has_laser:
@@ -299,6 +306,9 @@ def _point_faults(file: Written) -> list[str]:
     wanted = file.tables.quiet.point
     if wanted and wanted not in [point.get("name") for point in points.values()]:
         faults.append(f"quiet.point: no [[point]] is named {wanted!r}")
+    wanted = file.tables.reference_mru.point
+    if wanted and wanted not in [point.get("name") for point in points.values()]:
+        faults.append(f"reference_mru.point: no [[point]] is named {wanted!r}")
     return faults
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import structlog
@@ -12,6 +12,7 @@ import structlog
 from heaved.daemon.supervise import cancelled, supervise
 from heaved.outputs.influx import InfluxOutput
 from heaved.outputs.mqtt import MqttOutput
+from heaved.outputs.output import Told
 from heaved.outputs.registers import register_output
 from heaved.outputs.telegram_output import TelegramOutput
 from heaved.outputs.telegrams.formats import FORMATS
@@ -86,15 +87,15 @@ class Outputs:
 
     def _wanted(self, config: Config) -> dict[object, Callable[[], Output]]:
         """By its table, how each output is made."""
-        told: dict[str, Any] = {"status": self._status, "utc_s": self._utc_s, "clock": self._clock}
+        told = Told(self._status, self._utc_s, self._clock)
         wanted: dict[object, Callable[[], Output]] = {spec: self._telegrams(spec) for spec in config.output}
         registers, points = config.registers, tuple(point.name for point in config.point)
         if registers.enabled:
             wanted[registers, points] = partial(register_output, registers, points, self._utc_s, self._clock)
         if config.mqtt.enabled:
-            wanted["mqtt", msgspec.json.encode(config.mqtt)] = partial(MqttOutput, config.mqtt, **told)
+            wanted["mqtt", msgspec.json.encode(config.mqtt)] = partial(MqttOutput, config.mqtt, told)
         if config.influx.enabled:
-            wanted["influx", msgspec.json.encode(config.influx)] = partial(InfluxOutput, config.influx, **told)
+            wanted["influx", msgspec.json.encode(config.influx)] = partial(InfluxOutput, config.influx, told)
         if config.recording.enabled and self._recording is not None:
             wanted[config.recording] = partial(self._recording, config)
         return wanted

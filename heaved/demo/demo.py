@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 
     from heaved.config import Config
     from heaved.simulate.faults import PlannedFault
+    from heaved.simulate.mru import MruModel
     from heaved.simulate.slave import Source
 
 SERIAL_BAUDRATE: Final = 230_400
@@ -77,9 +78,11 @@ def demo_config() -> Config:
 
 
 def on_serial_line(devices: Sequence[DeviceSpec], directory: Path) -> tuple[DeviceSpec, ...]:
-    """The devices on one simulated serial line, a pseudo-terminal that appears as ``directory/bus``."""
+    """The devices on one simulated serial line, a pseudo-terminal that appears as ``directory/bus``; those that
+    speak by themselves stay where they are.
+    """
     link = f"rtu://{directory}/bus?baudrate={SERIAL_BAUDRATE}"
-    return tuple(msgspec.structs.replace(device, link=link) for device in devices)
+    return tuple(msgspec.structs.replace(device, link=link) if device.is_asked else device for device in devices)
 
 
 def how_to_look(config: Config) -> list[str]:
@@ -111,6 +114,7 @@ def instruments(
     gauge: Gauge = AT_THE_IMU,
     shake: str = NONE,
     seed: int = SEED,
+    mru: MruModel | None = None,
 ) -> Instruments:
     """Sensors in a sea, shaken by what that name says. With sensors of a craft among the ``devices``, the default craft
     makes a voyage of its own.
@@ -121,7 +125,7 @@ def instruments(
     at_sea = any(device.role in ("craft", "heave_sensor", "pitch_sensor") for device in devices)
     voyage = voyages(Vessel(), [seed], Passage())[0] if at_sea else None
     return Instruments(
-        seaway(sea, seed), sensor=sensor, laser=laser, gauge=gauge, shake=shake, seed=seed, voyage=voyage
+        seaway(sea, seed), sensor=sensor, laser=laser, gauge=gauge, shake=shake, seed=seed, voyage=voyage, mru=mru
     )
 
 

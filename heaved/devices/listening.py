@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 from heaved.devices.liveness import LivenessCheck
 from heaved.devices.mounting import mounting_of
 from heaved.devices.profile import Decoded, DeviceSpec, Quantity, role_quantities
-from heaved.devices.sentences import SentenceReader
+from heaved.devices.sentences import SentenceReader, name_of
 from heaved.devices.station import KINDS, PollResult
 from heaved.host_name import HostName
 from heaved.links import AnyLink, SerialLink, TcpLink, UdpListenLink, explain_open_failure, parse_any_link
@@ -188,7 +188,7 @@ class Listening:
             await asyncio.sleep(max(min(self._silence_s - quiet_s, self._period_s), 1e-3))
 
     def _silence_in_words(self, quiet_s: float) -> str:
-        wanted = " or ".join(sentence.header for sentence in self._device.profile.sentences)
+        wanted = " or ".join(map(name_of, self._device.profile.sentences))
         if self._stranger:
             return f"sentences from {self._stranger} are not taken: name its network in the device's allow"
         if heard := self._reader.heard():

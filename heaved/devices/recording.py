@@ -272,14 +272,16 @@ class Recording:
 
 def _numbers(cells: tuple[str, ...]) -> list[float] | None:
     """The numbers in some cells, nan for a blank one; None: one is no finite number in plain digits, and not blank."""
-    if "" not in cells:
-        try:
-            # Four times as fast as float(), to the same digits, and stricter: what it does not take is looked at again.
-            found = _DECODER.decode(f"[{','.join(cells)}]")
-        except msgspec.DecodeError:
-            found = []
-        if len(found) == len(cells):
-            return found
+    blank = [i for i, cell in enumerate(cells) if not cell] if "" in cells else []
+    try:
+        # Four times as fast as float(), to the same digits, and stricter: what it does not take is looked at again.
+        found = _DECODER.decode(f"[{','.join([cell or '0' for cell in cells] if blank else cells)}]")
+    except msgspec.DecodeError:
+        found = []
+    if len(found) == len(cells):
+        for i in blank:
+            found[i] = nan
+        return found
     try:
         found = [float(cell) if cell else nan for cell in cells]
     except ValueError:

@@ -22,7 +22,7 @@ from heaved.devices.profile import (
     role_quantities,
 )
 from heaved.devices.timer import Pace
-from heaved.samples import CraftSample, CraneSample, Fault, ImuSample, LaserSample, RatesSample, Sample
+from heaved.samples import CraftSample, CraneSample, Fault, ImuSample, LaserSample, MruSample, RatesSample, Sample
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -37,6 +37,7 @@ KINDS: Final[dict[Role, Callable[..., Sample]]] = {
     "heave_sensor": CraftSample,
     "pitch_sensor": CraftSample,
     "crane": CraneSample,
+    "reference_mru": MruSample,
 }
 """The samples by the role of the device."""
 

@@ -20,7 +20,7 @@ from heaved.estimation.imu.attitude import UNKNOWN, Attitude, predicted
 from heaved.estimation.imu.vertical import NO_LEVEL, NO_RATES
 from heaved.estimation.lever_arm import AttitudeMotion, Point
 from heaved.estimation.point_motion import Ahead, Moment, PointMotions
-from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S
+from heaved.estimation.rock.params import STANDARD_HORIZONS_S
 from heaved.samples import (
     CorrectionState,
     DelayedHeave,
@@ -203,6 +203,7 @@ class MotionFrames:
             crane_pitch_rad=crane_pitch,
             crane_yaw_rad=crane_yaw,
             hull=stages.angles,
+            reference_mru=stages.reference_mru,
             attitude=stages.motion,
         )
 

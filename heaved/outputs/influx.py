@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import socket
-import time
 from base64 import b64encode
 from collections import deque
 from contextlib import suppress
@@ -24,16 +23,14 @@ from heaved.host_name import HostName
 from heaved.links import explain_no_connection, parse_service_link
 from heaved.outputs.credentials import explain_tls, read_secret, tls_context
 from heaved.outputs.line_protocol import Lines
-from heaved.outputs.output import OutputHealth
+from heaved.outputs.output import OutputHealth, Told
 from heaved.outputs.slower import Slower
 
 if TYPE_CHECKING:
     import ssl
-    from collections.abc import Callable
 
     import aiohttp
 
-    from heaved.outputs.records import StatusRecord
     from heaved.samples import MotionFrame
 
 PORTS: Final = {"http": 8086, "https": 8086, "udp": 8089}
@@ -104,25 +101,14 @@ class InfluxOutput:
             ``refused``, the database said what is wrong with them.
     """
 
-    def __init__(
-        self,
-        params: InfluxParams,
-        *,
-        status: Callable[[], StatusRecord],
-        utc_s: Callable[[float], float],
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        """``status``: makes the STATUS of now; ``utc_s``: UTC, seconds since 1970, of a time on ``clock``, the
-        monotonic clock of the frames.
-
+    def __init__(self, params: InfluxParams, told: Told) -> None:
+        """
         Raises:
             ValueError: the link cannot be understood.
         """
         self._params = params
         self._link = parse_service_link(params.link, PORTS)
-        self._status = status
-        self._utc_s = utc_s
-        self._clock = clock
+        self._status, self._utc_s, self._clock = told.status, told.utc_s, told.clock
         self._slower = Slower(params.rate_hz)
         self._lines = Lines(params.measurement, {"host": socket.gethostname(), **params.tags})
         self._waiting: deque[bytes] = deque()

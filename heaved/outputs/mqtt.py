@@ -2,8 +2,8 @@
 
 Under the topic ``heaved``, unless another is configured:
 
-* ``heaved/motion``, ``/sea``, ``/delayed``, ``/hull``, ``/attitude``, ``/quiet``: MOTION and so on, as the stream has
-  them, the first at a rate of its own and with it what is new of the others.
+* ``heaved/motion``, ``/sea``, ``/delayed``, ``/hull``, ``/attitude``, ``/reference_mru``, ``/quiet``: MOTION and so on,
+  as the stream has them (REFERENCE is the sixth), the first at a rate of its own and with it what is new of the others.
 * ``heaved/status``: STATUS, retained.
 * ``heaved/availability``: ``online`` or ``offline``, retained; the broker itself says ``offline`` when we are lost.
 
@@ -16,7 +16,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import socket
-import time
 from collections import deque
 from contextlib import suppress
 from functools import partial
@@ -29,15 +28,12 @@ from heaved.host_name import HostName
 from heaved.links import explain_no_connection, parse_service_link
 from heaved.outputs import wire
 from heaved.outputs.credentials import explain_tls, read_secret, tls_context
-from heaved.outputs.output import OutputHealth
+from heaved.outputs.output import OutputHealth, Told
 from heaved.outputs.slower import SLOW, Slower
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import aiomqtt
 
-    from heaved.outputs.records import StatusRecord
     from heaved.samples import MotionFrame
 
 PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
@@ -112,25 +108,14 @@ class MqttOutput:
             broke while a message was under way.
     """
 
-    def __init__(
-        self,
-        params: MqttParams,
-        *,
-        status: Callable[[], StatusRecord],
-        utc_s: Callable[[float], float],
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        """``status``: makes the STATUS of now; ``utc_s``: UTC, seconds since 1970, of a time on ``clock``, the
-        monotonic clock of the frames.
-
+    def __init__(self, params: MqttParams, told: Told) -> None:
+        """
         Raises:
             ValueError: the link cannot be understood.
         """
         self._params = params
         self._link = parse_service_link(params.link, PORTS)
-        self._status = status
-        self._utc_s = utc_s
-        self._clock = clock
+        self._status, self._utc_s, self._clock = told.status, told.utc_s, told.clock
         self._host = HostName(self._link.host)
         self._slower = Slower(params.rate_hz)
         self._sequence = self._dropped = 0

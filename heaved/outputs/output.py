@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
+import msgspec
 import structlog
+
+from heaved.outputs.records import StatusRecord
 
 if TYPE_CHECKING:
     from heaved.samples import MotionFrame
@@ -27,6 +32,17 @@ class Output(Protocol):
 
     async def run(self) -> None:
         """Keep what it needs (a connection, a port), for ever; when cancelled, give all of it back."""
+
+
+class Told(msgspec.Struct, frozen=True):
+    """What an output may ask the daemon."""
+
+    status: Callable[[], StatusRecord]
+    """Makes the STATUS of now."""
+    utc_s: Callable[[float], float]
+    """UTC, seconds since 1970, of a time on ..."""
+    clock: Callable[[], float] = time.monotonic
+    """... the monotonic clock of the frames."""
 
 
 class OutputHealth:

@@ -182,7 +182,10 @@ class Subscriber(asyncio.Protocol):
 
     def wants(self, name: str, t_s: float) -> bool:
         """Whether it watches class ``name`` and a line of this time is due; to be asked once for each."""
-        return name in self.classes and self._due[name].is_due(t_s)
+        if name not in self.classes:
+            return False
+        due = self._due.get(name)
+        return due is None or due.is_due(t_s)
 
     def send_motion(self, line: bytes, head: bytes, t_s: float) -> bool:
         """Whether ``line`` was written now, instead of ``head`` queued."""
@@ -277,7 +280,8 @@ class Subscriber(asyncio.Protocol):
     def _watch(self, wanted: Subscription) -> None:
         self.classes = frozenset(wanted.classes)
         self._period_s = 0.0 if wanted.rate_hz is None else 1.0 / wanted.rate_hz
-        self._due = {name: DueTimes(wanted.rate_hz) for name in self.classes}
+        self._due = {} if wanted.rate_hz is None else {name: DueTimes(wanted.rate_hz) for name in self.classes}
+        """Of classes of which not all is wanted."""
 
     def _complain(self, message: str) -> None:
         self._errors += 1

@@ -1,7 +1,6 @@
 """The web server of the page: a handful of files and one stream of events, GET and HEAD, nothing that can be changed.
 
-Who may ask is decided before a byte of what is asked is looked at. The page needs nothing from elsewhere: a ship has no
-internet.
+The page needs nothing from elsewhere: a ship has no internet.
 """
 
 from __future__ import annotations
@@ -19,9 +18,9 @@ from typing import TYPE_CHECKING, Final
 import structlog
 from aiohttp import web
 
-from heaved.networks import is_allowed, is_loopback_host, parse_networks
-from heaved.outputs.http import BoundedServer, Refusal, forbidden, log_of_faults
-from heaved.outputs.listen import Listener, ListenError
+from heaved.networks import is_loopback_host, parse_networks
+from heaved.outputs.http_listener import HttpListener
+from heaved.outputs.listen import ListenError
 from heaved.page.follower import Follower
 from heaved.page.hub import Hub
 from heaved.text import printable
@@ -42,8 +41,6 @@ STUCK_S: Final = 10.0
 """A browser that takes nothing for so long is disconnected."""
 _SEND_BUFFER_BYTES: Final = 32 * 1024
 """Small, so that what a sleeping browser will find is seconds old, not minutes. Linux doubles it."""
-_IDLE_S: Final = 15.0
-_SHUTDOWN_S: Final = 0.2
 _METHODS: Final = ("GET", "HEAD")
 
 _TYPES: Final = {
@@ -126,10 +123,10 @@ class PageServer:
             PageError: ``host`` reaches beyond this machine and ``allow`` names no network, or an entry is none.
         """
         try:
-            self._networks = parse_networks(allow)
+            networks = parse_networks(allow)
         except ValueError as error:
             raise PageError(f"--{error}") from error
-        if not self._networks and not is_loopback_host(host):
+        if not networks and not is_loopback_host(host):
             raise PageError(
                 f"--host {host} can be reached from other machines: name the networks that may look, "
                 "for example --allow 192.168.10.0/24"
@@ -139,11 +136,18 @@ class PageServer:
         self._files = static_files()
         self.hub = Hub(_digest(self._files), clock)
         self._follower = Follower(stream_host, stream_port, self.hub, clock)
-        self._listener = Listener("page", host, port, self._admit)
+        self._listener = HttpListener(
+            "page",
+            host,
+            port,
+            networks=networks,
+            refusal="is in no network that heaved page was started with (--allow)",
+            most=_MOST_CONNECTIONS,
+            answer=self._answer,
+            complain=self._complain,
+        )
         machine = socket.gethostname()
         self._names = (host, machine, f"{machine}.local")
-        self._server: BoundedServer | None = None
-        self._refused: set[Refusal] = set()
         self._following: asyncio.Task[None] | None = None
 
     async def start(self) -> tuple[str, int]:
@@ -152,14 +156,6 @@ class PageServer:
         Raises:
             PageError: the address cannot be bound; says what to do.
         """
-        self._server = BoundedServer(
-            self._answer,
-            most=_MOST_CONNECTIONS,
-            turned_away=lambda: self._complain("too_many_connections", f"{_MOST_CONNECTIONS} connections are open"),
-            access_log=None,
-            logger=log_of_faults(self._complain),
-            keepalive_timeout=_IDLE_S,
-        )
         try:
             address = await self._listener.start()
         except ListenError as error:
@@ -173,31 +169,16 @@ class PageServer:
 
     async def close(self) -> None:
         """Stop listening and following, and end every connection."""
-        self._listener.close()
         if self._following is not None:
             self._following.cancel()
             await asyncio.wait([self._following])
             self._following = None
-        for peer in tuple(self._refused):
-            peer.abort()
-        if self._server is not None:
-            self._server.pre_shutdown()
-            await self._server.shutdown(_SHUTDOWN_S)
-            self._server = None
+        await self._listener.close()
 
     async def failed(self) -> None:
         """Wait for what should never be: raises what the follower has ended with."""
         assert self._following is not None
         await self._following
-
-    def _admit(self, address: str) -> asyncio.Protocol:
-        """What serves a peer that has just connected."""
-        assert self._server is not None
-        if is_allowed(address, self._networks):
-            return self._server()
-        message = f"{address} is in no network that heaved page was started with (--allow)"
-        self._complain("not_allowed", message)
-        return Refusal(self._refused, forbidden(message))
 
     def _complain(self, reason: str, message: str) -> None:
         _log.warning("page client error", reason=reason, error=message, alike=reason)

@@ -11,7 +11,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from heaved.recorder import messages
-from heaved.recorder.layout import CALLS, FRAMES, SAMPLES, Column, Header, Layout, Stored, exact_name, table_columns
+from heaved.recorder.layout import CALLS, FRAMES, SAMPLES, Column, Header, Stored, exact_name, table_columns
 from heaved.samples import Fault
 
 if TYPE_CHECKING:
@@ -246,15 +246,6 @@ class FrameRows:
 # ---- and back --------------------------------------------------------------------------------------------------------
 
 
-def column_of(field: Any) -> Column | None:
-    """What a column of a file is; None: it is not one of ours."""
-    said = (field.metadata or {}).get(COLUMN_KEY)
-    try:
-        return None if said is None else msgspec.json.decode(said, type=Column)
-    except msgspec.MsgspecError:
-        return None
-
-
 def header_of(schema: Any, table: str) -> Header | None:
     """Who a file is of; None: it is no such table of ours.
 
@@ -281,14 +272,8 @@ class _Version(msgspec.Struct, frozen=True):
     format: int
 
 
-def values_of(layout: Layout, table: str, batch: Any, name: str) -> Doubles:
-    """Values (n,) of a column of numbers; nan where there is none."""
-    column = next(column for column in table_columns(layout, table) if column.name == name)
-    return numbers_to_values(column, batch.column(name))
-
-
 def numbers_to_values(column: Column, array: Any) -> Doubles:
-    """Likewise, of an array of Arrow."""
+    """Values (n,) of an array of Arrow that is a column of numbers; nan where there is none."""
     is_null = array.is_null().to_numpy(zero_copy_only=False)
     filled = array.fill_null(0) if array.null_count else array
     values = restored(column, filled.to_numpy(zero_copy_only=False))

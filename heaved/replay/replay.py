@@ -188,7 +188,9 @@ class Run:
         self.config = config
         self.number = 1
         self.pipeline = assembled(
-            config, Stages(config.hull, config.attitude, config.crane), has_laser=recording.has_laser
+            config,
+            Stages(config.hull, config.attitude, config.crane, config.reference_mru),
+            has_laser=recording.has_laser,
         )
         self.fit: SeaFit | None = None
         self._trainer = trainer
@@ -208,12 +210,12 @@ class Run:
         recording, pipeline, tally = self.recording, self.pipeline, self._tally
         for number, sample in enumerate(_samples(recording, until_s, tally), start=1):
             frame = pipeline.step(sample)
-            if (past := pipeline.fit_due()) is not None:
-                tally.fits[self._fit(past)] += 1
-            if (window := pipeline.training_due()) is not None:
-                tally.trainings[pipeline.accept(self._trainer.fit(window))] += 1
             if frame is not None:
                 tally.count(frame.t_s, frame.quality)
+                if (past := pipeline.fit_due()) is not None:
+                    tally.fits[self._fit(past)] += 1
+                if (window := pipeline.training_due()) is not None:
+                    tally.trainings[pipeline.accept(self._trainer.fit(window))] += 1
             yield sample, frame
             if progress is not None and number % PROGRESS_SAMPLES == 0:
                 progress(recording.read_bytes, recording.total_bytes)

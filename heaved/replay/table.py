@@ -10,7 +10,7 @@ from collections import deque
 from math import inf, nan
 from typing import TYPE_CHECKING, Final, TypeVar
 
-from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S
+from heaved.estimation.rock.params import STANDARD_HORIZONS_S
 from heaved.outputs.fields import ATTITUDE, FORECAST, HULL, HULL_STD, MOTION, ROCK, compiled
 from heaved.samples import CraftMotion, DelayedHeave, HeaveForecast, HullAngles, MotionFrame, RockPrediction
 

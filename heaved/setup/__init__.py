@@ -1,1 +1,1 @@
-"""From a box to a service: what finds devices, measures how they are mounted, and writes the configuration."""
+"""From a box to a service: what is done once, before the daemon runs."""

@@ -16,6 +16,7 @@ from heaved.simulate.crane import CraneAtWork, CraneSensors
 from heaved.simulate.gauge import AT_THE_IMU, Gauge
 from heaved.simulate.gyro_shaking import GyroLine, GyroShake
 from heaved.simulate.hydrofoil import CraftShake, CraftShaking, Passage, Voyage
+from heaved.simulate.mru import MruModel, SimulatedMru
 from heaved.simulate.second_imu import CraneBase, SecondImu
 from heaved.simulate.sensors import (
     LASER_NOISE_M,
@@ -187,10 +188,10 @@ class Instruments:
     def __init__(
         self, sea: MotionSource, *, sensor: str | ImuModel = "A", laser: str = "on", shake: str | Shake = NONE,
         seed: int = 1, base: CraneBase | None = None, voyage: Voyage | None = None, crane: CraneAtWork | None = None,
-        gauge: Gauge = AT_THE_IMU,
+        gauge: Gauge = AT_THE_IMU, mru: MruModel | None = None,
     ) -> None:  # fmt: skip
         """``base``: of a second IMU. ``voyage``: of a craft, whose sensors share no sea with the others. ``crane``: by
-        default one at work. ``gauge``: where the laser is.
+        default one at work. ``gauge``: where the laser is. ``mru``: an existing motion reference unit at the IMU.
 
         Raises:
             ValueError: unknown ``sensor`` (:data:`SENSORS`), ``laser`` pattern (:func:`laser_pattern`) or ``shake``
@@ -213,6 +214,7 @@ class Instruments:
         self._craft: dict[str, CraftSensors] = {}
         self.crane = crane or CraneAtWork(seed=seed)
         self._encoders: dict[str, CraneSensors] = {}
+        self._mru, self._mrus = mru or MruModel(), dict[str, SimulatedMru]()
 
     def read(self, device: DeviceSpec, t_s: float) -> Sample:
         """What ``device`` measures at ``t_s``, seconds from the start of the simulation."""
@@ -228,6 +230,10 @@ class Instruments:
             if device.name not in self._encoders:
                 self._encoders[device.name] = CraneSensors(self.crane, seed=self._seed, name=device.name)
             return self._encoders[device.name].read(t_s)
+        if device.role == "reference_mru":
+            if device.name not in self._mrus:
+                self._mrus[device.name] = SimulatedMru(self._sea, self._mru, seed=self._seed, name=device.name)
+            return self._mrus[device.name].read(t_s)
         if device.role != "imu":
             return self._craft_sensors(device).read(t_s) if self._voyage else CraftSample(t_s=t_s)
         if device.name not in self._imus:

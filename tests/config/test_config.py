@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from heaved.config import Config
 from heaved.config.read import ConfigError, data_directory, load, parse
 from heaved.config.rules import cautions, rate_faults
-from heaved.devices.profile import Block, DeviceSpec, Field, Profile, Sentence, SentenceField
+from heaved.devices.profile import Block, Condition, DeviceSpec, Field, Profile, Sentence, SentenceField
 from heaved.estimation.lever_arm import Point
 from heaved.outputs.telegrams.spec import OutputSpec
 
@@ -94,7 +94,7 @@ FAULTS: dict[str, tuple[str, str]] = {
     "wrong type": ('[stream]\nport = "5570"', "stream.port: Expected `int`, got `str` (got '5570')"),
     "out of range": ("[stream]\nport = 70000", "stream.port: Expected `int` <= 65535 (got 70000)"),
     "no such choice": ('[heave]\nobserver = "kalman"', "heave.observer: must be 'harmonic' or 'sea' (got 'kalman')"),
-    "no such role": (LASER.replace('role = "laser"', 'role = "gps"'), "'pitch_sensor' or 'crane' (got 'gps')"),
+    "no such role": (LASER.replace('role = "laser"', 'role = "gps"'), "'crane' or 'reference_mru' (got 'gps')"),
     "neither sign": ("[laser]\nsign = 2", "laser.sign: must be 1 or -1 (got 2)"),
     "a laser on another ship": ("[laser]\nforward_m = 501", "laser.forward_m: Expected `float` <= 500.0 (got 501)"),
     "a laser nowhere": ("[laser]\nup_m = nan", "laser.up_m: Expected `float` >= -500.0 (got nan)"),
@@ -421,6 +421,16 @@ def test_what_a_mounting_costs_is_said(rotation: str, profile: str, expected: li
     assert all(part in caution for part, caution in zip(expected, found, strict=True))
 
 
+def test_a_correction_needs_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = load(data_directory() / "heaved.toml")
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    (said,) = cautions(config)
+    assert said.startswith("correction.enabled: torch is not installed, so no correction is trained")
+    assert not cautions(msgspec.structs.replace(config, device=config.device[:1]))
+    off = msgspec.structs.replace(config.correction, enabled=False)
+    assert not cautions(msgspec.structs.replace(config, correction=off))
+
+
 @pytest.mark.parametrize("name", ["heaved.toml", "demo.toml", "sensors.toml", "hull.toml", "hydrofoil.toml"])
 def test_packaged_files_need_no_caution(name: str) -> None:
     assert cautions(load(data_directory() / name)) == []
@@ -598,7 +608,7 @@ def test_the_default_file_documents_devices_and_profiles() -> None:
         assert field.name in device
         if not field.required and field.name != "device_id":
             assert msgspec.convert(device[field.name], field.type) == field.default
-    for kind in (Profile, Block, Field, Sentence, SentenceField):
+    for kind in (Profile, Block, Field, Sentence, SentenceField, Condition):
         for field in msgspec.structs.fields(kind):
             assert re.search(rf"(?m)^#.*\b{field.name}\b", text), f"{field.name} of {kind.__name__} is not documented"
 

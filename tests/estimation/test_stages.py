@@ -17,7 +17,7 @@ from heaved.estimation.hull import estimate as hull
 from heaved.estimation.hull.refit import refit
 from heaved.estimation.hull.stage import HullStage
 from heaved.estimation.lever_arm import Point
-from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.estimation.rock import params as rock
 from heaved.estimation.stages import Stages
 from heaved.pipeline import Pipeline, assemble
 from heaved.samples import CraftSample, Fault, ImuSample, MotionFrame, RatesSample, Sample

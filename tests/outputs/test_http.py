@@ -18,6 +18,7 @@ from stream_peers import make_frame
 from structlog.testing import capture_logs
 
 from heaved.outputs import http as http_module
+from heaved.outputs import http_listener
 from heaved.outputs.http import HttpServer, Verdict, liveness, readiness
 from heaved.outputs.listen import ListenError
 from heaved.samples import HeaveState
@@ -126,7 +127,7 @@ async def test_other_paths_and_methods(server: tuple[str, int]) -> None:
 async def test_a_peer_outside_the_list(
     server: tuple[str, int], health: Health, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(http_module, "is_allowed", lambda _address, _networks: False)
+    monkeypatch.setattr(http_listener, "is_allowed", lambda _address, _networks: False)
     status, _, body = await fetch(server, "/metrics")
     assert status == 403
     assert json.loads(body) == {"error": "127.0.0.1 is not in a network of [http] allow"}
@@ -137,7 +138,7 @@ async def test_a_peer_outside_the_list(
 async def test_what_a_peer_outside_the_list_says_is_not_looked_at(
     server: tuple[str, int], health: Health, monkeypatch: pytest.MonkeyPatch, said: bytes
 ) -> None:
-    monkeypatch.setattr(http_module, "is_allowed", lambda _address, _networks: False)
+    monkeypatch.setattr(http_listener, "is_allowed", lambda _address, _networks: False)
     monkeypatch.setattr(web.Server, "__call__", lambda _self: pytest.fail("HTTP is spoken"))
     reader, writer = await asyncio.open_connection(*server)
     writer.write(said)

@@ -21,6 +21,7 @@ from stream_peers import make_frame, make_status
 from heaved.outputs import influx
 from heaved.outputs.influx import InfluxOutput, InfluxParams
 from heaved.outputs.line_protocol import Lines, encode
+from heaved.outputs.output import Told
 from heaved.samples import DelayedHeave, PointMotion, SeaState, WaveSystem
 
 if TYPE_CHECKING:
@@ -176,9 +177,7 @@ async def output(link: str, **params: Any) -> AsyncIterator[InfluxOutput]:
     """One that runs, and is stopped as the daemon does it."""
     made = InfluxOutput(
         InfluxParams(enabled=True, link=link, **{"batch_s": 0.1, **params}),
-        status=make_status,
-        utc_s=lambda t_s: 1.7e9 + t_s,
-        clock=lambda: 100.0,
+        Told(make_status, lambda t_s: 1.7e9 + t_s, lambda: 100.0),
     )
     task = asyncio.create_task(made.run())
     try:

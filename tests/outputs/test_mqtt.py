@@ -32,7 +32,7 @@ from stream_peers import make_frame, make_status
 
 from heaved.outputs import mqtt, wire
 from heaved.outputs.mqtt import MqttOutput, MqttParams
-from heaved.outputs.output import OutputHealth
+from heaved.outputs.output import OutputHealth, Told
 from heaved.samples import DelayedHeave, SeaState
 
 if TYPE_CHECKING:
@@ -72,9 +72,7 @@ async def output(link: str, **params: Any) -> AsyncIterator[MqttOutput]:
     """One that runs, and is stopped as the daemon does it."""
     made = MqttOutput(
         MqttParams(enabled=True, link=link, **params),
-        status=make_status,
-        utc_s=lambda t_s: 1.7e9 + t_s,
-        clock=Clock(),
+        Told(make_status, lambda t_s: 1.7e9 + t_s, Clock()),
     )
     made.health = Health(made.health)
     task = asyncio.create_task(made.run())
@@ -233,10 +231,11 @@ PUBLISHER = """
 import asyncio, sys
 from stream_peers import make_status
 from heaved.outputs.mqtt import MqttOutput, MqttParams
+from heaved.outputs.output import Told
 
 async def main():
     params = MqttParams(enabled=True, link=sys.argv[1])
-    await MqttOutput(params, status=make_status, utc_s=lambda t_s: t_s).run()
+    await MqttOutput(params, Told(make_status, lambda t_s: t_s)).run()
 
 asyncio.run(main())
 """
@@ -289,7 +288,7 @@ async def test_two_with_one_id_are_told_so(tmp_path: Path) -> None:
 
 
 async def test_while_the_broker_is_slow_what_waits_is_bounded() -> None:
-    out = MqttOutput(MqttParams(enabled=True, rate_hz=100.0), status=make_status, utc_s=lambda t_s: t_s, clock=Clock())
+    out = MqttOutput(MqttParams(enabled=True, rate_hz=100.0), Told(make_status, lambda t_s: t_s, Clock()))
     out._is_connected = True
     for i in range(1000):
         out.publish(make_frame(100.0 + 0.01 * i))
@@ -313,7 +312,7 @@ class EverMore:
 
 async def test_the_status_is_sent_however_much_else_waits() -> None:
     params = MqttParams(enabled=True, rate_hz=100.0, status_period_s=0.02)
-    out = MqttOutput(params, status=make_status, utc_s=lambda t_s: t_s, clock=Clock())
+    out = MqttOutput(params, Told(make_status, lambda t_s: t_s, Clock()))
     client = EverMore(out)
     sending = asyncio.create_task(out._send(client))  # type: ignore[arg-type]
     await until_true(lambda: client.topics.count("heaved/status") > 2, lambda: client.topics[:20])

@@ -15,7 +15,7 @@ import pytest
 from stream_peers import Serve, make_frame, make_status
 from waiting import PATIENCE_S, holds
 
-from heaved.outputs import wire
+from heaved.outputs import http_listener, wire
 from heaved.page import server as server_module
 from heaved.page.server import PageError, PageServer, is_own_host, static_files
 
@@ -222,7 +222,7 @@ async def test_a_port_that_is_taken_is_said() -> None:
 
 
 async def test_who_is_in_no_allowed_network_is_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server_module, "is_allowed", lambda address, networks: False)
+    monkeypatch.setattr(http_listener, "is_allowed", lambda address, networks: False)
     async with page_of() as (_, host, port):
         status, _, body = await get(host, port, "/")
         assert status == 403

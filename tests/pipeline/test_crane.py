@@ -15,7 +15,7 @@ from heaved.devices.recording import Recording as File
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.lever_arm import Point
-from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.estimation.rock import params as rock
 from heaved.estimation.stages import Stages
 from heaved.pipeline import Pipeline, assemble
 from heaved.replay.replay import replay

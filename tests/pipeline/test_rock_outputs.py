@@ -17,7 +17,7 @@ from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.forecast_check import DOUBT, ForecastCheck
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.lever_arm import Point
-from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.estimation.rock import params as rock
 from heaved.outputs import wire
 from heaved.outputs.requests import Subscription, parse_request
 from heaved.pipeline import Pipeline, assemble

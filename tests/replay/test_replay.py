@@ -18,7 +18,7 @@ from heaved.config import Config
 from heaved.devices.recording import COLUMNS, RecordingError
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, lead
-from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.estimation.rock import params as rock
 from heaved.replay.replay import OutputError, Summary, Tally, replay
 from heaved.replay.table import MAX_STEP_S, Table
 from heaved.samples import (

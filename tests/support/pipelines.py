@@ -10,7 +10,7 @@ from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.heave.sea.refit import look
 from heaved.estimation.imu.conditioning import Conditioned
 from heaved.estimation.lever_arm import Point
-from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.estimation.rock import params as rock
 from heaved.estimation.rock.estimator import RockEstimator
 from heaved.pipeline import Pipeline, assemble
 from heaved.samples import ImuSample, LaserSample, MotionFrame, RockPrediction, Sample

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 from evidence.rock.paper import SCENES, evaluate, figure, report
 
-from heaved.estimation.rock.maximum_likelihood import Params
+from heaved.estimation.rock.params import Params
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -30,7 +30,7 @@ from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.heave.sea.refit import look
 from heaved.estimation.lever_arm import Point
-from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.estimation.rock import params as rock
 from heaved.estimation.stages import Stages
 from heaved.pipeline import Pipeline, assemble
 from heaved.simulate.crane import CraneAtWork, CraneBuild, CraneModel, CraneSensors, Encoders, height_m

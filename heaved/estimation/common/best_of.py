@@ -2,6 +2,9 @@
 
 Source: CN 104787260 A, where the filter with the smaller evaluation wins at every instant: that is ``memory_s = 0``.
 The evaluation is the squared innovation before the update, which needs no truth.
+
+Among predictions it is another question (:class:`heaved.estimation.rock.experts.Switch`): their errors are known a
+horizon later, an expert may be unavailable, and what is wanted is how far off the chosen one will be, too.
 """
 
 from __future__ import annotations

@@ -142,5 +142,3 @@ class HullEstimate(msgspec.Struct, frozen=True, eq=False, gc=False, kw_only=True
     """(3, 3) of the total about the hull's axes, as the filter has it: without the floor."""
     bias_radps: tuple[float, float, float] = (nan, nan, nan)
     """Gyro bias, local minus midships, local axes."""
-    flexure_std_rad: tuple[float, float, float] = (nan, nan, nan)
-    """sigma per axis, assumed or fitted."""

@@ -410,7 +410,6 @@ class HullDeformation:
             static=C0,
             covariance_rad2=covariance,
             bias_radps=_three(f.bias_radps),
-            flexure_std_rad=_three(self._flexure.std_rad),
         )
 
 

@@ -117,10 +117,14 @@ class AttitudePropagator:
 
     Attributes:
         latest: roll and pitch of the last sample, or of when they were last known.
+        are_rates_measured: whether body rates that are believed came with the last sample.
+        rates: derivatives of roll and pitch at the last sample, rad/s.
     """
 
     def __init__(self) -> None:
         self.latest = UNKNOWN
+        self.are_rates_measured = False
+        self.rates = (nan, nan)
         self._line_s = TUNING.line_s
         """For so long a straight line is as good as it has to be."""
         self._t_s = self._roll_rate = self._pitch_rate = self._yaw_rate = nan
@@ -142,18 +146,6 @@ class AttitudePropagator:
     def are_rates_believed(self) -> bool:
         """Whether the body rates have led from angle to angle."""
         return self._rated >= TUNING.compared and self._off_square < TUNING.agreed**2 * self._moved_square
-
-    @property
-    def are_rates_measured(self) -> bool:
-        """Whether body rates that are believed came with the last sample."""
-        return self.latest.t_s == self._t_s and self.are_rates_believed and isfinite(self._roll_rate + self._pitch_rate)
-
-    @property
-    def rates(self) -> tuple[float, float]:
-        """Derivatives of roll and pitch at the last sample, rad/s."""
-        if self.are_rates_measured:
-            return self._roll_rate, self._pitch_rate
-        return self.latest.roll_rate_radps, self.latest.pitch_rate_radps
 
     @property
     def yaw_rate_radps(self) -> float:
@@ -183,6 +175,10 @@ class AttitudePropagator:
                 )
             now = later or predicted(t_s, now, rock) or now
         self.latest = now
+        self.rates = self._roll_rate, self._pitch_rate
+        self.are_rates_measured = now.t_s == self._t_s and self.are_rates_believed and isfinite(sum(self.rates))
+        if not self.are_rates_measured:
+            self.rates = now.roll_rate_radps, now.pitch_rate_radps
 
     def _turn(self, sample: ImuSample, roll_rad: float, pitch_rad: float) -> tuple[float, float]:
         """What the angles have turned by since the last rates; nan: too long ago, or they were not known."""
@@ -226,23 +222,32 @@ class AttitudePropagator:
 
 
 def predicted(t_s: float, last: Attitude, rock: Sequence[RockPrediction]) -> Attitude | None:
-    """The angles of a moment from what was predicted from it, if they are known well: back along the line of the first
-    two horizons, by less than they are apart.
+    """The angles of a moment from what was predicted from it, if they are known well: back along the parabola of the
+    first three horizons, by less than they are apart. (A line would be off by a share of the angle's acceleration,
+    always to the same side, and gravity that is taken out with it by what varies with the groups of waves.)
     """
-    soon, later, *_ = rock
+    soon, later, last_one, *_ = rock
     are_known = max(soon.roll_std_rad, soon.pitch_std_rad) <= TUNING.known_rad
     if not (are_known and t_s - last.measured_s <= TUNING.longest_s):
         return None
-    apart_s = later.horizon_s - soon.horizon_s
-    roll_rate = (later.roll_rad - soon.roll_rad) / apart_s
-    pitch_rate = (later.pitch_rad - soon.pitch_rad) / apart_s
+    h_s = soon.horizon_s, later.horizon_s, last_one.horizon_s
+    roll, roll_rate = _back(h_s, soon.roll_rad, later.roll_rad, last_one.roll_rad)
+    pitch, pitch_rate = _back(h_s, soon.pitch_rad, later.pitch_rad, last_one.pitch_rad)
     if not isfinite(roll_rate + pitch_rate):
         return None
     return msgspec.structs.replace(
         last,
         t_s=t_s,
-        roll_rad=soon.roll_rad - soon.horizon_s * roll_rate,
-        pitch_rad=soon.pitch_rad - soon.horizon_s * pitch_rate,
+        roll_rad=roll,
+        pitch_rad=pitch,
         roll_rate_radps=roll_rate,
         pitch_rate_radps=pitch_rate,
     )
+
+
+def _back(at_s: tuple[float, float, float], first: float, second: float, third: float) -> tuple[float, float]:
+    """Value and slope at 0 of the parabola through three values (Newton's divided differences)."""
+    a_s, b_s, c_s = at_s
+    slope = (second - first) / (b_s - a_s)
+    bend = ((third - second) / (c_s - b_s) - slope) / (c_s - a_s)
+    return first - a_s * (slope - b_s * bend), slope - (a_s + b_s) * bend

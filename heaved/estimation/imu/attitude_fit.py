@@ -8,7 +8,7 @@ matrix (2, 2), the inverse of a covariance, and that times their mean (2,); what
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -43,7 +43,9 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     first_s: float = 20.0
     """Record before the first."""
     row_s: float = 0.25
-    """The record is of means over this: waves lose nothing in them, vibration is averaged out."""
+    """The record is of means over this: waves lose nothing in them, vibration is averaged out. (Not of the down-sampler
+    of the heave, whose means lie where the samples do, and overlap: ten columns of a row are of one moment here, and
+    rows lie on one even grid, across holes too, for spectra are taken of them.)"""
     hole_s: float = 1.0
     """Longer without a sample the vessel may have done anything; the record is in runs between such holes."""
     line_s: float = 20.0
@@ -122,6 +124,19 @@ class Noise(msgspec.Struct, frozen=True, eq=False):
     """(n,) one-sided, (m/s2)2/Hz."""
 
 
+class Unsized(msgspec.Struct, frozen=True, eq=False):
+    """What lean and lateness that are not known make of the vertical acceleration: known in shape, not in size."""
+
+    t_s: float
+    """The middle of a row."""
+    by_lean: float
+    """m/s2 for each unit of k,"""
+    by_lateness: float
+    """and of lateness, at their present values."""
+    covariance: Array
+    """(2, 2) of the two."""
+
+
 def runs(rows: Array) -> list[Run]:
     """The record, rows (n, MEANS) of columns as named above and any more, in runs."""
     ends = np.flatnonzero(np.diff(rows[:, NUMBER]) > TUNING.hole_s / TUNING.row_s) + 1
@@ -194,6 +209,24 @@ def error(made: Array | Complex, solution: Array) -> Array:
     return np.asarray(made[..., 1:] @ (k, late_s, k * k, k * late_s, late_s * late_s))
 
 
+def unsized(row: Array, solution: tuple[float, float], covariance: Array) -> Unsized:
+    """Of one row of the record, the integrals of the lean as it has them (columns after the others, of roll first)."""
+    number, up, left, ahead, roll, pitch, roll_rate, pitch_rate, across, along = row[: MEANS + 2].tolist()
+    k, late_s = solution
+    weight = GRAVITY_MPS2 + up
+    roll_off, pitch_off = k * across - late_s * roll_rate, k * along - late_s * pitch_rate
+    turned_roll, turned_pitch = roll + left / weight, pitch + ahead / weight
+    by_lean = (
+        (left + weight * roll_off) * (across - late_s * turned_roll)
+        + (ahead + weight * pitch_off) * (along - late_s * turned_pitch)
+    )  # fmt: skip
+    by_lateness = (
+        -(left + weight * roll_off) * (roll_rate + k * turned_roll)
+        - (ahead + weight * pitch_off) * (pitch_rate + k * turned_pitch)
+    )  # fmt: skip
+    return Unsized(TUNING.row_s * (number + 0.5), by_lean, by_lateness, covariance)
+
+
 def sensitivity(made: Complex, solution: Array) -> Complex:
     """(..., 2) of the vertical acceleration to the two; ``made`` (..., 6)."""
     k, late_s = solution
@@ -250,9 +283,20 @@ def turned(record: Sequence[Run], otherwise: Belief = NOTHING) -> Belief:
     )
 
 
-def averaged(belief: Belief, information: Array, right: Array) -> tuple[Array, Array]:
-    """Mean and covariance of the two from a belief and more information, when either may as well be what it is by the
-    belief: the average over the four cases, each weighed by how likely it makes the record (Bayes).
+class Average(NamedTuple):
+    """Of the four cases, in which either of the two is what it may as well be, or not."""
+
+    mean: Array
+    """(2,)"""
+    covariance: Array
+    """(2, 2)"""
+    if_any: Array
+    """(2,) root of the mean square of each, where it is not what it may as well be."""
+
+
+def averaged(belief: Belief, information: Array, right: Array) -> Average:
+    """The two from a belief and more information, when either may as well be what it is by the belief: each case is
+    weighed by how likely it makes the record (Bayes).
     """
     null = np.array(belief.null)
     information = belief.information + information
@@ -268,7 +312,9 @@ def averaged(belief: Belief, information: Array, right: Array) -> tuple[Array, A
     mean = weights @ means
     off = means - mean
     covariance = np.einsum("c,cij->ij", weights, covariances + off[:, :, None] * off[:, None, :])
-    return null + mean, covariance
+    squares = np.square(null + means) + np.einsum("cii->ci", covariances)
+    if_any = [float(weights[of] @ squares[of, i] / weights[of].sum()) for i, of in enumerate(([1, 3], [2, 3]))]
+    return Average(null + mean, covariance, np.sqrt(if_any))
 
 
 def _smoothed(power: Array) -> Array:

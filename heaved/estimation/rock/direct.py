@@ -35,26 +35,30 @@ is predicted along the curve of the last reading, and deviations are those of ho
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Sequence
 from enum import StrEnum
 from math import ceil, exp, inf, isfinite, nan
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from heaved.estimation.common.sample_rate import are_still_apart, usual_interval
-from heaved.estimation.rock import experts, gate, learner, sample_clock
+from heaved.estimation.rock import experts, gate, learner
 from heaved.estimation.rock.experts import Switch
 from heaved.estimation.rock.fading import finite_taps
 from heaved.estimation.rock.features import Regressors, SampleWindow, curve_spline, lag_knots, samples_per_step
-from heaved.estimation.rock.gate import Channel, Limits, Timing
+from heaved.estimation.rock.first_samples import FirstSamples, Sample
+from heaved.estimation.rock.gate import Channel, Timing
 from heaved.estimation.rock.holes import NODES, HoleFilter
 from heaved.estimation.rock.holes import TUNING as HOLES
 from heaved.estimation.rock.learner import Learner, expert_count, first_choice
 from heaved.estimation.rock.rate_gate import RateGate
-from heaved.estimation.rock.sample_clock import SampleClock
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from heaved.estimation.rock.limits import Limits
+    from heaved.estimation.rock.sample_clock import SampleClock
 
 Array = NDArray[np.float64]
 
@@ -90,30 +94,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
 
     backwards: int = 20
     """Stamps in a row that are not later: the clock has been set back, begin anew."""
-    first: int = 11
-    """Stamps before the interval is known,"""
-    first_s: float = 2.0
-    """and so much time: the polls of a start are held up by 20-50 ms now and then, and jitter has to average out.
-    Nothing is lost, for nothing is published before 2 s are there."""
-    looked_at_s: tuple[float, ...] = (3.5, 6.0)
-    """So long after the first sample the stamps are looked at once more: what 2 s of late ones have shown may be some
-    percent off;"""
-    looked: int = 256
-    """the last so many of them."""
     other: float = 5e-4
     """Change of the interval by which everything that was built for it is built anew: half a millisecond in 1 s."""
-    same_s: float = 1e-4
-    """Samples closer together are one; where they come in bursts, those closer than the shortest interval."""
-    bursts: float = 0.7
-    """Share of the samples that are farther apart than that, below which they come in bursts."""
-    wait_s: float = 8.0
-    """For so long readings are waited for to show their rate: a sensor of 1.4 Hz does."""
-    slower: float = 1.5
-    """Intervals of samples to one of readings, at least, that make them a stream of their own,"""
-    regular: float = 0.7
-    """and share of their intervals that are the usual one,"""
-    usual: float = 0.2
-    """within so much of it."""
     beyond_s: float = 0.5
     """A curve is believed for so long after its last horizon,"""
     short_s: float = 2.0
@@ -150,8 +132,6 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
 
 
 TUNING: Final = Tuning()
-First = tuple[float, Sequence[float], Sequence[float]]
-"""Stamp, values and rates of one of the first samples."""
 
 
 class DirectPredictor:
@@ -202,13 +182,7 @@ class DirectPredictor:
         self._read_s = [-inf] * self._n
         """Of the last reading of each channel."""
         self._backwards = 0
-        self._same_s = TUNING.same_s
-        self._is_sparse = False
-        """Readings come at their own rate: samples without any are not taken."""
-        self._first: list[First] = []
-        """The first samples, until they have been looked at for the last time."""
-        self._looks = list(TUNING.looked_at_s)
-        """When that is due, after the first."""
+        self._first = FirstSamples()
         self._clock: SampleClock | None = None
         """None until the rate is known, and everything is built for it."""
         self._rate_gate = RateGate(self._n)
@@ -223,6 +197,8 @@ class DirectPredictor:
         self._left: dict[int, tuple[int, Array]] = {}
         """Of those that no longer are: when that ended, and the deviations now and at the horizons then."""
         count = expert_count(rates=self._with_rates)
+        self._replaced: tuple[Array, Array] | None = None
+        """Deviations and half-widths of those who made the latest predictions, if others are in office now."""
         self.surplus = [0.0] * self._n
         """By how much of themselves deviations are larger than usual: the motion has just become another one."""
         self._switch = Switch(self._horizons, count, self._n, first_choice(self._horizons))
@@ -285,6 +261,8 @@ class DirectPredictor:
         of the readings, or what the filter for holes says, if that is more.
         """
         std, half_width = self._switch.std, self._switch.half_width
+        if self._replaced is not None:
+            std, half_width = (np.fmax(now, then) for now, then in zip((std, half_width), self._replaced, strict=True))
         if max(self.surplus) > 0.0:
             wider = 1.0 + self._growth * self.surplus
             std, half_width = std * wider, half_width * wider
@@ -313,7 +291,7 @@ class DirectPredictor:
         """
         deviations: Array = np.sqrt(self.filters[channel].variance(self._row_index, ahead_s))
         alike = self._switch.rms_of(TUNING.filter_like)[:, channel]
-        return np.fmax(deviations, np.interp(ahead_s, self._horizons, alike))
+        return experts.TUNING.sure * np.fmax(deviations, np.interp(ahead_s, self._horizons, alike))
 
     def _spread_left(self, channel: int, ahead_s: Array) -> Array:
         """The same of a channel that was predicted so until lately."""
@@ -337,33 +315,36 @@ class DirectPredictor:
                 self._restart()
             return self.values
         self._backwards = 0
-        if t_s - self.t_s < self._same_s:
+        if t_s - self.t_s < self._first.same_s:
             return self.values
         if isfinite(sum(values)):
             self._read_s = [t_s] * self._n
         else:
             values = [value if isfinite(value) else nan for value in values]
             known = [value == value for value in values]
-            if self._is_sparse and not any(known):
+            if self._first.is_sparse and not any(known):
                 self.values = self.at(t_s)
                 return self.values
             self._read_s = [t_s if there else before for there, before in zip(known, self._read_s, strict=True)]
         rates = self._no_rates if rates is None else self._rate_gate.step(t_s, rates)
-        if self._clock is None and t_s - self.t_s > self._params.max_gap_s:
-            self._first = []
+        first, clock = self._first, self._clock
+        if clock is None and t_s - self.t_s > self._params.max_gap_s:
+            first.samples.clear()
         self.t_s = t_s
-        if self._clock is None or len(self._first):
-            self._first.append((t_s, values, rates))
-        if self._clock is None:
-            self._find_rate(t_s)
+        if clock is None or first.samples:
+            first.samples.append(Sample(t_s, values, rates))
+        if clock is None:
+            if (clock := first.find_clock()) is not None:
+                self._build(clock)
             return self.values
-        steps, late_s = self._clock.step(t_s), self._clock.late_s
+        steps, late_s = clock.step(t_s), clock.late_s
         self._rows(steps, values, rates, late_s)
         if self._out >= TUNING.out:
             self._restart(Reset.OUT_OF_BOUNDS)
-        elif self._first and (self._clock.is_other or t_s - self._first[0][0] >= self._looks[0]):
-            self._look_again(self._clock)
-        elif self._clock.is_other:
+        elif first.is_look_due(clock):
+            self._take_up(first.look_again(clock))
+            first.looked()
+        elif clock.is_other:
             self._restart()
         else:
             self._publish(late_s)
@@ -385,56 +366,20 @@ class DirectPredictor:
 
     # -- the rate --------------------------------------------------------------------------------------------------
 
-    def _find_rate(self, t_s: float) -> None:
-        """Once the rate is known: build, and take what has waited."""
-        first = self._first
-        if len(first) < TUNING.first or t_s - first[0][0] < TUNING.first_s:
-            return
-        least_s = sample_clock.TUNING.least_s
-        stamps_s = [t for t, _, _ in first]
-        apart = np.diff(stamps_s, prepend=-inf) >= least_s
-        if np.mean(apart) < TUNING.bursts and self._same_s < least_s:
-            self._same_s = least_s
-            self._first = [one for one, is_apart in zip(first, apart.tolist(), strict=True) if is_apart]
-            self._find_rate(t_s)
-            return
-        read_s = [t for t, values, _ in first if any(value == value for value in values)]
-        if len(read_s) < len(first):
-            if len(read_s) < TUNING.first and t_s - first[0][0] < TUNING.wait_s:
-                return
-            interval_s = max(usual_interval(np.array(stamps_s)), least_s)
-            if _own_interval(read_s) > TUNING.slower * interval_s:
-                self._is_sparse = True
-                self._first = [one for one in first if any(value == value for value in one[1])]
-        self._build(SampleClock([t for t, _, _ in self._first]))
-
-    def _look_again(self, clock: SampleClock) -> None:
-        """More of the first samples may show another interval: then all is built for that."""
-        stamps_s = np.array([t for t, _, _ in self._first[-TUNING.looked :]])
-        known_s = nan
-        if clock.is_other:
-            recent = int(np.count_nonzero(stamps_s >= self.t_s - sample_clock.TUNING.judged_s))
-            stamps_s = stamps_s[-max(recent, TUNING.first) :]
-        elif are_still_apart(stamps_s - stamps_s[0], clock.interval_s):
-            known_s = clock.interval_s
-        clock = SampleClock(stamps_s.tolist(), known_s)
+    def _take_up(self, clock: SampleClock) -> None:
+        """Go on with what more of the first samples have shown: for another interval all is built anew."""
         if abs(clock.interval_s - self._interval_s) > TUNING.other * self._interval_s:
             self._forget_built()
             self._build(clock)
         else:
             self._clock = clock
             self._publish(clock.late_s)
-        while self._looks and self.t_s - self._first[0][0] >= self._looks[0]:
-            del self._looks[0]
-        if not self._looks:
-            self._first = []
 
     def _build(self, clock: SampleClock) -> None:
         """Everything whose shape depends on the sample interval; then the first samples are taken."""
         self._clock = clock
         self._build_for(clock.interval_s)
-        steps = clock.steps_of([t for t, _, _ in self._first])
-        for count, (_, values, rates) in zip(steps, self._first, strict=True):
+        for count, (_, values, rates) in zip(clock.steps_of(self._first.stamps_s), self._first.samples, strict=True):
             self._rows(count, values, rates, 0.0)
         self._publish(clock.late_s)
 
@@ -475,7 +420,6 @@ class DirectPredictor:
             switch=self._switch,
         )
         self._until_row = self._learner.every
-        self._batch_due = False
 
         self._curve_s = np.append(0.0, horizons)
         self._surprised_node = max(int(np.searchsorted(horizons, TUNING.surprised_s + 1e-6)) - 1, 0)
@@ -483,8 +427,6 @@ class DirectPredictor:
         """Samples between the first knots: so many missing in a row are no hole, for means hold the readings beside."""
         ahead = max(round(float(horizons[self._surprised_node]) / interval_s / bridged), 1)
         self._earlier: deque[list[float]] = deque(maxlen=ahead)
-        self._lowest, self._highest = np.full((n, 1), -inf), np.full((n, 1), inf)
-        """Of what is predicted, while there are limits."""
         self._surprise = [0.0] * n
         """Of each channel: by how many deviations predictions were off lately, at most; it fades."""
         self._surprise_fade = exp(-bridged * interval_s / TUNING.surprised_for_s)
@@ -495,6 +437,8 @@ class DirectPredictor:
         self._one_step = gap_weights[:1]
         self._slopes = self._curve_spline.slope(horizons)
         self._seen = np.zeros((n, count + 3, 1))
+        self._lowest, self._highest = np.full(self._seen.shape, -inf), np.full(self._seen.shape, inf)
+        """Of what is seen, while there are limits: of the curves, that is."""
         self._map = self._mapped()
         self._levels: list[float] = []
         timing = Timing(interval_s=interval_s, settling=settling, longest_gap=self._longest_gap, judged=judged)
@@ -584,14 +528,13 @@ class DirectPredictor:
         for c in self.holed:
             hole = self.filters[c]
             curves[c] = hole.mean + hole.curve(self._row_index, self._curve_s)
-        curves = self._curves
         if self._limits is not None:
-            np.maximum(curves, self._lowest, out=curves)
-            np.minimum(curves, self._highest, out=curves)
+            np.maximum(self._seen, self._lowest, out=self._seen)
+            np.minimum(self._seen, self._highest, out=self._seen)
         if self._row_index % self._bridged == 0:
             self._be_surprised(known)
         self._until_row -= 1
-        self._batch_due = False
+        self._replaced = None
         if self._until_row == 0:
             self._until_row = self._learner.every
             self._learn()
@@ -602,8 +545,9 @@ class DirectPredictor:
         if self._limits is not None:
             self._bound(self._limits)
         if self._learner.keep(curves[:, 1:].T, channels):
+            before = self._switch.std, self._switch.half_width
             if self._learner.batch(channels):
-                self._map = self._mapped()
+                self._map, self._replaced = self._mapped(), before
             for c in self.holed:
                 self._fill(c, self._row_index)
             if self._limits is not None:
@@ -626,7 +570,7 @@ class DirectPredictor:
         ):
             if largest < inf:
                 reach = channel.reach(x)
-                self._lowest[c], self._highest[c] = channel.mean - reach, channel.mean + reach
+                self._lowest[c, :-2], self._highest[c, :-2] = channel.mean - reach, channel.mean + reach
 
     def _be_surprised(self, known: Sequence[bool]) -> None:
         """Hold what was predicted some time ago against what there is now."""
@@ -745,13 +689,3 @@ class DirectPredictor:
         self.values = self._curve[1:][self._published]
         if abs(late_s) > TUNING.late_s:
             self.values = self.values + late_s * (self._slopes[self._published] @ curves)
-
-
-def _own_interval(stamps_s: Sequence[float]) -> float:
-    """Of readings that come regularly; nan: they do not."""
-    if len(stamps_s) < TUNING.first:
-        return nan
-    stamps = np.array(stamps_s)
-    interval_s = usual_interval(stamps)
-    usual = np.abs(np.diff(stamps) - interval_s) < TUNING.usual * interval_s
-    return interval_s if np.mean(usual) >= TUNING.regular else nan

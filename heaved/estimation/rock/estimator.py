@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from heaved.estimation.imu.attitude import angle_rates
 from heaved.estimation.rock import direct
-from heaved.estimation.rock import maximum_likelihood as rock
 from heaved.estimation.rock.direct import DirectPredictor
+from heaved.estimation.rock.limits import LIMITS, possible
+from heaved.estimation.rock.maximum_likelihood import MaximumLikelihoodPredictor
+from heaved.estimation.rock.params import STANDARD_HORIZONS_S, Params
 from heaved.samples import RockPrediction, RockScore
 
 if TYPE_CHECKING:
@@ -50,10 +52,10 @@ class Predictor(Protocol):
 class RockEstimator:
     """The configured predictor, fed with every sample of the IMU."""
 
-    def __init__(self, params: rock.Params) -> None:
-        self.horizons_s = tuple(sorted({*params.horizons_s, *rock.STANDARD_HORIZONS_S}))
+    def __init__(self, params: Params) -> None:
+        self.horizons_s = tuple(sorted({*params.horizons_s, *STANDARD_HORIZONS_S}))
         self._predictor: Predictor = (
-            rock.MaximumLikelihoodPredictor(params)
+            MaximumLikelihoodPredictor(params)
             if params.predictor == "ml"
             else DirectRockPredictor(
                 direct.Params(
@@ -78,7 +80,7 @@ class RockEstimator:
         if attitude is None and readings.attitude_is_slow:
             return self.at(sample.t_s)
         measured_s = sample.t_s if attitude is None else attitude.t_s
-        angles_rad = rock.possible(sample.roll_rad), rock.possible(sample.pitch_rad), sample.yaw_rad
+        angles_rad = possible(sample.roll_rad), possible(sample.pitch_rad), sample.yaw_rad
         # Without angles the last ones do: what they add to the rates is small.
         self._roll_rad = angles_rad[0] if isfinite(angles_rad[0]) else self._roll_rad
         self._pitch_rad = angles_rad[1] if isfinite(angles_rad[1]) else self._pitch_rad
@@ -122,7 +124,7 @@ class DirectRockPredictor:
             if not any(map(isfinite, angles_rad)):
                 return self._unknown
             self._with_rates = isfinite(sum(rates_radps))
-            predictor = self.predictor = DirectPredictor(3, self._params, rates=self._with_rates, limits=rock.LIMITS)
+            predictor = self.predictor = DirectPredictor(3, self._params, rates=self._with_rates, limits=LIMITS)
         roll_rad, pitch_rad, yaw_rad = angles_rad
         values = [roll_rad, pitch_rad, self._unwrapped(yaw_rad)]
         predicted_rad = predictor.step(t_s, values, rates_radps if self._with_rates else None)
@@ -144,8 +146,8 @@ class DirectRockPredictor:
             rows = np.concatenate((std, half_width), axis=1).tolist()
             known = self._deviations = std, half_width, rows
         angles_rad = predicted_rad.tolist()
-        if not rock.LIMITS.hold(angles_rad, self.horizons_s):
-            angles_rad = rock.LIMITS.kept(predicted_rad, self.horizons_s).tolist()
+        if not LIMITS.hold(angles_rad, self.horizons_s):
+            angles_rad = LIMITS.kept(predicted_rad, self.horizons_s).tolist()
         reference_rad = self._yaw_reference_rad
         return tuple([
             RockPrediction(

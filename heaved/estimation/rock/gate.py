@@ -1,5 +1,4 @@
-"""What of one channel goes into the direct predictor's lags: spikes, gaps, level steps, stuck readings, manoeuvres;
-and what may come out.
+"""What of one channel goes into the direct predictor's lags: spikes, gaps, level steps, stuck readings, manoeuvres.
 
 The prediction one step ahead is the yardstick. A sample that stands out of it by six of its errors is held back and the
 prediction put in its place. If half a second of samples in a row stands out, it is no spike: a step of the level if all
@@ -10,16 +9,12 @@ the motion itself, which then goes into the lags after all.
 from __future__ import annotations
 
 from bisect import insort
-from functools import cache
 from math import inf, isfinite, nan, sqrt
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 Array = NDArray[np.float64]
 
@@ -59,46 +54,6 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
 
 
 TUNING: Final = Tuning()
-
-
-class Limits(msgspec.Struct, frozen=True):
-    """What channels that are predicted never do."""
-
-    largest: tuple[float, ...]
-    """Magnitude of each of n channels."""
-    rate: float
-    """Of all of them, per second."""
-
-    def left_by(self, curves: Array, at_s: tuple[float, ...]) -> NDArray[np.bool_]:
-        """Which of the values (..., H, n) at H moments lie beyond the limits, or cannot follow the one before; what is
-        not known does neither.
-        """
-        largest, steps = _largest(self, at_s)
-        beyond: NDArray[np.bool_] = np.abs(curves) > largest
-        beyond[..., 1:, :] |= np.abs(curves[..., 1:, :] - curves[..., :-1, :]) > steps
-        return beyond
-
-    def hold(self, rows: Sequence[Sequence[float]], at_s: tuple[float, ...]) -> bool:
-        """Whether none of the values (H rows of n) is beyond them."""
-        before, before_s, rate = rows[0], at_s[0], self.rate
-        for row, now_s in zip(rows, at_s, strict=True):
-            step = rate * (now_s - before_s)
-            for x, last, largest in zip(row, before, self.largest, strict=True):
-                if x > largest or -x > largest or x - last > step or last - x > step:
-                    return False
-            before, before_s = row, now_s
-        return True
-
-    def kept(self, curves: Array, at_s: tuple[float, ...]) -> Array:
-        """The same values; nan from where on the limits are left."""
-        beyond = self.left_by(curves, at_s)
-        return np.where(np.logical_or.accumulate(beyond, axis=-2), nan, curves) if beyond.any() else curves
-
-
-@cache
-def _largest(limits: Limits, at_s: tuple[float, ...]) -> tuple[Array, Array]:
-    """Values, and changes from one moment to the next."""
-    return np.array(limits.largest), limits.rate * np.diff(at_s)[:, None]
 
 
 class Timing(msgspec.Struct, frozen=True, kw_only=True):
@@ -297,7 +252,9 @@ class Channel:
         return value - self.level
 
     def _stuck(self) -> bool:
-        """The same reading over and over from an axis that has moved."""
+        """The same reading over and over from an axis that has moved. (Whether roll or pitch hang has been told before,
+        :mod:`heaved.unchanged`: of readings that are held back, yaw's among them, it is asked here what they are.)
+        """
         return self._repeats >= self._timing.judged - 1 and self._square > 9.0 * min(self.quantum, 1.0) ** 2
 
     def _passes(self, x: float, expected: float, absent: int) -> bool:

@@ -4,6 +4,10 @@ Polls come with jitter, late, get lost, and come at a rate nobody tells the pred
 first stamps, on whose grid a lost or late one does no harm, and then followed with the phase by a critically damped
 second-order loop. A sample is handed on as "so many steps after the last one, this late". Once a second the recent
 stamps are looked at: whether they are still those of this grid.
+
+Of a sensor that is slower than its polls a clock is followed, too (:mod:`heaved.estimation.imu.sensor_clock`): there
+each poll says no more than that a tick lies since the one before, and how many there were is known. Here stamps are
+seen themselves, and how many steps lie between two of them is what is asked.
 """
 
 from __future__ import annotations

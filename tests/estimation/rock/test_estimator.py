@@ -11,7 +11,7 @@ from evidence.rock.shaken import unjudged
 from numpy.typing import NDArray
 
 from heaved.estimation.imu.attitude import Attitude, angle_rates
-from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.estimation.rock import params as rock
 from heaved.estimation.rock.estimator import TURN, DirectRockPredictor, RockEstimator, heading
 from heaved.samples import ImuSample
 

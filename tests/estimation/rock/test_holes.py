@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_lyapunov
 
 from heaved.estimation.common.bounds import ANGLE_RAD
-from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.estimation.rock import params as rock
 from heaved.estimation.rock.estimator import DirectRockPredictor, RockEstimator
-from heaved.estimation.rock.gate import Limits
 from heaved.estimation.rock.holes import NODES, ORDER, Autoregression, HoleFilter
+from heaved.estimation.rock.limits import Limits
 from heaved.samples import ImuSample
 from heaved.simulate.seaway import seaway
 
@@ -123,6 +123,19 @@ PATTERNS = {
     "10 Hz, 50 % lost": (10.0, random_rows(0.5), 3.0),
     "5 Hz, 30 % lost": (5.0, random_rows(0.3), 2.5),
 }
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 20.0, 50.0])
+def test_noise_is_known_where_there_was_never_a_stretch_without_holes(rate_hz: float) -> None:
+    """What the filter takes for it is what was added, whatever it makes of the motion meanwhile."""
+    t, x = measured(rate_hz, 4, 100.0)
+    x[np.random.default_rng(8).random(len(t)) < 0.6] = nan
+    predictor = DirectRockPredictor()
+    for moment, (roll, pitch) in zip(t.tolist(), x.tolist(), strict=True):
+        predictor.step(moment, (roll, pitch, nan))
+    assert predictor.predictor is not None
+    found = np.sqrt([hole.noise_square for hole in predictor.predictor.filters[:2]])
+    assert np.all((found > 0.7 * NOISE_RAD) & (found < 1.6 * NOISE_RAD)), found / NOISE_RAD
 
 
 @pytest.mark.parametrize("name", PATTERNS)

@@ -11,13 +11,8 @@ import numpy.typing as npt
 import pytest
 from numpy.typing import NDArray
 
-from heaved.estimation.rock.maximum_likelihood import (
-    STANDARD_HORIZONS_S,
-    MaximumLikelihoodPredictor,
-    Params,
-    regression,
-    seen_later,
-)
+from heaved.estimation.rock.maximum_likelihood import MaximumLikelihoodPredictor, regression, seen_later
+from heaved.estimation.rock.params import STANDARD_HORIZONS_S, Params
 from heaved.samples import RockPrediction
 
 if TYPE_CHECKING:

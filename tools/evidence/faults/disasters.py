@@ -109,11 +109,6 @@ def rows(recording: Recording, kept: Mask | NDArray[np.intp]) -> Recording:
     return Recording(t_s=recording.t_s[kept], **columns, truth=Motion(**truth))
 
 
-def rate_of(recording: Recording) -> float:
-    """Of its rows, Hz."""
-    return float((recording.t_s.size - 1) / (recording.t_s[-1] - recording.t_s[0]))
-
-
 def mapped(names: tuple[str, ...], function: Callable[[Array], Array]) -> Deed:
     """These columns, put through a function while it lasts."""
 

@@ -32,7 +32,7 @@ from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.lever_arm import Point
-from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.estimation.rock import params as rock
 from heaved.outputs.wire import motion_head
 from heaved.pipeline import Pipeline, assemble
 from heaved.samples import Fault, HeaveState, ImuSample, MotionFrame, Sample

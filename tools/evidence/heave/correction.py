@@ -24,7 +24,7 @@ from evidence.commands import in_order
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.heave.sea.refit import look
-from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.estimation.rock import params as rock
 from heaved.pipeline import Pipeline, assemble
 from heaved.simulate.seaway import seaway
 from heaved.simulate.sensors import SENSORS, laser_pattern, record

@@ -21,7 +21,7 @@ from evidence.heave import baselines
 from evidence.learning import learn
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
-from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.estimation.rock import params as rock
 from heaved.pipeline import Pipeline, assemble
 from heaved.samples import HeaveState, ImuSample, MotionFrame, Sample
 

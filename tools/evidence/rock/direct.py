@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from evidence.commands import in_order
 from evidence.limits import prediction_limit
 from evidence.rock.seas import F_HZ, RATE_HZ, SHIPS, Sea, Ship, gaussian, known_spectrum, motion, palmer, spectrum
-from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.estimation.rock import params as rock
 from heaved.estimation.rock.direct import DirectPredictor, Params
 from heaved.estimation.rock.fading import finite_taps
+from heaved.estimation.rock.maximum_likelihood import MaximumLikelihoodPredictor
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -69,7 +70,7 @@ def direct(t_s: Array, x: Array, params: Params | None = None, rates: Array | No
 
 def paper(t_s: Array, x: Array, params: rock.Params) -> Array:
     """Predictions (n, H) of one column x (n,)."""
-    predictor = rock.MaximumLikelihoodPredictor(params)
+    predictor = MaximumLikelihoodPredictor(params)
     keep = [predictor.horizons_s.index(h) for h in HORIZONS_S]
     found = []
     for t, value in zip(t_s.tolist(), x.tolist(), strict=True):

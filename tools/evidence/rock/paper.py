@@ -18,7 +18,8 @@ from scipy.signal import lfilter
 
 from evidence.commands import in_order
 from evidence.limits import prediction_limit
-from heaved.estimation.rock.maximum_likelihood import STANDARD_HORIZONS_S, STEP_S, MaximumLikelihoodPredictor, Params
+from heaved.estimation.rock.maximum_likelihood import MaximumLikelihoodPredictor
+from heaved.estimation.rock.params import STANDARD_HORIZONS_S, STEP_S, Params
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

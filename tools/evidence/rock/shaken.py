@@ -23,7 +23,7 @@ from scipy.signal import lfilter
 from evidence.commands import in_order
 from heaved.estimation.imu.attitude import Attitude
 from heaved.estimation.imu.conditioning import NOTHING, Conditioned
-from heaved.estimation.rock import maximum_likelihood as rock
+from heaved.estimation.rock import params as rock
 from heaved.estimation.rock.estimator import RockEstimator
 from heaved.samples import Fault, ImuSample
 from heaved.simulate.seaway import seaway
