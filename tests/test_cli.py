@@ -33,6 +33,8 @@ COMMANDS = (
     "wait",
     "check-config",
     "probe",
+    "install-service",
+    "manual",
     "replay",
     "export",
     "report",

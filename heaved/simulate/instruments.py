@@ -188,10 +188,10 @@ class Instruments:
     def __init__(
         self, sea: MotionSource, *, sensor: str | ImuModel = "A", laser: str = "on", shake: str | Shake = NONE,
         seed: int = 1, base: CraneBase | None = None, voyage: Voyage | None = None, crane: CraneAtWork | None = None,
-        gauge: Gauge = AT_THE_IMU, mru: MruModel | None = None,
+        mru: MruModel | None = None, gauge: Gauge = AT_THE_IMU,
     ) -> None:  # fmt: skip
         """``base``: of a second IMU. ``voyage``: of a craft, whose sensors share no sea with the others. ``crane``: by
-        default one at work. ``gauge``: where the laser is. ``mru``: an existing motion reference unit at the IMU.
+        default one at work. ``mru``: an existing motion reference unit at the IMU. ``gauge``: where the laser is.
 
         Raises:
             ValueError: unknown ``sensor`` (:data:`SENSORS`), ``laser`` pattern (:func:`laser_pattern`) or ``shake``

@@ -162,7 +162,8 @@ class SimulatedPlant:
         slave = self._slaves[bus].get(device_id)
         if slave is None:
             return None
-        t_s = self.time_s() + heard_s - asyncio.get_running_loop().time()
+        # In this order: held up in between, a request would be older than one that came before it.
+        t_s = heard_s - asyncio.get_running_loop().time() + self.time_s()
         faults = [fault for fault in self._faults if fault.device == slave.device.name and fault.active(t_s)]
         return slave.answer(request, t_s, faults)
 

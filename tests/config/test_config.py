@@ -362,6 +362,15 @@ CAUTIONS: dict[str, tuple[str, str]] = {
         ),
         "device laser: timeout_ms 50 is longer than the period of imu (10 ms) on the same line",
     ),
+    "a laser that may look at the ship": (
+        IMU + 'profile = "witmotion-wt901c485"\n' + LASER + "\n[laser]\nsign = -1\nforward_m = 3",
+        "laser.sign: -1 with a beam that looks down is a laser that stands on something fixed and looks at the ship; "
+        "for one on board that looks the other way write beam = [0, 0, 1]",
+    ),
+    "a laser elsewhere without an attitude": (
+        IMU + IMU_PROFILE + LASER + "\n[laser]\nport_m = 3",
+        "laser.forward_m, laser.port_m: no imu measures roll and pitch",
+    ),
 }
 
 

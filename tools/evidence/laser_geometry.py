@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 SEA: Final = "S6"
+CALM: Final = "S4"
 SENSORS: Final = ("A", "B", "AHRS")
 DURATION_S: Final = 420.0
 FROM_S: Final = 60.0
@@ -59,18 +60,24 @@ class Case(msgspec.Struct, frozen=True, kw_only=True):
     """None: there is no laser."""
     configured: Gauge = AT_THE_IMU
     has_attitude: bool = True
+    """Without one no heave at all is published in S6: too much of it would be tilt."""
+
+    @property
+    def sea(self) -> str:
+        """Of the record."""
+        return SEA if self.has_attitude else CALM
 
 
 NO_LASER: Final = "no laser"
-NO_LASER_NO_ATTITUDE: Final = "no laser, no attitude"
+NO_LASER_NO_ATTITUDE: Final = "no laser, no attitude, S4"
 CASES: Final = (
     Case(name=NO_LASER, gauge=None),
     Case(name="at the IMU", gauge=AT_THE_IMU),
     Case(name="8 m off, configured so", configured=ELSEWHERE),
     Case(name="8 m off, configured at the IMU"),
     Case(name=NO_LASER_NO_ATTITUDE, gauge=None, has_attitude=False),
-    Case(name="at the IMU, no attitude", gauge=AT_THE_IMU, has_attitude=False),
-    Case(name="8 m off, configured at the IMU, no attitude", has_attitude=False),
+    Case(name="at the IMU, no attitude, S4", gauge=AT_THE_IMU, has_attitude=False),
+    Case(name="8 m off, configured at the IMU, no attitude, S4", has_attitude=False),
 )
 
 
@@ -124,7 +131,7 @@ def made_of(task: Task) -> Recording:
     """The record of a task."""
     gauge = task.case.gauge
     made = record(
-        seaway(SEA, task.seed), task.duration_s, imu_rate_hz=20.0, sensor=task.sensor, seed=100 + task.seed,
+        seaway(task.case.sea, task.seed), task.duration_s, imu_rate_hz=20.0, sensor=task.sensor, seed=100 + task.seed,
         laser="off" if gauge is None else "on", gauge=gauge or AT_THE_IMU,
     )  # fmt: skip
     if task.case.has_attitude:

@@ -88,6 +88,16 @@ def are_still_apart(stamps_s: Array, interval_s: float) -> bool:
     return bool(agreement > TUNING.surely / len(stamps_s) ** 0.5 and np.mean(singles) > TUNING.singles)
 
 
+def are_on_grid(stamps_s: Array, interval_s: float) -> bool:
+    """Whether stamps (n,) lie on a grid of this interval, which was found among them, and not by chance."""
+    agreement = abs(np.exp(2j * np.pi * stamps_s / interval_s).mean())
+    return bool(agreement >= _least_agreement(len(stamps_s)))
+
+
+def _least_agreement(count: int) -> float:
+    return float(max(TUNING.on_grid, TUNING.by_chance / count**0.5))
+
+
 def _grid_interval(stamps_s: Array, counted_s: float) -> float:
     """That of the coarsest grid on which stamps lie; nan: on none."""
     since_s = stamps_s - stamps_s[0]
@@ -98,7 +108,7 @@ def _grid_interval(stamps_s: Array, counted_s: float) -> float:
     rates_hz = np.fft.rfftfreq(4 * len(bins), 1.0 / (TUNING.bins * most_hz))
     length = np.abs(np.fft.rfft(bins, 4 * len(bins))) / len(since_s)
     looked_at = (rates_hz >= TUNING.grid[0] * mean_hz) & (rates_hz <= most_hz)
-    on_grid = looked_at & (length >= max(TUNING.on_grid, TUNING.by_chance / len(since_s) ** 0.5))
+    on_grid = looked_at & (length >= _least_agreement(len(since_s)))
     if not on_grid.any():
         return nan
     coarsest_hz = rates_hz[int(np.argmax(on_grid))]

@@ -110,6 +110,12 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """The same where rates are given: they tell much, while they are there."""
     run_s: float = 0.15
     """And so much missing on end begins it."""
+    one_hole_s: float = 0.5
+    """With less missing than this it was one hole, and what was in it is known from both sides when ..."""
+    whole_again_s: float = 0.5
+    """... nothing has been missing for so long: then the lags tell more than the filter."""
+    rated_whole_again_s: float = 0.2
+    """The same where rates are given, which the filter does not know of: that many of them are looked at."""
     filled_s: float = 10.0
     """What the filter said of its errors fades within that time, for the lags hold what it has filled them with."""
     measured: float = 0.75
@@ -448,6 +454,7 @@ class DirectPredictor:
         """Times on end that predictions were beyond the limits."""
         self.filters = [HoleFilter(int(self._nodes[1]), interval_s, float(horizons[-1])) for _ in range(n)]
         self._holes_s = TUNING.rated_holes_s if self._with_rates else TUNING.holes_s
+        self._whole_again_s = TUNING.rated_whole_again_s if self._with_rates else TUNING.whole_again_s
         self._missing = [0.0] * n
         """Samples missing lately, of those further from the reading before than the first knots are apart."""
         self._missed_row = [0] * n
@@ -630,8 +637,10 @@ class DirectPredictor:
         if not channel.step_judged(x, measured=measured):
             self.holed.discard(c)
         elif measured:
-            missing = self._missing[c] * self._share_left(row - self._missed_row[c])
-            if missing * self._interval_s < self._holes_s[1]:
+            since = row - self._missed_row[c]
+            missing_s = self._missing[c] * self._share_left(since) * self._interval_s
+            was_one = since * self._interval_s > self._whole_again_s and missing_s < TUNING.one_hole_s
+            if was_one or missing_s < self._holes_s[1]:
                 self._left[c] = row, self._spread(c, self._curve_s)
                 self.holed.discard(c)
                 self._fill(c, row - 1)  # the latest is not in the window yet

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 import numpy as np
 
-from heaved.estimation.common.sample_rate import are_still_apart, usual_interval
+from heaved.estimation.common.sample_rate import are_on_grid, are_still_apart, usual_interval
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -49,6 +49,9 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Change of the usual interval that is another rate;"""
     moved: float = 0.02
     """and one that is so twice in a row: farther than the loop finds, and than stamps that are late may show once."""
+    looks: int = 30
+    """Where the stamps are on no grid at all, as those of a machine that does not keep up, so many looks in a row must
+    show another rate: each of them says little, and to begin anew costs all that was learned."""
     least_s: float = 1e-3
     """Shortest interval, s: sizes what is as long as some seconds of samples."""
 
@@ -82,6 +85,10 @@ class SampleClock:
         self.is_other = False
         self._moved_by = 0.0
         """By how much of the interval the last look has found it to be off."""
+        self._are_on_grid = True
+        """The recent stamps; of others, which are all late and never early, the interval is not to be learned."""
+        self._looks = 0
+        """So many in a row have shown another rate, of stamps on no grid."""
         self._recent: deque[float] = deque()
         """Stamps of the last ``judged_s``."""
         self._check_s = float(t[-1]) + TUNING.checked_s
@@ -106,7 +113,8 @@ class SampleClock:
             trusted_s = TUNING.trusted * interval_s
             trusted_s = min(max(deviation_s, -trusted_s), trusted_s)
             self._grid_s += TUNING.phase_gain * trusted_s
-            self.interval_s += TUNING.phase_gain**2 / 4.0 * trusted_s / steps
+            if self._are_on_grid:
+                self.interval_s += TUNING.phase_gain**2 / 4.0 * trusted_s / steps
         self.late_s = t_s - self._grid_s
         self._recent.append(t_s)
         if t_s >= self._check_s:
@@ -120,13 +128,19 @@ class SampleClock:
         while len(recent) > TUNING.judged and t_s - recent[0] > TUNING.judged_s:
             recent.popleft()
         before, self._moved_by = self._moved_by, 0.0
+        looks, self._looks, self._are_on_grid = self._looks, 0, True
         if len(recent) < TUNING.judged:
             return
         mean_s = (recent[-1] - recent[0]) / (len(recent) - 1)
         if abs(mean_s / interval_s - 1.0) <= TUNING.moved:
             return
-        stamps_s = np.array(recent)
-        if not are_still_apart(stamps_s - stamps_s[0], interval_s):
-            self._moved_by = moved_by = usual_interval(stamps_s) / interval_s - 1.0
-            is_same = before * moved_by > 0.0 and min(abs(before), abs(moved_by)) > TUNING.moved
-            self.is_other = abs(moved_by) > TUNING.changed or is_same
+        since_s = np.array(recent) - recent[0]
+        if are_still_apart(since_s, interval_s):
+            return
+        self._are_on_grid = False
+        other_s = usual_interval(since_s)
+        self._moved_by = moved_by = other_s / interval_s - 1.0
+        is_same = before * moved_by > 0.0 and min(abs(before), abs(moved_by)) > TUNING.moved
+        if abs(moved_by) > TUNING.changed or is_same:
+            self._looks = looks + 1
+            self.is_other = self._looks >= TUNING.looks or are_on_grid(since_s, other_s)

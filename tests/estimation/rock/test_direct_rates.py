@@ -273,6 +273,45 @@ def test_a_third_of_the_polls_late_is_no_other_rate(
     assert np.sqrt(np.mean(error**2)) < 0.02 * np.sqrt(0.5)
 
 
+def overloaded(rate_hz: float, duration_s: float, seed: int) -> Array:
+    """Stamps of a machine that does not keep up from 20 to 40 s: each poll waits its turn, deadlines that have passed
+    meanwhile are skipped, and what is left lies on no grid.
+    """
+    rng = np.random.default_rng(seed)
+    stamps, due = [], 0.0
+    while due < duration_s:
+        stamps.append(due + (rng.exponential(8e-3) if 20.0 <= due < 40.0 else 0.0))
+        due = (np.floor((stamps[-1] + 1e-3) * rate_hz) + 1.0) / rate_hz
+    return np.array(stamps)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_machine_that_does_not_keep_up_polls_at_no_other_rate(seed: int) -> None:
+    t = overloaded(100.0, 50.0, seed)
+    busy = t[(t > 22.0) & (t < 38.0)]
+    assert abs(np.exp(1j * TURN * busy * 100.0).mean()) < 0.3
+    assert len(busy) < 0.8 * 16.0 * 100.0
+    predictor = DirectPredictor(1)
+    predicted = predict(predictor, t, np.sin(TURN * t / 8)[:, None])[:, 2, 0]
+    assert predictor.restarts == 0
+    error = (predicted - np.sin(TURN * (t + 0.15) / 8))[t > 2.2]
+    assert np.isfinite(error).all()
+    assert np.sqrt(np.mean(error**2)) < 0.02 * np.sqrt(0.5)
+
+
+def test_samples_that_come_at_random_after_a_while_are_another_rate() -> None:
+    rng = np.random.default_rng(1)
+    t = np.concatenate([np.arange(0.0, 20.0, 0.01), 20.0 + np.cumsum(rng.exponential(0.02, 2500))])
+    predictor = DirectPredictor(1)
+    noticed_s: list[float] = []
+    for moment in t[np.diff(t, prepend=-1.0) > 0.0].tolist():
+        predictor.step(moment, [np.sin(TURN * moment / 8)])
+        if predictor.restarts > len(noticed_s):
+            noticed_s.append(moment)
+    assert len(noticed_s) == 1
+    assert 40.0 < noticed_s[0] < 60.0
+
+
 @pytest.mark.parametrize(("kind", "rate_hz"), [(free, 20.0), (skipping, 20.0), (skipping, 50.0), (queued, 33.0)])
 def test_the_usual_interval_where_a_third_of_the_polls_is_late(
     kind: Callable[[Array, Array, float], Array], rate_hz: float

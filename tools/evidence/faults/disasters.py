@@ -56,7 +56,8 @@ class Asked(msgspec.Struct, frozen=True, kw_only=True):
     within_s: float | None = 60.0
     """Until it is so again. Of what is there from the first sample: beyond the time that the honest record takes."""
     heave_ratio: float | None = 1.1
-    """Error of the heave in the last minute over that of the honest record."""
+    """Error of the heave in the last minute over that of the honest record; where it lasts from the start, in all of
+    the record."""
     rock_ratio: float | None = 1.1
     """The same of roll and pitch half a second ahead."""
 

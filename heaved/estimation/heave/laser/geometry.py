@@ -124,7 +124,9 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     share: float = 0.2
     """And at most that share of the record is looked at for how long they are alike."""
     steps: int = 4
-    """Of Gauss and Newton; the model is so nearly linear that the third moves nothing."""
+    """Of Gauss and Newton at most,"""
+    still: float = 1e-5
+    """which end with one that moves the heave by less, in metres: the model is nearly linear."""
     least_left: float = 3.0
     """Independent readings beyond the number of unknowns, below which nothing is said."""
     gate: float = 8.0
@@ -375,33 +377,28 @@ def _at_start(rows: _Rows, start: Geometry) -> Array:
     return value
 
 
-def _heaves(rows: _Rows, start: Geometry, value: Array) -> Array:
-    """What the heave that was given would be by the readings and the unknowns ``value``, (n,)."""
+def _heaves(rows: _Rows, start: Geometry, value: Array) -> tuple[Array, Array]:
+    """What the heave that was given would be by the readings and the unknowns ``value``, (n,), and its derivatives by
+    these, (n, 9); rows without a reading are zero in both.
+    """
     height, drift, scale, late, forward, port, up, ahead, across = value.tolist()
-    lever = rows.x * forward + rows.y * port + (rows.z - 1.0) * up
-    over = rows.reading_m
+    sign, x, y, raised = start.sign, rows.x, rows.y, rows.z - 1.0
+    slopes = np.zeros((len(x), len(value)))
+    over, leaning = rows.reading_m, np.zeros(len(x))
     if start.beam_tilts:
-        along = (rows.z - start.sign * (rows.x * ahead + rows.y * across)) / hypot(1.0, hypot(ahead, across))
+        long, leaning = hypot(1.0, hypot(ahead, across)), x * ahead + y * across
+        along = (rows.z - sign * leaning) / long
+        for column, tangent, axis in ((LEAN_FORWARD, ahead, x), (LEAN_PORT, across, y)):
+            turned = -(sign * axis / long + along * tangent / long**2)
+            slopes[:, column] = scale * (sign * rows.reading_m * turned + height * axis)
         over = over * along
-        lever = lever - height * (rows.x * ahead + rows.y * across)
-    rise = start.sign * (over - height - drift * rows.ramp) - lever
-    found: Array = scale * rise + late * rows.velocity_mps
-    return found
-
-
-SMALL: Final = np.array([1e-3, 1e-3, 1e-4, 1e-4, 1e-3, 1e-3, 1e-3, 1e-4, 1e-4])
-"""Of each unknown, to differentiate by."""
-
-
-def _slopes(rows: _Rows, start: Geometry, value: Array) -> Array:
-    """Derivatives of these heaves, (n, 9); rows without a reading are zero."""
-    columns = []
-    for i, small in enumerate(SMALL.tolist()):
-        more, less = value.copy(), value.copy()
-        more[i] += small
-        less[i] -= small
-        columns.append((_heaves(rows, start, more) - _heaves(rows, start, less)) / (2.0 * small) * rows.weight)
-    return np.array(columns).T
+    rise = sign * (over - height - drift * rows.ramp) - (x * forward + y * port + raised * up - height * leaning)
+    slopes[:, HEIGHT] = scale * (leaning - sign)
+    slopes[:, DRIFT] = -scale * sign * rows.ramp
+    slopes[:, SCALE] = rise
+    slopes[:, LATE] = rows.velocity_mps
+    slopes[:, FORWARD], slopes[:, PORT], slopes[:, UP] = -scale * x, -scale * y, -scale * raised
+    return (scale * rise + late * rows.velocity_mps) * rows.weight, slopes * rows.weight[:, None]
 
 
 class _Found(msgspec.Struct, frozen=True, eq=False):
@@ -428,20 +425,24 @@ class _Found(msgspec.Struct, frozen=True, eq=False):
 def _found(rows: _Rows, start: Geometry, value: Array, unknowns: tuple[int, ...]) -> _Found | None:
     """Gauss-Newton over ``unknowns`` from ``value`` (9,), the others held; None: they cannot be told apart."""
     solved = list(unknowns)
+    given = rows.heave_m * rows.weight
     for _ in range(TUNING.steps):
-        slopes = _slopes(rows, start, value)[:, solved]
-        residual = (rows.heave_m - _heaves(rows, start, value)) * rows.weight
+        found, slopes = _heaves(rows, start, value)
+        slopes = slopes[:, solved]
         sizes = np.linalg.norm(slopes, axis=0)
         if not np.all(sizes > 0.0):
             return None
-        step, _, rank, _ = np.linalg.lstsq(slopes / sizes, residual, rcond=1e-9)
+        step, _, rank, _ = np.linalg.lstsq(slopes / sizes, given - found, rcond=1e-9)
         if rank < len(solved):
             return None
         value = value.copy()
         value[solved] += step / sizes
         if not np.all(np.isfinite(value)):
             return None
-    residual = (rows.heave_m - _heaves(rows, start, value)) * rows.weight
+        if float(step @ step) < TUNING.still**2 * len(given):
+            break
+    found, slopes = _heaves(rows, start, value)
+    residual = given - found
     gamma = _autocovariance(residual, rows.weight)
     n = float(rows.weight.sum())
     alike = float(gamma[0] ** 2 + 2.0 * (gamma[1:] @ gamma[1:]))
@@ -451,7 +452,7 @@ def _found(rows: _Rows, start: Geometry, value: Array, unknowns: tuple[int, ...]
     unseen = independent / (independent - len(solved))
     return _Found(
         value,
-        unseen * _covariance(_slopes(rows, start, value), gamma),
+        unseen * _covariance(slopes, gamma),
         residual,
         sqrt(float(gamma[0]) * unseen),
         independent,

@@ -145,6 +145,7 @@ class LaserLearning:
         self._keep_output(observer)
         while self._waiting and not self._waiting[0].t_s > self._output_t_s:
             self._read(self._waiting.popleft(), observer)
+        self.placement.trust(self.tilts.std_rad)
         self.placement.push_delayed(observer.delayed)
         self.placement.look(t_s)
         if self.placement.changes != self._places:

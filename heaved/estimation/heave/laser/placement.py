@@ -49,12 +49,16 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """or moves the reading by no more than such a share of the heave: what the delayed heave is off by goes with roll
     and pitch as the heave does; and that share of how far its scale and its phase are off, which then differ from wave
     to wave; and more, where there is a heave in real time alone."""
-    known: float = 0.01
+    known: tuple[float, float, float] = (0.01, 0.005, 0.005)
     """It is known where the gauge is when what is not known of it moves the reading by less than such a share of the
-    heave, or less than its noise."""
+    heave, or less than its noise: where it is configured; elsewhere, where nobody has measured it; and what comes of
+    not knowing how far the attitude leans, which is as steady as the heave.
+    """
     known_s: float = 30.0
     """Nor is it known from fewer seconds of readings: how long errors are alike shows in two or three of their periods.
     """
+    surer: float = 0.5
+    """Readings are let go that were read when roll and pitch were known less than now by that."""
     anywhere_m: float = 20.0
     """Before anything is known of the place it may be so far from the configured one."""
     gone_s: float = 60.0
@@ -124,6 +128,9 @@ class Placement:
         self._delayed: DelayedHeave | None = None
         self._push_s = -inf
         self.unknown_m = nan
+        self._tilt_std_rad = (0.0, 0.0)
+        self._first_std_rad = 0.0
+        """As they were known when the rows begin."""
         self._not_positive = 0
         self._look_s = -inf
 
@@ -152,6 +159,14 @@ class Placement:
         return at_m > TUNING.lever_m or hypot(forward, port) > 0.0
 
     # --- where it is -------------------------------------------------------------------------------------------------
+
+    def trust(self, tilt_std_rad: tuple[float, float]) -> None:
+        """How well roll and pitch are known; what was read while they were known much less is not worth keeping."""
+        self._tilt_std_rad = tilt_std_rad
+        if not len(self._at_once):
+            self._first_std_rad = hypot(*tilt_std_rad)
+        elif hypot(*tilt_std_rad) < TUNING.surer * self._first_std_rad:
+            self.restart()
 
     def push(self, t_s: float, reading_m: float, heave_m: float, velocity_mps: float, tilt: Tilt | None) -> None:
         """A reading of the target, and the heave of its time."""
@@ -204,16 +219,50 @@ class Placement:
         if found is not None and not self._is_of_the_heave(found, heave_m):
             self.is_known, self.unknown_m = False, nan
             return
+        self._take(found, rows, heave_m, roll, pitch)
+
+    def _take(self, found: GeometryFit | None, rows: Array, heave_m: float, roll: float, pitch: float) -> None:
+        """Decide what is known of the place; ``heave_m``, ``roll``, ``pitch``: standard deviations of the motion."""
         ahead_m, across_m = (inf, inf) if found is None else (found.foot_forward_std_m, found.foot_port_std_m)
-        unknown_m = hypot(_within(ahead_m) * pitch, _within(across_m) * roll)
-        is_known = unknown_m < max(self._noise_std_m, TUNING.known * heave_m)
+        at = self.configured.foot_m(0.0) if found is None else (found.foot_forward_m, found.foot_port_m)
+        placed_m = hypot(_within(ahead_m) * pitch, _within(across_m) * roll)
+        leaned_m = hypot(at[0] * self._tilt_std_rad[1], at[1] * self._tilt_std_rad[0])
+        is_elsewhere = found is not None and self._is_elsewhere(found, rows)
+        as_configured, elsewhere, leaned = TUNING.known
+        is_known = placed_m < max(self._noise_std_m, (elsewhere if is_elsewhere else as_configured) * heave_m)
+        is_known = is_known and leaned_m < max(self._noise_std_m, leaned * heave_m)
         is_known = is_known and len(rows) * TUNING.every_s >= TUNING.known_s - 1e-3
         if self.is_known and not is_known:
             return  # There are few readings, or little sea: it was known better.
-        self.unknown_m, self.is_known = unknown_m, is_known
-        if found is not None:
-            self.fit = found
-            self._judge(found, rows)
+        self.unknown_m, self.is_known = hypot(placed_m, leaned_m), is_known
+        self.is_off = is_elsewhere or (self.is_off and not is_known)
+        if found is None:
+            return
+        self.fit = found
+        taken = found.geometry if is_elsewhere and is_known else self.configured
+        reading, roll_rad, pitch_rad = rows[:, 1], rows[:, 4], rows[:, 5]
+        now_m = self.geometry.heave_m(reading, roll_rad, pitch_rad)
+        apart_m = float(np.std(taken.heave_m(reading, roll_rad, pitch_rad) - now_m))
+        if apart_m > TUNING.moved * self._noise_std_m or taken == self.configured:
+            self._set(taken)
+
+    def _is_elsewhere(self, found: GeometryFit, rows: Array) -> bool:
+        """Whether the gauge is not where it is configured."""
+        heave_m, velocity_mps, roll, pitch = np.maximum(np.std(rows[:, 2:6], axis=0), 1e-9).tolist()
+        of_heave, of_scale, at_once = TUNING.like_heave
+        share = of_heave + of_scale * hypot(found.scale - 1.0, found.late_s * velocity_mps / heave_m)
+        share += at_once if self._delayed is None else 0.0
+        forward, port = found.off_m(self.configured)
+        off = max(
+            _errors(forward, found.foot_forward_std_m, max(TUNING.least_m, share * heave_m / pitch)),
+            _errors(port, found.foot_port_std_m, max(TUNING.least_m, share * heave_m / roll)),
+        )
+        return off > (TUNING.back if self.is_off else TUNING.surely)
+
+    def _set(self, geometry: Geometry) -> None:
+        if geometry != self.geometry:
+            self.geometry = geometry
+            self.changes += 1
 
     def _aligned(self, rows: Array) -> Array:
         """Rows with the readings of other targets as if they were of the newest."""
@@ -232,31 +281,6 @@ class Placement:
         is_alike = found.geometry.sign == self.configured.sign and 1.0 / TUNING.unlike < found.scale < TUNING.unlike
         is_in_time = abs(found.late_s) - found.late_std_s < TUNING.late_s
         return is_alike and is_in_time and found.residual_rms_m < TUNING.unexplained * heave_m
-
-    def _judge(self, found: GeometryFit, rows: Array) -> None:
-        """Decide whether the gauge is where it is configured, and where it is taken to be."""
-        heave_m, velocity_mps, roll, pitch = np.maximum(np.std(rows[:, 2:6], axis=0), 1e-9).tolist()
-        of_heave, of_scale, at_once = TUNING.like_heave
-        share = of_heave + of_scale * hypot(found.scale - 1.0, found.late_s * velocity_mps / heave_m)
-        share += at_once if self._delayed is None else 0.0
-        forward, port = found.off_m(self.configured)
-        off = max(
-            _errors(forward, found.foot_forward_std_m, max(TUNING.least_m, share * heave_m / pitch)),
-            _errors(port, found.foot_port_std_m, max(TUNING.least_m, share * heave_m / roll)),
-        )
-        self.is_off = off > (TUNING.back if self.is_off else TUNING.surely)
-        taken = found.geometry if self.is_off and self.is_known else self.configured
-        reading, roll_rad, pitch_rad = rows[:, 1], rows[:, 4], rows[:, 5]
-        apart_m = float(
-            np.std(taken.heave_m(reading, roll_rad, pitch_rad) - self.geometry.heave_m(reading, roll_rad, pitch_rad))
-        )
-        if apart_m > TUNING.moved * self._noise_std_m or taken == self.configured:
-            self._set(taken)
-
-    def _set(self, geometry: Geometry) -> None:
-        if geometry != self.geometry:
-            self.geometry = geometry
-            self.changes += 1
 
     def is_open(self, t_s: float) -> bool:
         """Whether nothing is to be learned from the readings: it is not known where the gauge is."""

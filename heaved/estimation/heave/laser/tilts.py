@@ -35,16 +35,22 @@ class Tilt(NamedTuple):
 
 
 class Tilts:
-    """Push the attitude of every sample; it knows that of readings in between, which may come some seconds later."""
+    """Push the attitude of every sample; it knows that of readings in between, which may come some seconds later.
+
+    Attributes:
+        std_rad: how well the lean is known that is taken out of roll and of pitch.
+    """
 
     def __init__(self, capacity: int) -> None:
         self._rows: deque[tuple[float, float, float, float, float]] = deque(maxlen=capacity)
         """Time as the sensor has it, roll, pitch and their rates."""
         self._late_s = 0.0
+        self.std_rad = (0.0, 0.0)
 
     def push(self, attitude: Attitude, lean: Lean, late_s: float) -> None:
         """Take what is known after a sample: what the sensor shows, how far that leans, by how much it is late."""
         self._late_s = late_s
+        self.std_rad = lean.roll_std_rad, lean.pitch_std_rad
         last_s = self._rows[-1][0] if self._rows else -inf
         roll, pitch = attitude.roll_rad - lean.roll_rad, attitude.pitch_rad - lean.pitch_rad
         if attitude.t_s > last_s and isfinite(roll + pitch):

@@ -198,6 +198,12 @@ class DriftDetector:
         self._innovations[at] = self._innovations[at + self._size] = scaled
         self._next = at + 1 if at + 1 < self._size else 0
 
+    def fill(self, scaled: Array) -> None:
+        """Those of the past, (k,), at once: of a filter that has not been pushed anything yet."""
+        last = np.clip(scaled[-self._size :], -TUNING.bounded, TUNING.bounded)
+        self._innovations[self._size - len(last) : self._size] = last
+        self._innovations[self._size :] = self._innovations[: self._size]
+
     def look(self, t_s: float) -> bool:
         """See what may have begun, when it is time for that; whether it is likely enough to be followed."""
         if t_s - self._looked_s < TUNING.looked_every_s:

@@ -306,8 +306,9 @@ class SeaObserver:
             smoother.push(t_s - i * dt, nan, 0.0)
         # The weights are those of the steady filter: what an unsure one predicted has no place among them.
         smoother.push(t_s, predicted_m if heave.is_converged else nan, innovation)
-        said_m = float(heave.filter.system.heave.dot(heave.filter.x)) + heave.transfer.at(t_s)[0]
-        self._consistency.divergence.say(t_s, said_m, heave.state_std_m)
+        left_m = heave.transfer.at(t_s)[0]
+        said_m = float(heave.filter.system.heave.dot(heave.filter.x)) + left_m
+        self._consistency.divergence.say(t_s, said_m, hypot(heave.state_std_m, left_m))
         delayed = smoother.value()
         while self._ripening and self._ripening[0].t_s <= t_s - self._params.delay_s:
             ripe = self._ripening.popleft()
@@ -474,8 +475,7 @@ class SeaObserver:
         self._disturbances.restart()
         self._unaided_disturbances.restart()
         self._drift = DriftDetector(system, steady, self._drift)
-        for y in (np.nan_to_num(np.frombuffer(fit.innovation)) / sqrt(steady.S)).tolist():
-            self._drift.push(y)
+        self._drift.fill(np.nan_to_num(np.frombuffer(fit.innovation)) / sqrt(steady.S))
         self._candidates, self._looked_s = fit.candidates, fit.t_s
         self._consistency.fitted(fit.whiteness, fit.waves, heave.steady_std_m, heave.sea_std_m, fit.waves_seen)
         self.refreshes += 1

@@ -98,6 +98,20 @@ def test_a_drift_is_found_in_time_and_none_is_not(rate: float, steady: tuple[Sea
     assert detector.began_s == pytest.approx(since_s, abs=12.0)
 
 
+def test_what_is_filled_in_at_once_is_what_is_pushed(steady: tuple[SeaSystem, Steady]) -> None:
+    rng, one, other = np.random.default_rng(3), DriftDetector(*steady), DriftDetector(*steady)
+    past = 2.0 * rng.standard_normal(3000)
+    one.fill(past[:2400])
+    for scaled in past.tolist():
+        other.push(scaled)
+    for scaled in past[2400:].tolist():
+        one.push(scaled)
+    one.look(0.0)
+    other.look(0.0)
+    assert one.probability == pytest.approx(other.probability, rel=1e-9)
+    assert one.mixture().mean == pytest.approx(other.mixture().mean, rel=1e-9)
+
+
 def test_a_filter_that_follows_the_rate_is_right_within_its_deviation(steady: tuple[SeaSystem, Steady]) -> None:
     """From all that may have begun, through two minutes of drift to its end; scattered as it says over all of it."""
     system, of = steady
