@@ -1,4 +1,4 @@
-"""Measuring how sensors are mounted, and writing it down."""
+"""How the sensors of a configuration are mounted, measured and written into it."""
 
 from __future__ import annotations
 

@@ -396,16 +396,6 @@ def test_the_bandwidth_of_the_device_comes_before_that_of_its_profile() -> None:
     assert cautions(read(text)) == []
 
 
-def test_a_correction_needs_torch(monkeypatch: pytest.MonkeyPatch) -> None:
-    config = load(data_directory() / "heaved.toml")
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    (said,) = cautions(config)
-    assert said.startswith("correction.enabled: torch is not installed, so no correction is trained")
-    assert not cautions(msgspec.structs.replace(config, device=config.device[:1]))
-    off = msgspec.structs.replace(config.correction, enabled=False)
-    assert not cautions(msgspec.structs.replace(config, correction=off))
-
-
 SENTENCES = """
 [device.profile]
 name = "inline"
@@ -438,6 +428,16 @@ def test_what_a_mounting_costs_is_said(rotation: str, profile: str, expected: li
     found = cautions(read(f"{text}\nrotation_deg = {rotation}\nbandwidth_hz = 20\n{profile}"))
     assert len(found) == len(expected)
     assert all(part in caution for part, caution in zip(expected, found, strict=True))
+
+
+def test_a_correction_needs_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = load(data_directory() / "heaved.toml")
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    (said,) = cautions(config)
+    assert said.startswith("correction.enabled: torch is not installed, so no correction is trained")
+    assert not cautions(msgspec.structs.replace(config, device=config.device[:1]))
+    off = msgspec.structs.replace(config.correction, enabled=False)
+    assert not cautions(msgspec.structs.replace(config, correction=off))
 
 
 @pytest.mark.parametrize("name", ["heaved.toml", "demo.toml", "sensors.toml", "hull.toml", "hydrofoil.toml"])

@@ -220,33 +220,6 @@ def test_nothing_is_concluded_from_nothing() -> None:
     np.testing.assert_allclose(np.sqrt(2.0 * np.diag(covariance)), attitude_fit.TUNING.usual)
 
 
-def test_what_is_not_known_is_known_in_shape() -> None:
-    """Against the corrected acceleration with either of the two a little larger, row by row."""
-    recording, row_s, little = recorded(8.0, 0.04), attitude_fit.TUNING.row_s, 1e-4
-    slope = [np.gradient(angle, 1.0 / RATE_HZ) for angle in (recording.roll_rad, recording.pitch_rad)]
-    ones = [AttitudeError() for _ in range(3)]
-    for one, lean, late_s in zip(ones, (0.1, 0.1 + little, 0.1), (0.03, 0.03, 0.03 + little), strict=True):
-        one.lean_per_s, one.late_s = lean, late_s
-    corrected: dict[int, list[list[float]]] = {}
-    shapes: dict[int, tuple[float, float]] = {}
-    for i, sample in enumerate(recording.samples()):
-        assert isinstance(sample, ImuSample)
-        if sample.t_s > 15.0:  # before the first look
-            break
-        roll, pitch = sample.roll_rad, sample.pitch_rad
-        x, y, up = level_acceleration(sample.ax_mps2, sample.ay_mps2, sample.az_mps2, roll, pitch)
-        given = sample.t_s, x, y, up, roll, pitch, slope[0][i], slope[1][i]
-        ups = [one.step(*given, are_rates_measured=False) for one in ones]
-        corrected.setdefault(int(sample.t_s // row_s), []).append(ups)
-        if (unsized := ones[0].unsized) is not None:
-            shapes[int(unsized.t_s // row_s)] = unsized.by_lean, unsized.by_lateness
-            ones[0].unsized = None
-    means = np.array([np.mean(corrected[row], axis=0) for row in shapes])
-    expected = (means[:, :1] - means[:, 1:]) / little
-    assert len(shapes) > 50
-    assert np.all(np.std(np.array(list(shapes.values())) - expected, axis=0) < 0.1 * np.std(expected, axis=0))
-
-
 def test_a_lateness_that_was_measured_serves_from_the_first_sample() -> None:
     recording = recorded(inf, 0.08)
     slope = recording.truth.roll_rate_radps, recording.truth.pitch_rate_radps
@@ -279,3 +252,30 @@ def test_gyroscopes_are_believed_before_what_was_measured_once() -> None:
         if sample.t_s > 60.0:
             break
     assert one.late_s == pytest.approx(0.08, abs=0.01)
+
+
+def test_what_is_not_known_is_known_in_shape() -> None:
+    """Against the corrected acceleration with either of the two a little larger, row by row."""
+    recording, row_s, little = recorded(8.0, 0.04), attitude_fit.TUNING.row_s, 1e-4
+    slope = [np.gradient(angle, 1.0 / RATE_HZ) for angle in (recording.roll_rad, recording.pitch_rad)]
+    ones = [AttitudeError() for _ in range(3)]
+    for one, lean, late_s in zip(ones, (0.1, 0.1 + little, 0.1), (0.03, 0.03, 0.03 + little), strict=True):
+        one.lean_per_s, one.late_s = lean, late_s
+    corrected: dict[int, list[list[float]]] = {}
+    shapes: dict[int, tuple[float, float]] = {}
+    for i, sample in enumerate(recording.samples()):
+        assert isinstance(sample, ImuSample)
+        if sample.t_s > 15.0:  # before the first look
+            break
+        roll, pitch = sample.roll_rad, sample.pitch_rad
+        x, y, up = level_acceleration(sample.ax_mps2, sample.ay_mps2, sample.az_mps2, roll, pitch)
+        given = sample.t_s, x, y, up, roll, pitch, slope[0][i], slope[1][i]
+        ups = [one.step(*given, are_rates_measured=False) for one in ones]
+        corrected.setdefault(int(sample.t_s // row_s), []).append(ups)
+        if (unsized := ones[0].unsized) is not None:
+            shapes[int(unsized.t_s // row_s)] = unsized.by_lean, unsized.by_lateness
+            ones[0].unsized = None
+    means = np.array([np.mean(corrected[row], axis=0) for row in shapes])
+    expected = (means[:, :1] - means[:, 1:]) / little
+    assert len(shapes) > 50
+    assert np.all(np.std(np.array(list(shapes.values())) - expected, axis=0) < 0.1 * np.std(expected, axis=0))
