@@ -8,19 +8,23 @@ from typing import TYPE_CHECKING, Final, get_args
 
 import msgspec
 
-from heaved.config.read import data_directory, packaged_profiles
+from heaved.config.read import data_directory, packaged_profiles, packaged_sentences
 from heaved.devices.profile import SI, Role, role_quantities
 from heaved.manual.configuration import reference
 from heaved.outputs.records import (
+    AngleAgreementRecord,
     AttitudeRecord,
     DelayedRecord,
     ForecastRecord,
+    HeaveAgreementRecord,
     HullRecord,
     MotionRecord,
     PointRecord,
     QuietRecord,
+    ReferenceRecord,
     RockRecord,
     SeaRecord,
+    VelocityAgreementRecord,
     VersionRecord,
     WaveSystemRecord,
 )
@@ -107,9 +111,11 @@ def profiles() -> str:
             f"`{profile.name}`",
             profile.description,
             f"{profile.bandwidth_hz:g}" if profile.bandwidth_hz else "",
-            ", ".join(dict.fromkeys(f"{field.quantity}" for block in profile.blocks for field in block.fields)),
+            ", ".join(
+                dict.fromkeys(field.quantity for part in profile.blocks or profile.sentences for field in part.fields)
+            ),
         )
-        for profile in packaged_profiles()
+        for profile in (*packaged_profiles(), *packaged_sentences())
     ]
     return markdown_table(("profile", "device", "bandwidth, Hz", "quantities"), rows)
 
@@ -135,10 +141,20 @@ def faults() -> str:
 
 def records() -> str:
     """Records of the stream with their keys."""
-    kinds = (VersionRecord, MotionRecord, SeaRecord, DelayedRecord, QuietRecord, HullRecord, AttitudeRecord)
+    kinds = (
+        VersionRecord,
+        MotionRecord,
+        SeaRecord,
+        DelayedRecord,
+        QuietRecord,
+        HullRecord,
+        AttitudeRecord,
+        ReferenceRecord,
+    )
     parts = (RockRecord, ForecastRecord, PointRecord, WaveSystemRecord, Vibration)
+    agreements = (HeaveAgreementRecord, VelocityAgreementRecord, AngleAgreementRecord)
     named: list[tuple[str, type[msgspec.Struct]]] = [(f"`{kind.__struct_config__.tag}`", kind) for kind in kinds]
-    named += [(f"in {kind.__name__.removesuffix('Record')}", kind) for kind in parts]
+    named += [(f"in {kind.__name__.removesuffix('Record')}", kind) for kind in (*parts, *agreements)]
     rows = [(name, ", ".join(field.encode_name for field in msgspec.structs.fields(kind))) for name, kind in named]
     return markdown_table(("record", "keys"), rows)
 

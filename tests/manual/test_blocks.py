@@ -23,6 +23,7 @@ from running import demo_config, plant_of, running, until
 
 from heaved.cli import app
 from heaved.config.read import load
+from heaved.estimation.heave import params as heave
 from heaved.manual.topics import topics
 
 if TYPE_CHECKING:
@@ -139,7 +140,9 @@ def test_commands_do_what_is_said(block: Block, place: Path) -> None:
 
 
 async def test_commands_to_a_daemon_do_what_is_said(place: Path, tmp_path: Path) -> None:
-    async with plant_of(demo_config(tmp_path)) as (_, config), running(config) as daemon:
+    # Not so long that the sea is fitted: a worker that has just begun would be in the way of the end.
+    patient = heave.Params(sea=heave.SeaParams(first_fit_s=300.0))
+    async with plant_of(demo_config(tmp_path, heave=patient)) as (_, config), running(config) as daemon:
         await until(daemon, lambda frame: frame["seq"] > 10)
         host, port = daemon.addresses["stream"]
         for step in (step for block in CONSOLES if block.how == "live" for step in steps(block)):

@@ -97,6 +97,9 @@ def described() -> dict[str, set[str]]:
             heading = line.strip("#`[] ")
         found.setdefault(heading, set()).update(re.findall(r"^(?:- |  )`([a-z][a-z0-9_]*)`:", line))
         found.setdefault("examples", set()).update(re.findall(r"\b([a-z][a-z0-9_]*) = ", line))
+        # Of the keys of a profile the comment has a list.
+        listed = re.match(r" *((?:[a-z0-9_]+, )*[a-z0-9_]+): ", line.replace("\\", ""))
+        found["examples"].update(listed[1].split(", ") if listed else ())
     return found
 
 
@@ -181,7 +184,7 @@ NOT_REASONS = {
     # Names of sets of points.
     "common/sigma.py",
 }
-NO_REASON = {"… chains of … resonators", "… chains of …", "… in …..… Hz", "wind sea", "cm/s2 or in mg"}
+NO_REASON = {": …", "… chains of … resonators", "… chains of …", "… in …..… Hz", "wind sea", "cm/s2 or in mg"}
 """Parts and descriptions of models."""
 
 

@@ -29,9 +29,9 @@ CONFFILE: Final = "/etc/heaved/heaved.toml"
 SCRIPTS: Final = ("postinst", "prerm", "postrm")
 DESCRIPTION: Final = {
     "heaved": """Real-time heave and roll/pitch prediction for crane vessels
- Polls an accelerometer or IMU and a laser gauge over Modbus, estimates heave with
- its standard deviation, predicts roll and pitch, and publishes them on a TCP
- stream, in telegrams, Modbus registers, MQTT and InfluxDB.
+ Polls an accelerometer or IMU and a laser gauge over Modbus, estimates heave
+ with its standard deviation, predicts roll and pitch, and publishes them on a
+ TCP stream, in telegrams, Modbus registers, MQTT and InfluxDB.
  .
  The learned correction of the heave needs heaved-torch.""",
     "heaved-torch": """Training of the learned correction of heaved
@@ -250,7 +250,8 @@ def _settle(base: Path) -> None:
             runs = (
                 path.is_dir() or path.stat().st_mode & 0o100 or (path.parent.name == "DEBIAN" and path.name in SCRIPTS)
             )
-            path.chmod(0o755 if runs else 0o644)
+            # Wheels have their libraries as programs, which they are not.
+            path.chmod(0o755 if runs and (path.is_dir() or ".so" not in path.name) else 0o644)
         os.utime(path, (made_s, made_s), follow_symlinks=False)
 
 
