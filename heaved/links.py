@@ -235,7 +235,11 @@ def explain_no_connection(host: str, error: BaseException, served: str) -> str:
             )
         return f"host name {host} is unknown ({error.strerror}): check it, or write the IP address into the link"
     if isinstance(error, TimeoutError):
-        return "nobody answers the connection: check power, cable and address"
+        # Nor does anybody where the unit does not permit it: what it does not permit is dropped, not refused.
+        return (
+            "nobody answers the connection: check power, cable and address, and of a service that its unit permits the "
+            "address (heaved install-service)"
+        )
     if isinstance(error, ConnectionRefusedError):
         return f"connection refused: check that {served}"
     if isinstance(error, PermissionError):

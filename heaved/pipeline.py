@@ -25,6 +25,7 @@ import msgspec
 from heaved.estimation.heave import saved_state
 from heaved.estimation.heave.estimator import HeaveEstimator
 from heaved.estimation.heave.forecast_check import ForecastCheck
+from heaved.estimation.heave.laser.placement import LaserPlace
 from heaved.estimation.heave.observer import SavedObserver, Verdict
 from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.imu.conditioning import Conditioner
@@ -110,7 +111,9 @@ class Pipeline:
         if up is not None:
             self.heave.step(up)
         if self.heave.has_laser:
-            self.laser.step(t_s, self.heave.observer)
+            vertical, observer = self.vertical, self.heave.observer
+            self.laser.tilts.push(vertical.attitude, vertical.lean(t_s, observer.omega_radps), vertical.late_s)
+            self.laser.step(t_s, observer)
         self.stages.push(readings.sample)
         frame = self._frame(t_s, rock)
         if self.check is not None:
@@ -171,6 +174,8 @@ class Pipeline:
         return SavedState(
             frequencies_hz=observer.frequencies_hz,
             sea=observer.sea,
+            bias_mps2=observer.bias_mps2,
+            bias_std_mps2=observer.bias_std_mps2,
             lead_learned_s=lead.learned_s if lead.updates else None,
             gain_learned=lead.gain,
             correction=self.heave.correction.saved(),
@@ -183,7 +188,13 @@ class Pipeline:
             ValueError: the state does not fit the configuration; says what does not, and nothing was taken over.
         """
         saved_state.check(state)
-        self.heave.restore(SavedObserver(frequencies_hz=state.frequencies_hz, sea=state.sea), state.correction, age_s)
+        observer = SavedObserver(
+            frequencies_hz=state.frequencies_hz,
+            sea=state.sea,
+            bias_mps2=state.bias_mps2,
+            bias_std_mps2=state.bias_std_mps2,
+        )
+        self.heave.restore(observer, state.correction, age_s)
         if state.lead_learned_s is not None:
             self.laser.lead.restore(state.lead_learned_s, state.gain_learned)
 
@@ -199,6 +210,7 @@ class Pipeline:
             lead_comparisons=lead.updates,
             laser_constant_m=self.laser.reference.constant_m,
             laser_error_rms_m=self.laser.reference.error_rms_m(),
+            laser_place=self.laser.placement.shown,
             training_windows=correction.windows,
             windows_with_nothing_to_learn=correction.nothing_to_learn,
             trained_accepted=self._trained[Verdict.ACCEPTED],
@@ -225,14 +237,16 @@ def assemble(
     lead_s: float = 0.0,
     stages: Stages | None = None,
     quiet: quiescence.Params | None = None,
+    attitude_late_s: float = 0.0,
 ) -> Pipeline:
     """The pipeline of a configuration.
 
     ``lead_s``: the heave is published for this long after each sample (the consumer's reaction time). ``stages``: what
     lives beside the heave; none by default. ``rock``: its parameters, or an estimator that is there already.
+    ``attitude_late_s``: see :class:`Vertical`.
     """
     stages = stages or Stages()
-    vertical = Vertical(MAX_RATE_HZ)
+    vertical = Vertical(MAX_RATE_HZ, attitude_late_s)
     rocking = rock if isinstance(rock, RockEstimator) else RockEstimator(rock)
     heaving = HeaveEstimator(heave, laser, correction, has_laser=has_laser, lead_s=lead_s, max_rate_hz=MAX_RATE_HZ)
     return Pipeline(
@@ -258,6 +272,7 @@ class PipelineSummary(msgspec.Struct, frozen=True, kw_only=True):
     lead_comparisons: int
     laser_constant_m: float
     laser_error_rms_m: float
+    laser_place: LaserPlace
     training_windows: int
     """That were handed out to be trained on."""
     windows_with_nothing_to_learn: int

@@ -108,7 +108,23 @@ class CraneSample(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     fault: Fault = Fault.NONE
 
 
-Sample = ImuSample | LaserSample | RatesSample | CraftSample | CraneSample
+class MruSample(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """One reading of an existing motion reference unit, to compare ours with; what it does not say is nan. It never
+    touches the heave.
+
+    As it tells it: which way its heave counts, and what it calls roll, say ``[reference_mru]``.
+    """
+
+    t_s: float
+    heave_m: float = nan
+    heave_velocity_mps: float = nan
+    roll_rad: float = nan
+    pitch_rad: float = nan
+    yaw_rad: float = nan
+    fault: Fault = Fault.NONE
+
+
+Sample = ImuSample | LaserSample | RatesSample | CraftSample | CraneSample | MruSample
 
 
 # ---- what a frame is worth -------------------------------------------------------------------------------------------
@@ -356,6 +372,46 @@ class CraftMotion(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     cautions: tuple[str, ...] = ()
 
 
+class MruAgreement(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """How one quantity of an existing MRU stands to ours, in SI units of the quantity; nan: not known."""
+
+    reference: float = nan
+    """What it said last, in our signs,"""
+    own: float = nan
+    """ours at that moment,"""
+    difference: float = nan
+    """and reference minus ours."""
+    mean_difference: float = nan
+    """Over the window. Of the heave it has no meaning, of the angles it is how differently the two are mounted."""
+    std_difference: float = nan
+    """Without that mean,"""
+    rms_difference: float = nan
+    """and with it."""
+    explained: float = nan
+    """Standard deviation of the difference that the errors of both explain."""
+    correlation: float = nan
+    """Greatest within a second either way, means taken out,"""
+    delay_s: float = nan
+    """by which the reference is then late,"""
+    scale: float = nan
+    """and so many times as large as ours."""
+
+
+class MruComparison(msgspec.Struct, frozen=True, gc=False, kw_only=True):
+    """An existing MRU beside ours, at ``t_s``, the time of validity of its reading."""
+
+    t_s: float
+    heave: MruAgreement = MruAgreement()
+    heave_velocity: MruAgreement = MruAgreement()
+    roll: MruAgreement = MruAgreement()
+    pitch: MruAgreement = MruAgreement()
+    yaw: MruAgreement = MruAgreement()
+    compared_s: float = 0.0
+    """Length of what was compared, of the window."""
+    warnings: tuple[str, ...] = ()
+    """Where the two diverge, in words."""
+
+
 # ---- all of it -------------------------------------------------------------------------------------------------------
 
 
@@ -406,6 +462,8 @@ class MotionFrame(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     hull: HullAngles | None = None
     """The newest one; many frames carry the same object."""
     attitude: CraftMotion | None = None
+    """Likewise."""
+    reference_mru: MruComparison | None = None
     """Likewise."""
 
 

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING
 import pytest
 from recorded_hours import Scribe, write_recording
 
-from heaved import __version__, cli
+from heaved import __version__
+from heaved.cli import daemon as daemon_commands
 from heaved.cli import main
 from heaved.config.read import data_directory
 
@@ -32,6 +33,8 @@ COMMANDS = (
     "wait",
     "check-config",
     "probe",
+    "install-service",
+    "manual",
     "replay",
     "export",
     "report",
@@ -204,7 +207,7 @@ def test_check_config_refuses_rates_that_the_line_cannot_carry(
 def test_run_without_configuration_says_where_to_get_one(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(cli, "SYSTEM_CONFIG", tmp_path / "absent.toml")
+    monkeypatch.setattr(daemon_commands, "SYSTEM_CONFIG", tmp_path / "absent.toml")
     assert main(["run"]) == 78
     assert str(data_directory() / "heaved.toml") in capsys.readouterr().err
 

@@ -63,6 +63,9 @@ def test_the_wheel_holds_the_package_and_its_data_and_nothing_else(wheel: Path) 
     assert {name.split("/")[0] for name in names} == {"heaved", f"heaved-{__version__}.dist-info"}
     for path in (path for path in (ROOT / "config").rglob("*") if path.is_file()):
         assert f"heaved/_config/{path.relative_to(ROOT / 'config')}" in names
+    assert "heaved/_systemd/heaved.service" in names
+    for path in (ROOT / "heaved/manual").glob("*.md"):
+        assert f"heaved/manual/{path.name}" in names
     for path in (ROOT / "heaved/page/static").iterdir():
         assert f"heaved/page/static/{path.name}" in names
     modules = {str(path.relative_to(ROOT)) for path in (ROOT / "heaved").rglob("*.py")}
@@ -84,7 +87,7 @@ def test_the_installed_command_finds_its_data_inside_the_package(installed: Path
 
 
 def test_the_scripts_of_the_checkout_can_be_run() -> None:
-    for name in ("tools/test", "tools/demo", ".ci/run"):
+    for name in ("tools/test", "tools/demo", "tools/deb", "tools/debian/try.sh", ".ci/run"):
         path = ROOT / name
         assert path.stat().st_mode & stat.S_IXUSR, f"{name} is not executable"
         assert path.read_text().startswith("#!/usr/bin/env bash\n")

@@ -14,6 +14,7 @@
     tools/accuracy.py hull [--runs 50] [--shake]    deformation between two IMUs, 600 s a run
     tools/accuracy.py attitude [--runs 50] [--shake]    heave and pitch of a foil-assisted catamaran
     tools/accuracy.py crane [--seeds 3]    heave of the tip of a crane, parked and at work
+    tools/accuracy.py laser-geometry [--seeds 2]    a laser elsewhere than at the IMU, configured so and not
     tools/accuracy.py faults [DISASTER ...] [--seas S6] [--rates 20]    what is published while things go wrong
     tools/accuracy.py closed-loop [S6 T3] [--replay]    a hook under a winch that the stream drives, in real time
     tools/accuracy.py results [WORD ...] [--list]    run all (or those with these words) that RESULTS.md holds
@@ -38,7 +39,7 @@ os.environ["OMP_NUM_THREADS"] = "1"
 
 from typing import TYPE_CHECKING
 
-from evidence import craft, crane, hull, results
+from evidence import craft, crane, hull, laser_geometry, results
 from evidence.closed_loop import commands as closed_loop
 from evidence.commands import Command, Options, Parser, add_jobs
 from evidence.faults import commands as faults
@@ -121,6 +122,7 @@ COMMANDS: dict[str, Command] = {
     **hull.COMMANDS,
     **craft.COMMANDS,
     **crane.COMMANDS,
+    **laser_geometry.COMMANDS,
     **faults.COMMANDS,
     **closed_loop.COMMANDS,
     "results": Command(run_results, _results, "run the commands of RESULTS.md again"),

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         ObserverStatus,
         OutputStatus,
         QuietStatus,
+        ReferenceStatus,
         RockRecord,
         RockStatus,
         StatusRecord,
@@ -74,7 +75,8 @@ def _escaped(letter: str) -> str:
 def check_line(result: Snapshot | UnreachableError) -> tuple[CheckState, str]:
     """Exit code and the one line ``STATE - text | performance data``.
 
-    CRITICAL: no daemon, no fresh frame, heave invalid. WARNING: heave degraded or settling, a device or an output down.
+    CRITICAL: no daemon, no fresh frame, heave invalid. WARNING: heave degraded or settling, a device or an output down,
+    a reference MRU that diverges.
     UNKNOWN: what answers is no daemon of ours, or the host has no address, so the check itself is set up wrongly.
     """
     if isinstance(result, UnreachableError):
@@ -114,8 +116,10 @@ def _judge(status: StatusRecord, motion: MotionRecord | None, age_s: float | Non
     text = f"heave {quality.heave.value}{reasons}, age {duration(age_s)}"
     down = [device.name for device in status.devices if not device.up]
     down += [f"output {output.name}" for output in status.outputs if not output.up]
-    if down:
-        return CheckState.WARNING, f"{text}, down: {', '.join(down)}"
+    amiss = [f"down: {', '.join(down)}"] if down else []
+    amiss += status.reference_mru.warnings if status.reference_mru is not None else ()
+    if amiss:
+        return CheckState.WARNING, f"{text}, {'; '.join(amiss)}"
     return (CheckState.OK if quality.heave is HeaveState.VALID else CheckState.WARNING), text
 
 
@@ -141,7 +145,9 @@ def table(snapshot: Snapshot) -> str:
         lines.append(_row("state", status.state_file))
     lines += _heave_rows(status, motion, _age_s(snapshot))
     lines += _correction_rows(status)
+    lines += _laser_rows(status)
     lines += _stage_rows(status)
+    lines += _reference_rows(status)
     if motion is not None and motion.rock:
         lines += _titled("rock", _columns([("in", "roll", "pitch", "yaw"), *map(_rock_cells, motion.rock)]))
     if status.rock:
@@ -220,6 +226,18 @@ def accelerometer_text(observer: ObserverStatus) -> str:
     return "   ".join(told)
 
 
+def _laser_rows(status: StatusRecord) -> Iterator[str]:
+    """Where it is found to be, once its readings show it."""
+    laser = status.laser
+    if laser is None or laser.ahead_m is None or laser.port_m is None:
+        return
+    along, across = "ahead" if laser.ahead_m >= 0.0 else "aft", "port" if laser.port_m >= 0.0 else "starboard"
+    ahead_m = f"{abs(laser.ahead_m):.2f} m {spread(laser.ahead_std_m, ' m', 2)}"
+    port_m = f"{abs(laser.port_m):.2f} m {spread(laser.port_std_m, ' m', 2)}"
+    at = f"{ahead_m} {along}, {port_m} to {across}"
+    yield _row("laser", f"{'elsewhere: ' if laser.is_elsewhere else ''}{at} of where it is configured")
+
+
 def _correction_rows(status: StatusRecord) -> Iterator[str]:
     correction = status.correction
     if correction is None:
@@ -242,6 +260,43 @@ def _stage_rows(status: StatusRecord) -> Iterator[str]:
         pitch = f"pitch {signed(motion.pitch_deg, '°', 2)} {spread(motion.pitch_std_deg, '°', 2)}"
         age = f"   age {duration(motion.age_s)}"
         yield _row("craft", f"{heave}   {pitch}{age}{_noted(motion.cautions, motion.resets)}")
+
+
+def _reference_rows(status: StatusRecord) -> Iterator[str]:
+    """An existing MRU beside ours."""
+    mru = status.reference_mru
+    if mru is None:
+        return
+    yield _row("reference", reference_text(mru))
+    angles = [
+        f"{axis} {signed(mean, '°', 2)} {spread(std, '°', 2)}"
+        for axis, mean, std in (
+            ("roll", mru.roll_mean_difference_deg, mru.roll_std_difference_deg),
+            ("pitch", mru.pitch_mean_difference_deg, mru.pitch_std_difference_deg),
+        )
+        if mean is not None
+    ]
+    if angles:
+        yield _row("", f"minus ours, in the mean: {'   '.join(angles)}")
+    for warning in mru.warnings:
+        yield _row("", warning)
+
+
+def reference_text(mru: ReferenceStatus) -> str:
+    """How the heave of an existing MRU stands to ours."""
+    if mru.age_s is None:
+        return "nothing to compare yet"
+    if mru.compared_s is None:
+        return f"nothing to compare for {duration(mru.age_s)}"
+    told = [f"heave {signed(mru.heave_difference_m, ' m', 3)} from ours"] if mru.heave_difference_m is not None else []
+    if mru.heave_std_difference_m is not None:
+        both = "" if mru.heave_explained_m is None else f", both explain {mru.heave_explained_m:.3f} m"
+        told.append(f"{mru.heave_std_difference_m:.3f} m RMS over {mru.compared_s:.0f} s{both}")
+    if mru.heave_correlation is not None:
+        delay = "" if mru.heave_delay_s is None else f", {mru.heave_delay_s * 1e3:+.0f} ms late"
+        scale = "" if mru.heave_scale is None else f", {mru.heave_scale:.3f} times ours"
+        told.append(f"correlation {mru.heave_correlation:.3f}{delay}{scale}")
+    return "   ".join([*told, f"age {duration(mru.age_s)}"])
 
 
 def _noted(notes: tuple[str, ...], resets: int) -> str:

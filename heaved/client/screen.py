@@ -19,7 +19,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from heaved.client.report import accelerometer_text, duration, signed, spread
+from heaved.client.report import accelerometer_text, duration, reference_text, signed, spread
 from heaved.client.stream_client import SILENCE_S, StreamConnection, Trouble, UnreachableError
 from heaved.outputs.records import MotionRecord, StatusRecord
 from heaved.samples import HeaveState
@@ -279,6 +279,9 @@ def _troubles(status: StatusRecord) -> Iterator[Text]:
     for device in status.devices:
         if not device.up:
             yield _told(f"✖ {device.name} ({device.role}) DOWN: {_without_place(device)}", "bold red")
+    if status.reference_mru is not None:
+        for warning in status.reference_mru.warnings:
+            yield _told(f"▲ {warning}", "bold yellow")
     for output in _outputs(status):
         if not output.up:
             yield _told(f"✖ output {output.name} ({output.kind}) DOWN: {output.detail}", "bold red")
@@ -299,6 +302,8 @@ def _status_parts(status: StatusRecord) -> Iterator[RenderableType]:
         yield _table("output", "speaks", "state", "sent", "lost", rows=map(_output_cells, outputs))
     if status.observer is not None and (told := accelerometer_text(status.observer)):
         yield _told(f"accelerometer   {told}", "dim")
+    if status.reference_mru is not None:
+        yield _told(f"reference MRU   {reference_text(status.reference_mru)}", "dim")
 
 
 def _device_cells(device: DeviceStatus) -> tuple[str | Text, ...]:

@@ -18,6 +18,7 @@ from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.hull import estimate as hull
 from heaved.estimation.lever_arm import Point
+from heaved.estimation.reference_mru import estimator as reference_mru
 from heaved.estimation.rock import params as rock
 from heaved.outputs.influx import InfluxParams
 from heaved.outputs.mqtt import MqttParams
@@ -97,6 +98,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     hull: hull.Params = hull.Params()
     attitude: fusion.Params = fusion.Params()
     crane: crane.Params = crane.Params()
+    reference_mru: reference_mru.Params = reference_mru.Params()
     quiet: quiescence.Params = quiescence.Params()
     point: tuple[Point, ...] = ()
     compensation: CompensationParams = CompensationParams()
@@ -114,3 +116,17 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     def has_laser(self) -> bool:
         """Whether there is a device to learn from."""
         return any(device.role == "laser" for device in self.device)
+
+    @property
+    def attitude_late_s(self) -> float:
+        """By how much the IMU's angles are older than its accelerations."""
+        return self.mounting[2] * 1e-3
+
+    @property
+    def mounting(self) -> tuple[tuple[float, ...], tuple[float, ...], float]:
+        """How the IMU stands: ``rotation_deg``, ``bias_mps2`` and ``attitude_latency_ms`` of its device. What was
+        measured with another one is not gone on with.
+        """
+        imu = next((device for device in self.device if device.role == "imu"), None)
+        none = (0.0, 0.0, 0.0)
+        return (imu.rotation_deg, imu.bias_mps2, imu.attitude_latency_ms) if imu is not None else (none, none, 0.0)

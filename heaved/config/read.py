@@ -93,9 +93,21 @@ def packaged_profiles() -> tuple[Profile, ...]:
     Raises:
         ConfigError: one of them is broken.
     """
+    return tuple(profile for profile in _packaged() if profile.blocks)
+
+
+def packaged_sentences() -> tuple[Profile, ...]:
+    """Likewise those of devices that speak by themselves.
+
+    Raises:
+        ConfigError: one of them is broken.
+    """
+    return tuple(profile for profile in _packaged() if profile.sentences)
+
+
+def _packaged() -> list[Profile]:
     files = sorted((data_directory() / "devices").glob("*.toml"))
-    profiles = [msgspec.convert(_read_toml(file), Profile) for file in files]
-    return tuple(profile for profile in profiles if profile.blocks)
+    return [msgspec.convert(_read_toml(file), Profile) for file in files]
 
 
 def _read_toml(path: Path) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import importlib.util
 import ipaddress
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from math import isfinite
+from math import asin, degrees, hypot, isfinite
 from typing import Any, Final, get_args
 
 import msgspec
@@ -19,9 +19,11 @@ from heaved.config.typed import sound_keys, table_of
 from heaved.devices.bandwidth import bandwidth_hz, folding, remedy
 from heaved.devices.link import bus_load_faults, buses, line_faults, most_rate_hz
 from heaved.devices.listening import SCHEMES
+from heaved.devices.mounting import ANGLES, FORCES, rotation
 from heaved.devices.profile import DeviceSpec, Role, profile_faults, role_needs, role_quantities, told_together
 from heaved.estimation.craft import fusion
 from heaved.estimation.crane.geometry import JOINTS, needed
+from heaved.estimation.heave.laser.geometry import Geometry
 from heaved.estimation.heave.sea.whittle_fit import TUNING as FIT
 from heaved.estimation.hull import estimate as hull
 from heaved.links import AnyLink, TcpLink, TcpListenLink, UdpListenLink, parse_any_link, parse_link
@@ -38,6 +40,10 @@ MODBUS: Final = ("tcp", "rtu")
 """Links of devices that are asked."""
 _QUANTITY_OF: Final = dict(zip(JOINTS, role_quantities("crane"), strict=True))
 """What shows a joint of the crane."""
+ON_END: Final = 0.94
+"""Sine of 70 degrees: of an IMU whose x axis stands up."""
+STEEP: Final = 0.5
+"""Least cosine to the mast of the beam of a laser."""
 LONG_TIMEOUT_S: Final = 1.0
 """Twice what a silent device is left alone for."""
 
@@ -166,8 +172,11 @@ def cautions(config: Config) -> list[str]:
             most_hz = most_rate_hz(parse_link(device.link), device.profile)
             advice = remedy(device.rate_hz, bandwidth, device.profile.bandwidth_register, most_hz)
             found.append(f"{path}.rate_hz: {told}; {advice}")
+        found += _mounting_cautions(path, device)
         if device.role == "crane" and not config.crane.is_there:
             found.append(f"{path}.role: its readings go nowhere: [crane] does not say how the crane is built")
+        if device.role == "reference_mru" and not any(other.role == "imu" for other in config.device):
+            found.append(f'{path}.role: there is nothing to compare it with: no device of role "imu" is configured')
         if device.timeout_ms > 1e3 * LONG_TIMEOUT_S:
             found.append(
                 f"{path}.timeout_ms: {device.timeout_ms:g} ms of waiting for each lost answer, and nothing else is "
@@ -187,8 +196,15 @@ def cautions(config: Config) -> list[str]:
                     f"device {device.name}: timeout_ms {device.timeout_ms:g} is longer than the period of {names} on "
                     "the same line: each answer that it loses costs them polls; lower it, or give each its own line"
                 )
+    if config.correction.enabled and config.has_laser and importlib.util.find_spec("torch") is None:
+        found.append(
+            "correction.enabled: torch is not installed, so no correction is trained: pip install torch (of the Debian "
+            "package: heaved-torch), or set it to false"
+        )
     measured = next((_quantities(device) for device in config.device if device.role == "imu"), set())
     has_attitude = {"roll_rad", "pitch_rad"} <= measured
+    if config.has_laser:
+        found += _laser_cautions(config, has_attitude=has_attitude)
     found += output_cautions(config.output, config.compensation.lead_s, has_attitude=has_attitude)
     return found + services.cautions(config)
 
@@ -290,6 +306,9 @@ def _point_faults(file: Written) -> list[str]:
     wanted = file.tables.quiet.point
     if wanted and wanted not in [point.get("name") for point in points.values()]:
         faults.append(f"quiet.point: no [[point]] is named {wanted!r}")
+    wanted = file.tables.reference_mru.point
+    if wanted and wanted not in [point.get("name") for point in points.values()]:
+        faults.append(f"reference_mru.point: no [[point]] is named {wanted!r}")
     return faults
 
 
@@ -327,11 +346,34 @@ def _parsed(text: object, schemes: Sequence[str]) -> AnyLink | None:
     return None
 
 
+def _laser_cautions(config: Config, *, has_attitude: bool) -> list[str]:
+    """Of where the laser is."""
+    laser, found = config.laser, []
+    if max(abs(laser.forward_m), abs(laser.port_m)) > 0.0 and not has_attitude:
+        found.append(
+            "laser.forward_m, laser.port_m: no imu measures roll and pitch, so that nothing of the heave is known from "
+            "where the laser is: it is of no use"
+        )
+    if laser.sign * laser.beam[2] > 0.0 and laser.geometry != Geometry(sign=laser.sign):
+        looks = "looks down" if laser.beam[2] < 0.0 else "looks up"
+        turned = "[0, 0, 1]" if laser.beam[2] < 0.0 else "[0, 0, -1]"
+        found.append(
+            f"laser.sign: {laser.sign} with a beam that {looks} is a laser that stands on something fixed and looks at "
+            f"the ship; for one on board that looks the other way write beam = {turned}"
+        )
+    return found
+
+
 def _heave_faults(config: Config) -> list[str]:
     """Of the observers, their horizons and their laser."""
     faults = []
     if config.laser.role == "aiding" and config.heave.observer != "sea":
         faults.append("laser.role: 'aiding' needs heave.observer = 'sea'; the harmonic observer can only be compared")
+    x, y, z = config.laser.beam
+    if not abs(z) > STEEP * hypot(x, y, z):
+        faults.append(
+            f"laser.beam: must point down or up, by no more than 60 degrees from it (got [{x:g}, {y:g}, {z:g}])"
+        )
     windows_s = list(config.heave.sea.windows_s)
     if windows_s != sorted(set(windows_s)) or not windows_s:
         faults.append(f"heave.sea.windows_s: must be lengths that increase (got {windows_s})")
@@ -379,6 +421,7 @@ def _device_faults(path: str, device: DeviceSpec) -> list[str]:
         )
     faults += [f"{path}.profile: {fault}" for fault in profile_faults(device.profile)]
     carried = _quantities(device)
+    faults += _mounting_faults(path, device, carried)
     lacking = [name for name in role_needs(device.role) if name not in carried]
     if lacking:
         lacks = " and no ".join(lacking)
@@ -387,6 +430,49 @@ def _device_faults(path: str, device: DeviceSpec) -> list[str]:
         names = ", ".join(useful)
         faults.append(f"{path}.profile: {device.profile.name!r} has none of {names}: of no use in role {device.role!r}")
     return faults
+
+
+def _mounting_faults(path: str, device: DeviceSpec, carried: Collection[str]) -> list[str]:
+    """A mounting of what has no axes, or not all that are to be turned."""
+    faults = []
+    is_imu = device.role in ("imu", "imu2")
+    for key, is_set in (
+        ("rotation_deg", any(device.rotation_deg)),
+        ("bias_mps2", any(device.bias_mps2)),
+        ("attitude_latency_ms", device.attitude_latency_ms != 0.0),
+    ):
+        if is_set and not (is_imu and (key == "rotation_deg" or device.role == "imu")):
+            faults.append(f"{path}.{key}: is for an IMU; a device in role {device.role!r} has nothing to apply it to")
+    if device.role == "imu" and (device.rotation_deg[0] % 360.0 or device.rotation_deg[1] % 360.0):
+        lacking = [name for name in FORCES if name not in carried]
+        if lacking:
+            faults.append(
+                f"{path}.rotation_deg: the vertical acceleration of a tilted sensor takes all three, and profile "
+                f"{device.profile.name!r} has no {' and no '.join(lacking)}"
+            )
+    return faults
+
+
+def _mounting_cautions(path: str, device: DeviceSpec) -> list[str]:
+    """What a mounting costs."""
+    found = []
+    _, y, z = device.rotation_deg
+    if device.role == "imu" and (y % 180.0 or z % 180.0):
+        told = [_quantities(device)] if device.is_asked else [set(names) for names in told_together(device.profile)]
+        pair = set(ANGLES[:2])
+        if any(pair & names for names in told) and not any(pair <= names for names in told):
+            found.append(
+                f"{path}.rotation_deg: to be turned, roll and pitch take each other, and the profile has not both in "
+                "one answer: there will be no attitude; map the axes in the profile instead"
+            )
+    steep = abs(rotation(*device.rotation_deg)[2][0])
+    if device.role == "imu" and steep > ON_END:
+        found.append(
+            f"{path}.rotation_deg: its x axis stands {degrees(asin(min(steep, 1.0))):.0f} degrees up or down: roll and "
+            "yaw of the sensor turn about the same axis there, so the vessel's heading is only as good as they are of "
+            "one moment; roll and pitch are not affected. Better: map its axes in the profile, or in the sensor"
+        )
+    return found
 
 
 def _quantities(device: DeviceSpec) -> set[str]:

@@ -239,7 +239,8 @@ class Daemon:
             _log.warning(f"[{table}] has changed: restart the daemon to bring it into force")
         # The devices are those of before until they are polled otherwise.
         self._journal.renewed(msgspec.structs.replace(self.config, device=old.device))
-        if any(getattr(new, table) != getattr(old, table) for table in _AT_ONCE) or new.has_laser != old.has_laser:
+        at_once = (*_AT_ONCE, "has_laser", "mounting")
+        if any(getattr(new, name) != getattr(old, name) for name in at_once):
             self._replace_pipeline()
             await self.workers.have(self.config)
         if new.hull != old.hull:
@@ -252,6 +253,9 @@ class Daemon:
         if new.crane != old.crane:
             self.acquisition.pipeline.stages.configure_crane(new.crane)
             self._journal.configured(Call.CRANE, self.config)
+        if new.reference_mru != old.reference_mru:
+            self.acquisition.pipeline.stages.configure_reference_mru(new.reference_mru)
+            self._journal.configured(Call.REFERENCE_MRU, self.config)
         if any(getattr(new, table) != getattr(old, table) for table in TABLES):
             await self._outputs.have(self.config, _CANCEL_S)
         if new.device != old.device:
@@ -370,7 +374,7 @@ class Daemon:
 
     def _publish_stages(self) -> None:
         stages = self.acquisition.pipeline.stages
-        self._publisher.publish_stages(stages.angles, stages.motion)
+        self._publisher.publish_stages(stages.angles, stages.motion, stages.reference_mru)
 
     def _make_publisher(self) -> Publisher:
         stream = self.config.stream
@@ -411,8 +415,9 @@ def make_pipeline(config: Config, stages: Stages | None = None) -> Pipeline:
         has_laser=config.has_laser,
         point=config.point,
         lead_s=config.compensation.lead_s,
-        stages=stages or Stages(config.hull, config.attitude, config.crane, refit_inline=False),
+        stages=stages or Stages(config.hull, config.attitude, config.crane, config.reference_mru, refit_inline=False),
         quiet=config.quiet,
+        attitude_late_s=config.attitude_late_s,
     )
 
 

@@ -32,6 +32,8 @@ from heaved.samples import (
     HeaveState,
     LaserState,
     MotionFrame,
+    MruAgreement,
+    MruComparison,
     QuietForecast,
     RockScore,
     SeaState,
@@ -275,6 +277,29 @@ class Metrics:
             table.unknown("heaved_attitude_pitch_radians", "Pitch of the craft, fused."),
             table.unknown("heaved_attitude_pitch_std_radians", "Standard deviation of that pitch."),
         )
+        self._have_reference(table)
+
+    def _have_reference(self, table: _Table) -> None:
+        """Of an existing MRU; heave in metres and angles in radians apart, since a metric has one unit."""
+        names = ("latest", "mean", "std", "explained")
+        self.reference_difference = table.gauge(
+            "heaved_reference_difference_meters",
+            "Heave of the reference MRU minus ours, and what both explain.",
+            "kind",
+        )
+        self.reference_angle_difference = table.gauge(
+            "heaved_reference_difference_radians", "Roll and pitch of the reference MRU minus ours.", "axis", "kind"
+        )
+        self._reference_heave = tuple(self.reference_difference.labels(name) for name in names)
+        self._reference_angles = tuple(
+            tuple(self.reference_angle_difference.labels(axis, name) for name in names) for axis in ("roll", "pitch")
+        )
+        self._reference_likeness = (
+            table.unknown("heaved_reference_correlation_ratio", "Of the heave of the reference MRU with ours."),
+            table.unknown("heaved_reference_delay_seconds", "By which the reference MRU is late."),
+            table.unknown("heaved_reference_scale_ratio", "Heave of the reference MRU over ours."),
+        )
+        self._set_reference(None)
 
     def _have_rock(self, table: _Table) -> None:
         self.rock_error = table.gauge(
@@ -353,6 +378,7 @@ class Metrics:
         _set((*self._now, self.delayed_heave, *self._attitude, self.training_age), ())
         self._set_sea(None)
         _set([gauge for pair in self._hull for gauge in pair], ())
+        self._set_reference(None)
         self.record_rock(())
         self.record_quiet(None)
 
@@ -388,6 +414,16 @@ class Metrics:
             _set(self._attitude, (motion.heave_m, motion.heave_std_m, motion.pitch_rad, motion.pitch_std_rad))
         else:
             _set(self._attitude, ())
+        mru = frame.reference_mru
+        self._set_reference(mru if mru is not None and frame.t_s - mru.t_s <= RENEWED_S else None)
+
+    def _set_reference(self, mru: MruComparison | None) -> None:
+        """How an existing MRU stands to ours; None: there is none, or it says nothing."""
+        heave, *angles = (mru.heave, mru.roll, mru.pitch) if mru is not None else (None,) * 3
+        _set(self._reference_heave, _differences(heave))
+        for gauges, angle in zip(self._reference_angles, angles, strict=True):
+            _set(gauges, _differences(angle))
+        _set(self._reference_likeness, (heave.correlation, heave.delay_s, heave.scale) if heave is not None else ())
 
     def record_training(self, frame: MotionFrame, age_s: float) -> None:
         """``age_s``: since the network in use was accepted; nan: there is none."""
@@ -431,6 +467,12 @@ class Metrics:
         if self._last_frame is not None:
             self._show(self._last_frame)
         return generate_latest(self._registry)
+
+
+def _differences(found: MruAgreement | None) -> tuple[float, ...]:
+    if found is None:
+        return ()
+    return found.difference, found.mean_difference, found.std_difference, found.explained
 
 
 def _set(gauges: Sequence[Gauge], values: Sequence[float]) -> None:

@@ -14,11 +14,24 @@ import msgspec
 from heaved.devices.profile import SI, told_together
 from heaved.devices.station import KINDS
 from heaved.estimation.rock.params import STANDARD_HORIZONS_S
-from heaved.outputs.fields import ATTITUDE, FORECAST, HULL, HULL_STD, MOTION, POINT, ROCK, Fields, compiled
+from heaved.outputs.fields import (
+    ATTITUDE,
+    FORECAST,
+    HULL,
+    HULL_STD,
+    MOTION,
+    MRU_ANGLE,
+    MRU_HEAVE,
+    MRU_VELOCITY,
+    POINT,
+    ROCK,
+    Fields,
+    compiled,
+)
 from heaved.recorder import messages
 from heaved.recorder.layout import Column, Device, Layout, Stored
 from heaved.recorder.messages import Kind, packed
-from heaved.samples import Fault, MotionFrame, Quality
+from heaved.samples import Fault, MotionFrame, MruAgreement, Quality
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -37,7 +50,7 @@ def device_of(spec: DeviceSpec) -> Device:
     """The columns of a device.
 
     A register's number is kept as it is, with the scale that its profile has: the value of the sample to the last bit,
-    in two bytes instead of eight. What comes from no register is kept as a double.
+    in two bytes instead of eight. What comes from no register, or has a scale of its own, is kept as a double.
     """
     columns = [
         Column(
@@ -51,6 +64,7 @@ def device_of(spec: DeviceSpec) -> Device:
         )
         for block in spec.profile.blocks
         for field in block.fields
+        if field.scale_from is None  # Its scale is known with each reading alone.
     ]
     carried = {column.name for column in columns}
     columns += [
@@ -102,6 +116,15 @@ _NOW: Final = ("heave_m", "heave_std_m", "heave_velocity_mps")
 _QUIET: Final = ("start_s", "length_s", "confidence", "best_confidence")
 _CRANE: Final = tuple(f"crane_{axis}_deg" for axis in ("roll", "pitch", "yaw"))
 
+MRU: Final[dict[str, Fields[MruAgreement]]] = {
+    "heave": MRU_HEAVE,
+    "heave_velocity": MRU_VELOCITY,
+    **dict.fromkeys(("roll", "pitch", "yaw"), MRU_ANGLE),
+}
+"""What of an existing MRU is compared."""
+_MRU_TOLD: Final = ("reference", "difference")
+"""Of each; the statistics are made of these again. The readings themselves are in the other table."""
+
 QUALITY: Final = ("quality", "laser", "correction", "reasons")
 """Texts that hold until they change."""
 BETWEEN: Final = "; "
@@ -152,8 +175,15 @@ class FramePacker:
                 f"(nan if attitude is None else {value})"
                 for value in ("frame.t_s - attitude.t_s", *ATTITUDE.outside("attitude"))
             ]
+        if any(device.role == "reference_mru" for device in config.device):
+            numbers.append(_column("mru_age_s"))
+            values.append("(nan if mru is None else frame.t_s - mru.t_s)")
+            for quantity, fields in MRU.items():
+                told = fields.only(*(name for name in fields.names if name.startswith(_MRU_TOLD)))
+                numbers += [_column(f"mru_{quantity}_{name}") for name in told.names]
+                values += [f"(nan if mru is None else {value})" for value in told.outside(f"mru.{quantity}")]
         self._of_frame: Callable[..., tuple[float, ...]] = compiled(
-            f"(frame.t_s, {', '.join(values)})", ["frame", "delayed", "quiet", "hull", "attitude"], nan=nan
+            f"(frame.t_s, {', '.join(values)})", ["frame", "delayed", "quiet", "hull", "attitude", "mru"], nan=nan
         )
         numbers += [_column(f"point_{name}_{field}") for name in self._points for field in POINT.names]
         self._of_point = _tuple_of(POINT)
@@ -191,6 +221,7 @@ class FramePacker:
             self._new("quiet", frame.quiet),
             hull := self._new("hull", frame.hull),
             self._new("attitude", frame.attitude),
+            self._new("mru", frame.reference_mru),
         )
         if hull is not None and hull.state != self._hull_state:
             self._hull_state = hull.state

@@ -184,6 +184,7 @@ class RecordingOutput:
         self._settings = packed(Kind.SETTINGS, msgspec.json.encode(settings))
         self._what = params.what
         self._header = self._sent_header = b""
+        self._config: Config
         self._hour = -1
         self._polls: dict[str, PollPacker] = {}
         self._frames: FramePacker
@@ -215,7 +216,9 @@ class RecordingOutput:
             self._gather(self._frames.pack(frame))
 
     def renew(self, config: Config) -> None:
-        """What follows has the columns of this configuration, and stands in files of its own."""
+        """What follows has the columns of this configuration, and stands in files of its own unless it has them now."""
+        if self._header and config == self._config:
+            return
         self._cut()
         self._config = config
         self._frames = FramePacker(config)

@@ -15,8 +15,10 @@ from heaved.outputs.records import (
     DeviceStatus,
     HeaveStatus,
     HullStatus,
+    LaserStatus,
     ObserverStatus,
     OutputStatus,
+    ReferenceStatus,
     StatusRecord,
 )
 from heaved.samples import CorrectionState, Fault, HeaveState, LaserState, MotionFrame, Quality, SeaState
@@ -70,8 +72,12 @@ def status_record(
         lead_s=rounded(summary.lead_s),
         observer=_observer(acquisition, summary, config, frame.sea if frame is not None else None, now_s),
         correction=_correction(acquisition, summary, frame, now_s),
+        laser=_laser(summary) if config.has_laser else None,
         hull=_hull(frame) if config.hull.enabled else None,
         attitude=_attitude(frame, now_s) if config.attitude.enabled else None,
+        reference_mru=_reference(frame, now_s)
+        if any(device.role == "reference_mru" for device in config.device)
+        else None,
         rock=wire.rock_status(acquisition.rock_scores(), _SHOWN_S),
         quiet=wire.quiet_status(frame.quiet) if frame is not None else None,
         clock=ClockStatus(utc_offset_s=round(utc.offset_s, 6), steps=utc.steps),
@@ -96,6 +102,8 @@ def status_line(record: StatusRecord) -> str:
     if not record.devices:
         parts.append("no devices configured")
     parts += [f"output {output.name} down" for output in record.outputs if not output.up]
+    if record.reference_mru is not None and record.reference_mru.warnings:
+        parts.append("reference MRU differs")
     return ", ".join(parts)
 
 
@@ -123,6 +131,17 @@ def _observer(
     )
 
 
+def _laser(summary: PipelineSummary) -> LaserStatus:
+    place = summary.laser_place
+    return LaserStatus(
+        is_elsewhere=place.is_elsewhere,
+        ahead_m=rounded(place.ahead_m),
+        ahead_std_m=rounded(place.ahead_std_m),
+        port_m=rounded(place.port_m),
+        port_std_m=rounded(place.port_std_m),
+    )
+
+
 def _hull(frame: MotionFrame | None) -> HullStatus:
     if frame is None or frame.hull is None:
         return HullStatus(state="no rates of both IMUs yet")
@@ -146,6 +165,10 @@ def _attitude(frame: MotionFrame | None, now_s: float) -> AttitudeStatus:
         cautions=motion.cautions,
         resets=motion.resets,
     )
+
+
+def _reference(frame: MotionFrame | None, now_s: float) -> ReferenceStatus:
+    return wire.reference_status(None if frame is None else frame.reference_mru, now_s)
 
 
 def _devices(acquisition: Acquisition, config: Config, now_s: float) -> tuple[DeviceStatus, ...]:

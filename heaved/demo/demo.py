@@ -32,8 +32,10 @@ from heaved.networks import is_loopback_host
 from heaved.outputs.telegrams.formats import FORMATS
 from heaved.page.server import PageError, PageServer
 from heaved.page.server import serve as serve_page
+from heaved.simulate.gauge import AT_THE_IMU, Gauge
 from heaved.simulate.hydrofoil import Passage
 from heaved.simulate.instruments import Instruments
+from heaved.simulate.mounted import Mounted
 from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.seaway import seaway
 from heaved.simulate.shaking import NONE
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
 
     from heaved.config import Config
     from heaved.simulate.faults import PlannedFault
+    from heaved.simulate.mru import MruModel
     from heaved.simulate.slave import Source
 
 SERIAL_BAUDRATE: Final = 230_400
@@ -75,9 +78,11 @@ def demo_config() -> Config:
 
 
 def on_serial_line(devices: Sequence[DeviceSpec], directory: Path) -> tuple[DeviceSpec, ...]:
-    """The devices on one simulated serial line, a pseudo-terminal that appears as ``directory/bus``."""
+    """The devices on one simulated serial line, a pseudo-terminal that appears as ``directory/bus``; those that
+    speak by themselves stay where they are.
+    """
     link = f"rtu://{directory}/bus?baudrate={SERIAL_BAUDRATE}"
-    return tuple(msgspec.structs.replace(device, link=link) for device in devices)
+    return tuple(msgspec.structs.replace(device, link=link) if device.is_asked else device for device in devices)
 
 
 def how_to_look(config: Config) -> list[str]:
@@ -106,8 +111,10 @@ def instruments(
     *,
     sensor: str = "A",
     laser: str = "on",
+    gauge: Gauge = AT_THE_IMU,
     shake: str = NONE,
     seed: int = SEED,
+    mru: MruModel | None = None,
 ) -> Instruments:
     """Sensors in a sea, shaken by what that name says. With sensors of a craft among the ``devices``, the default craft
     makes a voyage of its own.
@@ -117,7 +124,9 @@ def instruments(
     """
     at_sea = any(device.role in ("craft", "heave_sensor", "pitch_sensor") for device in devices)
     voyage = voyages(Vessel(), [seed], Passage())[0] if at_sea else None
-    return Instruments(seaway(sea, seed), sensor=sensor, laser=laser, shake=shake, seed=seed, voyage=voyage)
+    return Instruments(
+        seaway(sea, seed), sensor=sensor, laser=laser, gauge=gauge, shake=shake, seed=seed, voyage=voyage, mru=mru
+    )
 
 
 def serve(
@@ -250,7 +259,7 @@ def _sensor_process(connection: Connection, devices: tuple[DeviceSpec, ...], sea
     async def run() -> None:
         closed = asyncio.Event()
         asyncio.get_running_loop().add_reader(connection.fileno(), closed.set)
-        plant = SimulatedPlant(devices, instruments(sea, devices, shake=shake), any_port=True)
+        plant = SimulatedPlant(devices, Mounted(instruments(sea, devices, shake=shake), {}), any_port=True)
         await plant.start()
         connection.send(_Served(plant.devices, time.monotonic() - plant.time_s()))
         await closed.wait()

@@ -13,8 +13,9 @@ from math import inf, nan
 from typing import TYPE_CHECKING, Any, Final
 
 from heaved.devices.liveness import LivenessCheck
+from heaved.devices.mounting import mounting_of
 from heaved.devices.profile import Decoded, DeviceSpec, Quantity, role_quantities
-from heaved.devices.sentences import SentenceReader
+from heaved.devices.sentences import SentenceReader, name_of
 from heaved.devices.station import KINDS, PollResult
 from heaved.host_name import HostName
 from heaved.links import AnyLink, SerialLink, TcpLink, UdpListenLink, explain_open_failure, parse_any_link
@@ -58,6 +59,7 @@ class Listening:
         self._clock = clock
         self._reader = SentenceReader(device.profile.sentences)
         self._liveness = LivenessCheck(device)
+        self._mounting = mounting_of(device)
         self._wanted = frozenset(role_quantities(device.role))
         self._period_s = 1.0 / device.rate_hz
         self._silence_s = max(device.timeout_ms * 1e-3, LEAST_SILENCE_PERIODS * self._period_s)
@@ -186,7 +188,7 @@ class Listening:
             await asyncio.sleep(max(min(self._silence_s - quiet_s, self._period_s), 1e-3))
 
     def _silence_in_words(self, quiet_s: float) -> str:
-        wanted = " or ".join(sentence.header for sentence in self._device.profile.sentences)
+        wanted = " or ".join(map(name_of, self._device.profile.sentences))
         if self._stranger:
             return f"sentences from {self._stranger} are not taken: name its network in the device's allow"
         if heard := self._reader.heard():
@@ -206,7 +208,8 @@ class Listening:
         if fault is Fault.NONE:
             reconnected = 0 < self._good_on < self._opened
             self._good_on = self._opened
-        measured: dict[str, Any] = {name: value for name, value in values.items() if name in self._wanted}
+        turned = values if self._mounting is None else self._mounting.turn(values)
+        measured: dict[str, Any] = {name: value for name, value in turned.items() if name in self._wanted}
         self._on_result(
             PollResult(
                 device=self._device.name,

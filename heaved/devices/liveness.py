@@ -31,9 +31,9 @@ class LivenessCheck:
     """Whether what a device says is alive.
 
     Measurements that stay identical to the last bit for longer than ``stuck_after_s`` are stuck (0: never judged): a
-    living sensor has noise. The encoders of a crane have none and stand still with it: they are not judged. A device
-    that sends its own clock is stale when that clock stands. Neither is forgotten over a lost connection: a gateway
-    that serves its memory is found out at once.
+    living sensor has noise. The encoders of a crane have none and stand still with it, and an MRU in a harbour may tell
+    the same centimetre for long: they are not judged. A device that sends its own clock is stale when that clock
+    stands. Neither is forgotten over a lost connection: a gateway that serves its memory is found out at once.
     """
 
     def __init__(self, device: DeviceSpec) -> None:
@@ -41,7 +41,8 @@ class LivenessCheck:
         blocks = device.profile.blocks
         measured = [tuple(name for name in names if name in wanted) for names in told_together(device.profile)]
         self._blocks = [(names, Unchanged()) for names in measured if names]
-        self._stuck_after_s = inf if device.role == "crane" else device.stuck_after_s or inf
+        is_coarse = device.role in ("crane", "reference_mru")
+        self._stuck_after_s = inf if is_coarse else device.stuck_after_s or inf
         steps_s = [si_step(field) for block in blocks for field in block.fields if field.quantity == "device_time_s"]
         self._clock = Unchanged()
         # Two steps and a half: a clock that ticks as coarsely as it is read may show the same time twice.

@@ -24,7 +24,7 @@ from heaved.devices.frames import explain_exception
 from heaved.devices.link import most_rate_hz
 from heaved.devices.profile import Block, ByteOrder, Field, Profile, Quantity, block_registers, decode
 from heaved.devices.timer import DeadlineTimer
-from heaved.links import Link, TcpLink
+from heaved.links import Link, SerialLink, TcpLink
 from heaved.samples import GRAVITY_MPS2, Fault
 
 MOST_SHOWN: Final = 4
@@ -32,6 +32,8 @@ MOST_SHOWN: Final = 4
 SHIFTS: Final = (0, 1, -1)
 FITS: Final = 0.7
 """Score from which a profile is worth naming."""
+GRAVITY_OFF_MPS2: Final = 2.5
+"""By which the accelerations of a ship in a seaway are off gravity, at the most."""
 READS: Final = 5
 """Of every profile that is worth naming."""
 READ_PAUSE_S: Final = 0.1
@@ -42,6 +44,11 @@ SIMULATED: Final = "heaved-sim-"
 """Start of the names of the simulator's profiles, which are listed last."""
 _ANYTHING: Final = Block(start=0, fields=(Field(quantity="signal", offset=0),))
 """One register: asked of an id to see whether there is anybody."""
+
+FACTORY_IDS: Final = (80, 1)
+"""Of the profiles that come with the program, as delivered: WitMotion; Baumer, Benewake and Riftek."""
+FEW_IDS: Final = 2
+"""So few that are named are looked for as thoroughly as those."""
 
 _NOBODY: Final = (explain_exception(10), explain_exception(11))
 """A gateway's answer for an id behind which there is no device."""
@@ -102,7 +109,7 @@ def plausibility(values: Mapping[Quantity, float], registers: Sequence[int]) -> 
     marks: list[tuple[float, bool]] = []
     forces = [values[axis] for axis in ("ax_mps2", "ay_mps2", "az_mps2") if axis in values]
     if len(forces) == 3:
-        marks.append((4.0, abs(sqrt(sum(force**2 for force in forces)) - GRAVITY_MPS2) < 1.5))
+        marks.append((4.0, abs(sqrt(sum(force**2 for force in forces)) - GRAVITY_MPS2) < GRAVITY_OFF_MPS2))
     elif forces:
         marks.append((2.0, any(abs(abs(force) - GRAVITY_MPS2) < 1.5 for force in forces)))
     marks += [(1.0, abs(values[angle]) < 0.8) for angle in ("roll_rad", "pitch_rad") if angle in values]
@@ -147,12 +154,14 @@ _MOST_AT_ONCE: Final[dict[Quantity, float]] = {
 def doubt(series: Sequence[Finding]) -> str:
     """Why readings that are plausible one by one do not prove the profile; empty when they do."""
     pairs = list(pairwise(series))
-    ticks = [
-        0.0 < after.values["device_time_s"] - before.values["device_time_s"] <= 2.0 * (after.read_s - before.read_s)
+    steps = [
+        (after.values["device_time_s"] - before.values["device_time_s"], after.read_s - before.read_s)
         for before, after in pairs
         if "device_time_s" in after.values
     ]
-    if sum(ticks) >= max(len(pairs) - 1, 2):  # A clock may begin anew once.
+    ticks = [(step_s, passed_s) for step_s, passed_s in steps if 0.0 < step_s <= 2.0 * passed_s]
+    # A clock may begin anew once, and a slow sensor's stands for a while; but it does not go at half the pace.
+    if len(ticks) >= max(len(pairs) - 1, 2) and sum(step for step, _ in ticks) > 0.5 * sum(s for _, s in ticks):
         return ""
     if len({tuple(finding.registers) for finding in series}) == 1:
         return "nothing in it changes: memory, or a sensor that stands"
@@ -179,7 +188,7 @@ def parse_ids(text: str) -> tuple[int, ...]:
     return tuple(found)
 
 
-class _Line:
+class ReopenedLine:
     """A line that is opened again whenever the other side closes it, or says what cannot be read on from."""
 
     def __init__(self, link: Link, timer: DeadlineTimer) -> None:
@@ -224,18 +233,55 @@ class _Line:
             self.late_s |= self._open.late_s
 
     def close(self) -> None:
+        """Give it back."""
         if self._open is not None:
             self._open.close()
             self._open = None
 
 
+class Bandwidth(msgspec.Struct, frozen=True, kw_only=True):
+    """To what a sensor's low-pass is set."""
+
+    hertz: float
+    is_read: bool
+    """From the sensor's register; else it is as delivered."""
+    source: str
+    """The same in words."""
+
+
+class Device(msgspec.Struct, frozen=True, kw_only=True):
+    """Somebody who answers."""
+
+    device_id: int
+    link: Link
+    findings: list[Finding]
+    """What fits, best first."""
+    bandwidth: Bandwidth | None = None
+
+    @property
+    def proved(self) -> list[Finding]:
+        """Those of the findings that are beyond doubt."""
+        return [finding for finding in self.findings if not finding.doubt]
+
+    @property
+    def verdict(self) -> str:
+        """How well it is known."""
+        if self.proved:
+            return "fits"
+        return "could be" if self.findings else "answers, but no known profile fits"
+
+
 class Report(msgspec.Struct, frozen=True):
     """What there is to print."""
 
-    lines: list[str]
-    """Each device that answers, and what fits it; empty when nobody answers."""
+    devices: list[Device]
     hints: list[str]
     """Why there may be more than that, and how to find it."""
+
+    @property
+    def lines(self) -> list[str]:
+        """Each device that answers, and what fits it; empty when nobody answers."""
+        return [line for device in self.devices for line in device_lines(device)]
 
 
 async def probe(
@@ -246,10 +292,10 @@ async def probe(
     Raises:
         ConnectionError: the line cannot be opened; says why and what to do.
     """
-    lines: list[str] = []
+    devices: list[Device] = []
     hints: list[str] = []
     with DeadlineTimer() as timer:
-        line = _Line(link, timer)
+        line = ReopenedLine(link, timer)
         try:
             await line.open()
             found, odd = await find_ids(line, ids, timeout_s, progress)
@@ -263,53 +309,64 @@ async def probe(
                 if device_id not in found
             ]
             hints += _odd_hints(odd)
+            if isinstance(link, SerialLink):
+                silent = [i for i in ids if i not in found and i not in line.late_s and i not in dict(odd)]
+                found += await _find_choosy(line, thorough_ids(silent, len(ids)), profiles, timeout_s)
             for device_id in found:
                 findings = await examine(
                     line, device_id, profiles, timeout_s, rest_s=0.0 if isinstance(link, TcpLink) else timeout_s
                 )
-                lines += _device_lines(device_id, findings)
+                device = Device(device_id=device_id, link=link, findings=findings)
+                devices.append(device)
                 if findings:
-                    lines += await _bandwidth_lines(line, device_id, findings[0].variant, link, timeout_s)
+                    bandwidth = await _bandwidth(line, device_id, findings[0].variant, timeout_s)
+                    devices[-1] = msgspec.structs.replace(device, bandwidth=bandwidth)
         except ConnectionError as error:
-            if not lines and not hints:
+            if not devices and not hints:
                 raise
             hints.append(f"the line was lost: {error}")
         finally:
             line.close()
-    return Report(lines, hints)
+    return Report(devices, hints)
 
 
-def _device_lines(device_id: int, findings: Sequence[Finding]) -> Iterator[str]:
-    proved = [finding for finding in findings if not finding.doubt]
-    verdict = "fits" if proved else "could be" if findings else "answers, but no known profile fits"
-    yield f"id {device_id}: {verdict}"
-    for finding in (proved or findings)[:MOST_SHOWN]:
+def device_lines(device: Device) -> Iterator[str]:
+    """What was found of it, for people."""
+    yield f"id {device.device_id}: {device.verdict}"
+    for finding in (device.proved or device.findings)[:MOST_SHOWN]:
         yield f"  {finding.score:4.0%}  {finding.variant.describe()}"
         yield "        " + ", ".join(f"{quantity} {value:.4g}" for quantity, value in finding.values.items())
         yield "        registers " + " ".join(f"{register:04X}" for register in finding.registers)
         if finding.doubt:
             yield f"        {finding.doubt}"
+    if device.bandwidth is not None:
+        yield from _bandwidth_lines(device.bandwidth, device.findings[0].variant.profile, device.link)
 
 
-async def _bandwidth_lines(line: Reader, device_id: int, variant: Variant, link: Link, timeout_s: float) -> list[str]:
-    """To what the sensor's low-pass is set, how fast that wants to be polled, and what to do if the line cannot."""
-    profile, hertz, source = variant.profile, variant.profile.bandwidth_hz, "as delivered"
+async def _bandwidth(line: Reader, device_id: int, variant: Variant, timeout_s: float) -> Bandwidth | None:
+    """To what the sensor's low-pass is set; None: nobody knows."""
+    profile = variant.profile
     register = profile.bandwidth_register
     if register is not None:
         field = Field(quantity="signal", offset=0, type="uint16", byte_order=profile.blocks[0].fields[0].byte_order)
-        asked = _changed(Block(start=register.address, fields=(field,)), variant)
+        asked = changed(Block(start=register.address, fields=(field,)), variant)
         answer = await line.read(device_id, asked, 1, timeout_s)
         value = decode(asked, answer.registers).values.get("signal", inf) if answer.fault is Fault.NONE else inf
         if value < len(register.choices_hz):
-            hertz, source = register.choices_hz[int(value)], f"register 0x{register.address:02X} is {value:g}"
-    if not hertz:
-        return []
-    most_hz = most_rate_hz(link, profile)
-    told = [f"        bandwidth {hertz:g} Hz ({source}): poll at {PASSES * hertz:g} Hz or more"]
+            source = f"register 0x{register.address:02X} is {value:g}"
+            return Bandwidth(hertz=register.choices_hz[int(value)], is_read=True, source=source)
+    if not profile.bandwidth_hz:
+        return None
+    return Bandwidth(hertz=profile.bandwidth_hz, is_read=False, source="as delivered")
+
+
+def _bandwidth_lines(bandwidth: Bandwidth, profile: Profile, link: Link) -> Iterator[str]:
+    """How fast the sensor wants to be polled, and what to do if the line cannot."""
+    hertz, most_hz = bandwidth.hertz, most_rate_hz(link, profile)
+    yield f"        bandwidth {hertz:g} Hz ({bandwidth.source}): poll at {PASSES * hertz:g} Hz or more"
     if most_hz < PASSES * hertz:
-        told.append(f"        the line carries {most_hz:g} polls a second: {folding(most_hz, hertz)}")
-        told.append(f"        {remedy(most_hz, hertz, register, most_hz)}")
-    return told
+        yield f"        the line carries {most_hz:g} polls a second: {folding(most_hz, hertz)}"
+        yield f"        {remedy(most_hz, hertz, profile.bandwidth_register, most_hz)}"
 
 
 def _odd_hints(odd: Sequence[tuple[int, str]]) -> Iterator[str]:
@@ -335,6 +392,32 @@ async def find_ids(
         if not answer.answered and (answer.fault is not Fault.TIMEOUT or "own request" in answer.detail):
             odd.append((device_id, answer.detail))
     return found, odd
+
+
+def thorough_ids(ids: Sequence[int], asked: int) -> list[int]:
+    """Those of ``ids`` that are worth more than one request each, where ``asked`` are asked in all."""
+    return [device_id for device_id in ids if device_id in FACTORY_IDS or asked <= FEW_IDS]
+
+
+def first_registers(profiles: Sequence[Profile]) -> list[Block]:
+    """A block of one register for the first of each block of the profiles, each once, but for holding register 0, which
+    everybody is asked for. Some devices do not refuse a register that they have not got, but ignore the request.
+    """
+    real = [profile for profile in profiles if not profile.name.startswith(SIMULATED)]
+    places = {(block.function, block.start): None for profile in real for block in profile.blocks}
+    places.pop((_ANYTHING.function, _ANYTHING.start), None)
+    return [Block(function=function, start=start, fields=_ANYTHING.fields) for function, start in places]
+
+
+async def _find_choosy(line: Reader, ids: Sequence[int], profiles: Sequence[Profile], timeout_s: float) -> list[int]:
+    """Those that answer to a read of what they have, and to no other."""
+    found: list[int] = []
+    for device_id in ids:
+        for place in first_registers(profiles):
+            if (await line.read(device_id, place, 1, timeout_s)).answered:
+                found.append(device_id)
+                break
+    return found
 
 
 async def examine(
@@ -401,7 +484,7 @@ async def _try(
     registers: list[int] = []
     read_s = 0.0
     for block in variant.profile.blocks:
-        asked = _changed(block, variant)
+        asked = changed(block, variant)
         key = (asked.function, asked.start, block_registers(asked))
         if key not in cache:
             cache[key] = await line.read(device_id, asked, key[2], timeout_s)
@@ -419,7 +502,8 @@ async def _try(
     return Finding(variant=variant, score=score, values=values, registers=registers, read_s=read_s)
 
 
-def _changed(block: Block, variant: Variant) -> Block:
+def changed(block: Block, variant: Variant) -> Block:
+    """A block of the profile as the variant reads it."""
     is_holding = (block.function == "holding") is not variant.other_function
     fields = block.fields
     if variant.byte_order is not None:

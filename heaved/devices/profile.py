@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 import sys
 from functools import lru_cache
-from math import isfinite, isnan, pi
+from math import ceil, isfinite, isnan, pi
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import msgspec
@@ -27,16 +27,20 @@ Quantity = Literal[
     "roll_rad", "pitch_rad", "yaw_rad",
     "gx_radps", "gy_radps", "gz_radps",
     "laser_m",
-    "heave_m", "speed_mps", "flap_fore_rad", "flap_aft_rad",
+    "heave_m", "heave_velocity_mps", "speed_mps", "flap_fore_rad", "flap_aft_rad",
     "slew_rad", "boom_rad", "jib_rad", "line_out_m",
     "temperature_c", "signal", "device_time_s",
 ]  # fmt: skip
-Role = Literal["imu", "laser", "imu2", "craft", "heave_sensor", "pitch_sensor", "crane"]
+Role = Literal["imu", "laser", "imu2", "craft", "heave_sensor", "pitch_sensor", "crane", "reference_mru"]
+MountAngle = Annotated[float, msgspec.Meta(ge=-360, le=360)]
+Bias = Annotated[float, msgspec.Meta(ge=-5, le=5)]
 Name = Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9_.-]{1,64}$")]
 
 
 class Field(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One value: ``si = sign * to_si(unit, raw * scale + offset_value)``."""
+    """One value: ``si = sign * to_si(unit, raw * scale + offset_value)``, where ``scale_from`` names a register whose
+    number belongs to the scale.
+    """
 
     quantity: Quantity
     offset: Annotated[int, msgspec.Meta(ge=0, le=124)]
@@ -45,12 +49,17 @@ class Field(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     byte_order: ByteOrder = "ABCD"
     """Order in which the bytes of the value stand on the line; AB for 16 bits is big-endian, as Modbus has it."""
     scale: float = 1.0
+    scale_from: Annotated[int, msgspec.Meta(ge=0, le=124)] | None = None
+    """A register of the block that holds a factor of the scale (uint16): of a sensor that tells its own range."""
     offset_value: float = 0.0
     unit: Unit = "1"
     sign: Literal[1, -1] = 1
     min: float | None = None
     """Smallest plausible value, in ``unit``, before the sign; outside is a fault, never a value."""
     max: float | None = None
+    raw_min: float | None = None
+    """The same of the number in the register: a sensor's codes for "no reading" are outside."""
+    raw_max: float | None = None
 
 
 class Block(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -61,12 +70,19 @@ class Block(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     fields: Annotated[tuple[Field, ...], msgspec.Meta(min_length=1)]
 
 
+Index = Annotated[int, msgspec.Meta(ge=1, le=80)]
+Columns = tuple[Annotated[int, msgspec.Meta(ge=1, le=512)], Annotated[int, msgspec.Meta(ge=1, le=512)]]
+"""First and last character, counted from 1, as manuals do."""
+
+
 class SentenceField(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One value: ``si = sign * to_si(unit, number * scale + offset_value)``."""
 
     quantity: Quantity
-    index: Annotated[int, msgspec.Meta(ge=1, le=80)] | None = None
+    index: Index | None = None
     """Which of the values after the header, from 1; or"""
+    columns: Columns | None = None
+    """which characters of a line of fixed columns; or"""
     transducer: Annotated[str, msgspec.Meta(pattern=r"^[!-)+.-~]{1,32}\Z")] | None = None
     """the identifier that stands behind the number and its unit, as XDR has it."""
     scale: float = 1.0
@@ -78,22 +94,50 @@ class SentenceField(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     max: float | None = None
 
     def __post_init__(self) -> None:
-        if (self.index is None) == (self.transducer is None):
-            raise ValueError("give index or transducer, one of the two")
+        if (self.index, self.columns, self.transducer).count(None) != 2:
+            raise ValueError("give index, columns or transducer, one of the three")
+
+
+class Condition(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What must stand at a place of a sentence: else what it says of these quantities counts as not known."""
+
+    index: Index | None = None
+    columns: Columns | None = None
+    """The one or the other, as of a value."""
+    one_of: Annotated[tuple[Annotated[str, msgspec.Meta(max_length=32)], ...], msgspec.Meta(min_length=1)]
+    """Capitals and small letters are told apart."""
+    quantities: tuple[Quantity, ...] = ()
+    """Left out: all of them."""
+
+    def __post_init__(self) -> None:
+        if (self.index is None) == (self.columns is None):
+            raise ValueError("give index or columns, one of the two")
 
 
 class Sentence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One kind of sentence, and what is taken from it."""
 
-    header: Annotated[str, msgspec.Meta(pattern=r"^[!-)+\-.-~]{1,32}\Z")]
-    """All up to the first separator; a ``-`` stands for any character, as in ``$--XDR``."""
+    header: Annotated[str, msgspec.Meta(pattern=r"^[!-)+-~]{1,32}\Z")]
+    """All up to the first separator, or to a later one (``$PSXN,23``); a ``-`` stands for any character, as in
+    ``$--XDR``. Of a line of fixed columns, how it begins."""
+    length: Annotated[int, msgspec.Meta(ge=1, le=512)] | None = None
+    """Characters of a line of fixed columns, without its end; None: values stand between separators."""
     separator: Annotated[str, msgspec.Meta(pattern=r"^[ ,;:|\t]\Z")] = ","
     checksum: Literal["optional", "required"] = "optional"
     fields: Annotated[tuple[SentenceField, ...], msgspec.Meta(min_length=1)]
+    conditions: tuple[Condition, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.separator in self.header:
-            raise ValueError("header holds the separator: write what stands before the first one")
+        if self.header.endswith(self.separator):
+            raise ValueError("header ends with the separator: write what stands before it")
+        places: tuple[SentenceField | Condition, ...] = (*self.fields, *self.conditions)
+        for place in places:
+            if (place.columns is None) != (self.length is None):
+                raise ValueError("columns are for a line of fixed columns, whose length is given, and nothing else is")
+            if place.columns is not None and not place.columns[0] <= place.columns[1] <= (self.length or 0):
+                raise ValueError(f"columns {list(place.columns)} are not first and last of {self.length}")
+        if self.length is not None and self.checksum == "required":
+            raise ValueError("a line of fixed columns has no checksum")
 
 
 class BandwidthRegister(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -134,9 +178,16 @@ class DeviceSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Sample time minus the time at which the request was sent; negative for a device that answers old values."""
     stuck_after_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] = 2.0
     """Identical registers for longer than this are a fault (0: never). In role "crane" they are not: a crane stands
-    still, and its encoders with it."""
+    still, and its encoders with it; nor in role "reference_mru", which tells whole centimetres."""
     bandwidth_hz: Annotated[float, msgspec.Meta(ge=0, le=10_000)] = 0.0
     """To which the sensor's low-pass is set; 0: as its profile says."""
+    rotation_deg: tuple[MountAngle, MountAngle, MountAngle] = (0.0, 0.0, 0.0)
+    """How an IMU is mounted: turned from the vessel's axes by z, then by y, then by x, see
+    :mod:`heaved.devices.mounting`."""
+    bias_mps2: tuple[Bias, Bias, Bias] = (0.0, 0.0, 0.0)
+    """Of its accelerometers, in its own axes; taken off before it is turned."""
+    attitude_latency_ms: Annotated[float, msgspec.Meta(ge=-1000, le=1000)] = 0.0
+    """By how much its angles are older than the accelerations of the same answer."""
     allow: tuple[str, ...] = ()
     """Networks (CIDR) whose sentences are taken on a ``udp-listen`` link, besides those of this machine."""
 
@@ -176,7 +227,7 @@ _KIND: dict[str, str] = {
     **dict.fromkeys(("roll_rad", "pitch_rad", "yaw_rad"), "angle"),
     **dict.fromkeys(("gx_radps", "gy_radps", "gz_radps"), "angular rate"),
     **dict.fromkeys(("laser_m", "heave_m", "line_out_m"), "length"),
-    "speed_mps": "speed",
+    **dict.fromkeys(("speed_mps", "heave_velocity_mps"), "speed"),
     **dict.fromkeys(("flap_fore_rad", "flap_aft_rad", "slew_rad", "boom_rad", "jib_rad"), "angle"),
     "temperature_c": "temperature",
     "signal": "number",
@@ -201,6 +252,7 @@ _ROLE_QUANTITIES: dict[Role, tuple[Quantity, ...]] = {
     "heave_sensor": ("heave_m",),
     "pitch_sensor": ("pitch_rad",),
     "crane": ("slew_rad", "boom_rad", "jib_rad", "line_out_m"),
+    "reference_mru": ("heave_m", "heave_velocity_mps", "roll_rad", "pitch_rad", "yaw_rad"),
 }
 _ROLE_NEEDS: dict[Role, tuple[Quantity, ...]] = {
     "imu": ("az_mps2",),
@@ -210,6 +262,7 @@ _ROLE_NEEDS: dict[Role, tuple[Quantity, ...]] = {
     "heave_sensor": ("heave_m",),
     "pitch_sensor": ("pitch_rad",),
     "crane": (),
+    "reference_mru": (),
 }
 
 
@@ -236,7 +289,8 @@ def field_registers(field: Field) -> int:
 
 def block_registers(block: Block) -> int:
     """Registers to ask for: up to the end of the last field. Gaps between fields are read and ignored."""
-    return max(field.offset + field_registers(field) for field in block.fields)
+    ends = [field.offset + field_registers(field) for field in block.fields]
+    return max(ends + [field.scale_from + 1 for field in block.fields if field.scale_from is not None])
 
 
 def si_step(field: Field) -> float:
@@ -293,9 +347,11 @@ class BlockCodec:
     def __init__(self, block: Block) -> None:
         self.block = block
         self.registers = block_registers(block)
-        big = [field for field in block.fields if field.byte_order in ("ABCD", "CDAB")]
-        little = [field for field in block.fields if field.byte_order in ("DCBA", "BADC")]
+        rare = [field for field in block.fields if _is_rare(field)]
+        big = [field for field in block.fields if field.byte_order in ("ABCD", "CDAB") and field not in rare]
+        little = [field for field in block.fields if field.byte_order in ("DCBA", "BADC") and field not in rare]
         self._groups = [_Group(fields, fields is little) for fields in (big, little) if fields]
+        self._rare = [_Group([field], field.byte_order in ("DCBA", "BADC")) for field in rare]
 
     def decode(self, registers: Sequence[int]) -> Decoded:
         """Values in SI units; a wrong length, a non-finite float or an implausible value is a fault, not a value.
@@ -313,18 +369,37 @@ class BlockCodec:
                 if not low <= value <= high:
                     return self._implausible(field, value)
                 values[quantity] = value * factor
+        for group in self._rare:
+            (number,) = group.numbers.unpack(group.words.pack(*[registers[i] for i in group.indices]))
+            ((quantity, scale, offset_value, low, high, factor, field),) = group.steps
+            if fault := self._no_reading(field, number, registers):
+                return fault
+            scale *= 1 if field.scale_from is None else registers[field.scale_from]
+            value = number * scale + offset_value
+            if not low <= value <= high:
+                return self._implausible(field, value)
+            values[quantity] = value * factor
         return Decoded(values)
 
     def encode(self, values: Mapping[Quantity, float]) -> list[int]:
         """Registers that ``decode`` turns back into ``values``, but for quantisation.
 
         Integers are rounded to the nearest and saturate at the limits of their type, float32 at its largest finite
-        value. Fields without a value, and gaps, are zero.
+        value. A register that holds a factor of the scale gets the smallest one with which the value can be told.
+        Fields without a value, and gaps, are zero.
 
         Raises:
             ValueError: nan for an integer field.
         """
         registers = [0] * self.registers
+        for group in self._rare:
+            (field,) = group.fields
+            if field.quantity in values:
+                raw_value, factor = _raw_and_factor(field, values[field.quantity])
+                if field.scale_from is not None:
+                    registers[field.scale_from] = factor
+                for index, word in zip(group.indices, group.words.unpack(group.numbers.pack(raw_value)), strict=True):
+                    registers[index] = word
         for group in self._groups:
             raw = [_raw(field, values[field.quantity]) if field.quantity in values else 0 for field in group.fields]
             for index, word in zip(group.indices, group.words.unpack(group.numbers.pack(*raw)), strict=True):
@@ -335,8 +410,27 @@ class BlockCodec:
         last = self.block.start + self.registers - 1
         return f"({self.block.function} registers {self.block.start}..{last})"
 
+    def _no_reading(self, field: Field, number: float, registers: Sequence[int]) -> Decoded | None:
+        """What is wrong with the number itself, or with the register of its scale; None: nothing."""
+        low = field.raw_min if field.raw_min is not None else -_FINITE_MAX
+        high = field.raw_max if field.raw_max is not None else _FINITE_MAX
+        where = self._place(field)
+        if isfinite(number) and not low <= number <= high:
+            limits = [f"{one:g}" if one is not None else "any" for one in (field.raw_min, field.raw_max)]
+            hint = "the sensor has no reading (out of its range?)"
+            detail = f"{where} holds {number:.6g}, outside {'..'.join(limits)}: {hint}"
+            return Decoded({}, Fault.OUT_OF_RANGE, detail)
+        if field.scale_from is not None and registers[field.scale_from] == 0:
+            register = self.block.start + field.scale_from
+            detail = f"{where}: its scale, register {register}, is 0: is the profile's map that of this sensor?"
+            return Decoded({}, Fault.OUT_OF_RANGE, detail)
+        return None
+
+    def _place(self, field: Field) -> str:
+        return f"{field.quantity} ({self.block.function} register {self.block.start + field.offset})"
+
     def _implausible(self, field: Field, value: float) -> Decoded:
-        where = f"{field.quantity} ({self.block.function} register {self.block.start + field.offset})"
+        where = self._place(field)
         if not isfinite(value):
             hint = "the sensor has no reading, or the profile's byte order or address is wrong"
             return Decoded({}, Fault.NOT_FINITE, f"{where} is {value}: {hint}")
@@ -344,6 +438,21 @@ class BlockCodec:
         high = "inf" if field.max is None else f"{field.max:g}"
         detail = f"{where} is {value:.6g}, outside {low}..{high} {field.unit}: check the sensor, or the profile's map"
         return Decoded({}, Fault.OUT_OF_RANGE, detail)
+
+
+def _is_rare(field: Field) -> bool:
+    """Whether it has what few have, and is decoded apart, so that the others do not wait for it."""
+    return any(one is not None for one in (field.scale_from, field.raw_min, field.raw_max))
+
+
+def _raw_and_factor(field: Field, si: float) -> tuple[float, int]:
+    """The number for a value in SI units, and what stands in the register of its scale (1: there is none)."""
+    factor = 1
+    if field.scale_from is not None:
+        most = _LIMITS[field.type][1] if field.raw_max is None else field.raw_max
+        whole = (si / (field.sign * SI[field.unit][0]) - field.offset_value) / field.scale
+        factor = int(min(max(1.0, ceil(abs(whole) / most)), _LIMITS["uint16"][1])) if isfinite(whole) else 1
+    return _raw(msgspec.structs.replace(field, scale=field.scale * factor), si), factor
 
 
 def _raw(field: Field, si: float) -> float:
@@ -400,12 +509,20 @@ def profile_faults(profile: Profile) -> list[str]:
             else:
                 carried[field.quantity] = f"block {number}"
             registers = range(field.offset, field.offset + field_registers(field))
+            if field.scale_from in registers:
+                faults.append(f"{where}: {field.quantity}: scale_from is a register of the value itself")
             clashes = sorted({taken[register] for register in registers if register in taken})
             faults += [f"{where}: {field.quantity} overlaps {other} (offset {field.offset})" for other in clashes]
             taken.update(dict.fromkeys(registers, field.quantity))
     for sentence in profile.sentences:
         where = f"profile {profile.name}: sentence {sentence.header}"
         names = [value.quantity for value in sentence.fields]
+        faults += [
+            f"{where}: a condition is of {name}, which no field gives"
+            for condition in sentence.conditions
+            for name in condition.quantities
+            if name not in names
+        ]
         faults += [f"{where}: {name} is given twice" for name in sorted({n for n in names if names.count(n) > 1})]
         faults += [f"{where}: {value.quantity}: {fault}" for value in sentence.fields for fault in _field_faults(value)]
     headers = [sentence.header for sentence in profile.sentences]
@@ -429,4 +546,10 @@ def _field_faults(field: Field | SentenceField) -> list[str]:
         faults.append("min and max must be numbers")
     elif field.min is not None and field.max is not None and field.min > field.max:
         faults.append(f"min {field.min:g} is above max {field.max:g}")
+    if isinstance(field, Field):
+        raw = (field.raw_min, field.raw_max)
+        if any(limit is not None and not isfinite(limit) for limit in raw):
+            faults.append("raw_min and raw_max must be finite numbers")
+        elif raw[0] is not None and raw[1] is not None and raw[0] > raw[1]:
+            faults.append(f"raw_min {raw[0]:g} is above raw_max {raw[1]:g}")
     return faults

@@ -2,7 +2,8 @@
 
 ``$--XDR,A,231.5,D,SLEW,A,62.1,D,BOOM*hh`` of NMEA 0183 is one, and so is what a crane's encoder box makes up by itself.
 A profile says what stands where; ``*hh`` at the end is the checksum of NMEA 0183 (exclusive or of all between ``$`` and
-``*``), which must be right where there is one.
+``*``), which must be right where there is one. Lines of fixed columns, as TSS1 has them, have none: they must have
+their length, and numbers where numbers belong.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from collections import Counter
 from math import isfinite
 from typing import TYPE_CHECKING, Final
 
-from heaved.devices.profile import SI, Decoded, Quantity, Sentence, SentenceField
+from heaved.devices.profile import SI, Condition, Decoded, Quantity, Sentence, SentenceField
 from heaved.samples import Fault
 from heaved.text import printable
 
@@ -74,13 +75,22 @@ class SentenceReader:
         if not star:
             body = text
         for sentence in self._sentences:
-            header, separator, rest = body.partition(sentence.separator)
-            if not _is(header, sentence.header):
+            if sentence.length is not None:
+                if not _is(text[: len(sentence.header)], sentence.header):
+                    continue
+                if len(text) != sentence.length:
+                    what = f"{len(text)} characters instead of {sentence.length}"
+                    hint = "check the line's cable and speed, and the profile"
+                    return Decoded({}, Fault.LENGTH, f"{name_of(sentence)}: {what}: {hint}")
+                return _values(sentence, text, ())
+            parts = body.split(sentence.separator)
+            named = 1 + sentence.header.count(sentence.separator)
+            if not _is(sentence.separator.join(parts[:named]), sentence.header):
                 continue
             if (star and not _is_right(body, sum_)) or (not star and sentence.checksum == "required"):
                 what = f"its checksum is {sum_!r}, not {_checksum(body):02X}" if star else "it has no checksum"
-                return Decoded({}, Fault.CRC, f"{sentence.header}: {what}: check the line's cable, speed and parity")
-            return _values(sentence, rest.split(sentence.separator) if separator else [])
+                return Decoded({}, Fault.CRC, f"{name_of(sentence)}: {what}: check the line's cable, speed and parity")
+            return _values(sentence, body, parts[named:])
         self._note(body)
         return None
 
@@ -88,6 +98,11 @@ class SentenceReader:
         header = body.split(",", 1)[0][:_SHOWN]
         if header in self.others or len(self.others) < _MOST_HEARD:
             self.others[header] += 1
+
+
+def name_of(sentence: Sentence) -> str:
+    """For people."""
+    return sentence.header if sentence.length is None else f"line {sentence.header!r}"
 
 
 def _is(header: str, wanted: str) -> bool:
@@ -105,14 +120,15 @@ def _is_right(body: str, sum_: str) -> bool:
     return sum_.strip().upper() == f"{_checksum(body):02X}"
 
 
-def _values(sentence: Sentence, parts: Sequence[str]) -> Decoded:
-    """What a sentence says: without what it leaves empty, and a fault if that is all of it."""
+def _values(sentence: Sentence, line: str, parts: Sequence[str]) -> Decoded:
+    """What a sentence says: without what it leaves empty or calls bad itself, and a fault if that is all of it."""
     values: dict[Quantity, float] = {}
+    unmet = [one for one in sentence.conditions if _text(one, line, parts) not in one.one_of]
     for field in sentence.fields:
-        text = _text(field, parts)
-        if not text:
+        text = _text(field, line, parts)
+        if not text or any(field.quantity in one.quantities or not one.quantities for one in unmet):
             continue
-        where = f"{field.quantity} ({sentence.header} {_place(field)})"
+        where = f"{field.quantity} ({name_of(sentence)}, {_place(field)})"
         try:
             # What Python takes for a number and no device writes: 1_000, nan, infinity.
             number = float(text) if text.strip("+-.0123456789eE") == "" else float("nan")
@@ -127,16 +143,26 @@ def _values(sentence: Sentence, parts: Sequence[str]) -> Decoded:
             detail = f"{where} is {value:.6g}, outside {_limits(field)}: check the sensor, or the profile"
             return Decoded({}, Fault.OUT_OF_RANGE, detail)
         values[field.quantity] = value * field.sign * SI[field.unit][0]
+    if not values and unmet:
+        said = ", ".join(f"{_place(one)} is {printable(_text(one, line, parts)[:_SHOWN])!r}" for one in unmet)
+        wanted = " or ".join(repr(text) for text in unmet[0].one_of)
+        detail = f"{name_of(sentence)}: {said}, not {wanted}: by what it says the sensor has no reading"
+        return Decoded({}, Fault.NOT_FINITE, detail)
     if not values:
         places = ", ".join(_place(field) for field in sentence.fields)
         return Decoded(
-            {}, Fault.NOT_FINITE, f"{sentence.header}: nothing stands at {places}: the sensor has no reading"
+            {}, Fault.NOT_FINITE, f"{name_of(sentence)}: nothing stands at {places}: the sensor has no reading"
         )
     return Decoded(values)
 
 
-def _place(field: SentenceField) -> str:
-    return f"value {field.index}" if field.index is not None else f"transducer {field.transducer}"
+def _place(field: SentenceField | Condition) -> str:
+    if field.columns is not None:
+        first, last = field.columns
+        return f"columns {first} to {last}" if last > first else f"column {first}"
+    if field.index is not None:
+        return f"value {field.index}"
+    return f"transducer {field.transducer}" if isinstance(field, SentenceField) else ""
 
 
 def _limits(field: SentenceField) -> str:
@@ -145,11 +171,14 @@ def _limits(field: SentenceField) -> str:
     return f"{low}..{high} {field.unit}"
 
 
-def _text(field: SentenceField, parts: Sequence[str]) -> str:
+def _text(field: SentenceField | Condition, line: str, parts: Sequence[str]) -> str:
     """As it stands in the sentence; empty where there is none."""
+    if field.columns is not None:
+        first, last = field.columns
+        return line[first - 1 : last].strip()
     if field.index is not None:
         return parts[field.index - 1].strip() if field.index <= len(parts) else ""
     for place in range(3, len(parts), 4):  # kind, number, unit, identifier
-        if parts[place].strip() == field.transducer:
+        if isinstance(field, SentenceField) and parts[place].strip() == field.transducer:
             return parts[place - 2].strip()
     return ""

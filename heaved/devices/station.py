@@ -9,6 +9,7 @@ import msgspec
 
 from heaved.devices.link import request_wire_s
 from heaved.devices.liveness import Contact, LivenessCheck
+from heaved.devices.mounting import mounting_of
 from heaved.devices.profile import (
     Block,
     BlockCodec,
@@ -21,7 +22,7 @@ from heaved.devices.profile import (
     role_quantities,
 )
 from heaved.devices.timer import Pace
-from heaved.samples import CraftSample, CraneSample, Fault, ImuSample, LaserSample, RatesSample, Sample
+from heaved.samples import CraftSample, CraneSample, Fault, ImuSample, LaserSample, MruSample, RatesSample, Sample
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -36,6 +37,7 @@ KINDS: Final[dict[Role, Callable[..., Sample]]] = {
     "heave_sensor": CraftSample,
     "pitch_sensor": CraftSample,
     "crane": CraneSample,
+    "reference_mru": MruSample,
 }
 """The samples by the role of the device."""
 
@@ -89,6 +91,7 @@ class Station:
         self.pace = Pace(1.0 / spec.rate_hz, start_s)
         self.contact = contact
         self._liveness = LivenessCheck(spec)
+        self._mounting = mounting_of(spec)
         self._wanted = frozenset(role_quantities(spec.role))
         self.cuts = [cuts(block) for block in spec.profile.blocks]
         self.main, self.dating = _dated_by(spec)
@@ -151,6 +154,8 @@ class Station:
         kind = KINDS[self.spec.role]
         if fault is not Fault.NONE:
             return kind(t_s=t_s, fault=fault)
+        if self._mounting is not None:
+            values = self._mounting.turn(values)
         measured: dict[str, Any] = {name: value for name, value in values.items() if name in self._wanted}
         return kind(t_s=t_s, **measured)
 

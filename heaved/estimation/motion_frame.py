@@ -203,6 +203,7 @@ class MotionFrames:
             crane_pitch_rad=crane_pitch,
             crane_yaw_rad=crane_yaw,
             hull=stages.angles,
+            reference_mru=stages.reference_mru,
             attitude=stages.motion,
         )
 

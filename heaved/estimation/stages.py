@@ -1,4 +1,5 @@
-"""The room of the stages that live beside the heave: the hull's deformation, the attitude of a craft, a moving crane.
+"""The room of the stages that live beside the heave: the hull's deformation, the attitude of a craft, a moving crane,
+an existing MRU that ours is compared with.
 
 All are off unless configured. They are given copies of what the pipeline is given and nothing of theirs goes back, so
 whatever befalls them the heave is the same to the bit. An exception in one of them, which is a bug, is caught here and
@@ -17,6 +18,8 @@ from heaved.estimation.crane import geometry
 from heaved.estimation.crane.estimator import CraneEstimator, Place, Worth
 from heaved.estimation.hull import estimate as hull
 from heaved.estimation.hull.stage import UNKNOWN, HullStage
+from heaved.estimation.reference_mru import estimator as reference_mru
+from heaved.estimation.reference_mru.estimator import ReferenceMru
 from heaved.samples import (
     CraftMotion,
     CraftSample,
@@ -26,6 +29,8 @@ from heaved.samples import (
     HullAngles,
     ImuSample,
     MotionFrame,
+    MruComparison,
+    MruSample,
     RatesSample,
 )
 
@@ -51,6 +56,7 @@ class Stages:
         hull_params: hull.Params | None = None,
         attitude_params: fusion.Params | None = None,
         crane_params: geometry.Params | None = None,
+        reference_mru_params: reference_mru.Params | None = None,
         *,
         refit_inline: bool = True,
     ) -> None:
@@ -65,6 +71,7 @@ class Stages:
         self.configure_hull(hull_params or hull.Params())
         self.configure_attitude(attitude_params or fusion.Params())
         self.configure_crane(crane_params or geometry.Params())
+        self.configure_reference_mru(reference_mru_params or reference_mru.Params())
 
     def configure_hull(self, params: hull.Params) -> None:
         """Start the hull stage with these parameters, or end it."""
@@ -81,10 +88,19 @@ class Stages:
         self._crane_params = params
         self._crane = CraneEstimator(params) if params.is_there else None
 
+    def configure_reference_mru(self, params: reference_mru.Params) -> None:
+        """Compare with an existing MRU, if one is read, by these parameters."""
+        self._reference_mru_params = params
+        self._reference_mru = ReferenceMru(params)
+
     # --- input -------------------------------------------------------------------------------------------------------
 
-    def push(self, sample: ImuSample | RatesSample | CraftSample | CraneSample) -> None:
+    def push(self, sample: ImuSample | RatesSample | CraftSample | CraneSample | MruSample) -> None:
         """Take what may concern a stage."""
+        if isinstance(sample, MruSample):
+            with self._guarded("reference_mru"):
+                self._reference_mru.push(sample)
+            return
         if isinstance(sample, CraneSample):
             if self._crane is not None:
                 with self._guarded("crane"):
@@ -99,7 +115,10 @@ class Stages:
                 self.hull.push(sample)
 
     def push_frame(self, frame: MotionFrame) -> None:
-        """Take our own heave and pitch; what comes of them is in the next frame."""
+        """Take our own motion; what comes of it is in the next frame."""
+        if self._reference_mru.is_awake:
+            with self._guarded("reference_mru"):
+                self._reference_mru.push_frame(frame)
         if self.attitude is not None:
             with self._guarded("attitude"):
                 self.attitude.push_frame(frame)
@@ -127,6 +146,11 @@ class Stages:
     def motion(self) -> CraftMotion | None:
         """The newest of the craft."""
         return None if self.attitude is None else self.attitude.motion
+
+    @property
+    def reference_mru(self) -> MruComparison | None:
+        """The newest comparison with an existing MRU."""
+        return self._reference_mru.comparison
 
     @property
     def crane(self) -> Crane | None:
@@ -184,11 +208,14 @@ class Stages:
             yield
         except Exception as error:  # noqa: BLE001  # whatever befalls a stage, the heave goes on
             self.failure = error
-            self._counted += self._crane_resets() if name == "crane" else self._resets(name)
+            if name != "reference_mru":  # It counts none of its own.
+                self._counted += self._crane_resets() if name == "crane" else self._resets(name)
             self._counted[name, type(error).__name__] += 1
             if name == "hull":
                 self.configure_hull(self._hull_params)
             elif name == "crane":
                 self.configure_crane(self._crane_params)
+            elif name == "reference_mru":
+                self.configure_reference_mru(self._reference_mru_params)
             else:
                 self.configure_attitude(self._attitude_params)

@@ -18,6 +18,7 @@ from heaved.samples import (
     HeaveForecast,
     HullAngles,
     MotionFrame,
+    MruAgreement,
     PointMotion,
     RockPrediction,
     RockScore,
@@ -190,3 +191,26 @@ ATTITUDE: Final = Fields[CraftMotion](
     "pitch_rate_degps",
     "pitch_rate_std_degps",
 )
+
+
+_AGREEMENT: Final = (
+    "reference",
+    "own",
+    "difference",
+    "mean_difference",
+    "std_difference",
+    "rms_difference",
+    "explained",
+)
+"""Of :class:`MruAgreement`, in the unit of the quantity."""
+_LIKENESS: Final = ("correlation", "delay_s", "scale")
+
+
+def _agreement(unit: str) -> Fields[MruAgreement]:
+    names = tuple(f"{name}_{unit}" for name in _AGREEMENT)
+    return Fields(*names, *_LIKENESS, places=(*_AGREEMENT, *_LIKENESS))
+
+
+MRU_HEAVE: Final = _agreement("m")
+MRU_VELOCITY: Final = _agreement("mps")
+MRU_ANGLE: Final = _agreement("deg")

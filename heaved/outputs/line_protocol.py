@@ -17,7 +17,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from heaved.outputs.records import StatusRecord
-    from heaved.samples import CraftMotion, DelayedHeave, HullAngles, MotionFrame, QuietForecast, SeaState
+    from heaved.samples import (
+        CraftMotion,
+        DelayedHeave,
+        HullAngles,
+        MotionFrame,
+        MruComparison,
+        QuietForecast,
+        SeaState,
+    )
 
 Value = float | int | bool | str
 
@@ -71,6 +79,7 @@ class Lines:
             "delayed": self.delayed,
             "hull": self.hull,
             "attitude": self.attitude,
+            "reference_mru": self.reference_mru,
             "quiet": self.quiet,
         }
         """By the attribute of a frame that many frames share: see :mod:`heaved.outputs.slower`."""
@@ -148,6 +157,21 @@ class Lines:
         """The attitude of a craft."""
         told = {"switches": motion.switches, "resets": motion.resets}
         return self._lines("attitude", utc_s, {**fields.ATTITUDE.known(motion), **told})
+
+    def reference_mru(self, compared: MruComparison, utc_s: float) -> list[bytes]:
+        """How an existing MRU stands to ours, each quantity as a line of its own."""
+        told = {
+            "heave": fields.MRU_HEAVE.known(compared.heave),
+            "heave_velocity": fields.MRU_VELOCITY.known(compared.heave_velocity),
+            "roll": fields.MRU_ANGLE.known(compared.roll),
+            "pitch": fields.MRU_ANGLE.known(compared.pitch),
+            "yaw": fields.MRU_ANGLE.known(compared.yaw),
+        }
+        return [
+            line
+            for quantity, values in told.items()
+            if values and (line := self._line("reference_mru", utc_s, values, quantity=quantity))
+        ]
 
     def quiet(self, quiet: QuietForecast, utc_s: float) -> list[bytes]:
         """The next quiet window."""

@@ -2,8 +2,8 @@
 
 Under the topic ``heaved``, unless another is configured:
 
-* ``heaved/motion``, ``/sea``, ``/delayed``, ``/hull``, ``/attitude``, ``/quiet``: MOTION and so on, as the stream has
-  them, the first at a rate of its own and with it what is new of the others.
+* ``heaved/motion``, ``/sea``, ``/delayed``, ``/hull``, ``/attitude``, ``/reference_mru``, ``/quiet``: MOTION and so on,
+  as the stream has them (REFERENCE is the sixth), the first at a rate of its own and with it what is new of the others.
 * ``heaved/status``: STATUS, retained.
 * ``heaved/availability``: ``online`` or ``offline``, retained; the broker itself says ``offline`` when we are lost.
 

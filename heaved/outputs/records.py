@@ -14,7 +14,7 @@ import msgspec
 from heaved.samples import CorrectionState, HeaveState, Quality, Vibration
 
 PROTO_MAJOR: Final = 1
-PROTO_MINOR: Final = 4
+PROTO_MINOR: Final = 5
 
 
 class VersionRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class", tag="VERSION"):
@@ -218,6 +218,81 @@ class AttitudeRecord(msgspec.Struct, frozen=True, kw_only=True, tag_field="class
     cautions: tuple[str, ...]
 
 
+class HeaveAgreementRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """How the heave of the reference MRU stands to ours: the latest at the time of the record, the others over the
+    window.
+    """
+
+    reference_m: float | None = None
+    """Latest, in our signs."""
+    own_m: float | None = None
+    """Ours at that moment."""
+    difference_m: float | None = None
+    """Reference minus ours."""
+    mean_difference_m: float | None = None
+    """Of no meaning: heave has no zero of its own."""
+    std_difference_m: float | None = None
+    """Without that mean."""
+    rms_difference_m: float | None = None
+    explained_m: float | None = None
+    """Standard deviation of the difference that the errors of both explain."""
+    correlation: float | None = None
+    """At its greatest within a second either way."""
+    delay_s: float | None = None
+    """Of the reference, there; absent: more than a second, or not known."""
+    scale: float | None = None
+    """Reference over ours, there."""
+
+
+class VelocityAgreementRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Likewise of the heave velocity."""
+
+    reference_mps: float | None = None
+    own_mps: float | None = None
+    difference_mps: float | None = None
+    mean_difference_mps: float | None = None
+    std_difference_mps: float | None = None
+    rms_difference_mps: float | None = None
+    explained_mps: float | None = None
+    correlation: float | None = None
+    delay_s: float | None = None
+    scale: float | None = None
+
+
+class AngleAgreementRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Likewise of roll, pitch or yaw; the mean difference is how differently the two are mounted."""
+
+    reference_deg: float | None = None
+    own_deg: float | None = None
+    difference_deg: float | None = None
+    mean_difference_deg: float | None = None
+    std_difference_deg: float | None = None
+    rms_difference_deg: float | None = None
+    explained_deg: float | None = None
+    correlation: float | None = None
+    delay_s: float | None = None
+    scale: float | None = None
+
+
+class ReferenceRecord(
+    msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag_field="class", tag="REFERENCE"
+):
+    """An existing MRU beside ours, up to ten times a second; what it does not tell is absent."""
+
+    time: str
+    """UTC of validity of its reading, and of ours that it is compared with."""
+    mono_s: float
+    heave: HeaveAgreementRecord | None = None
+    heave_velocity: VelocityAgreementRecord | None = None
+    roll: AngleAgreementRecord | None = None
+    pitch: AngleAgreementRecord | None = None
+    yaw: AngleAgreementRecord | None = None
+    compared_s: float | None = None
+    """Length of what was compared, within the window."""
+    warnings: tuple[str, ...] = ()
+    """Where the two diverge by more than is explained. Which of them is wrong they do not say."""
+
+
 class QuietRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag_field="class", tag="QUIET"):
     """The next quiet window, once a second; without one, ``is_expected`` is false and its fields are absent."""
 
@@ -328,6 +403,18 @@ class CorrectionStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=
     """Times that no training was worth its while: a regression has shown that no network would be accepted."""
 
 
+class LaserStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Where the beam of the laser meets its target, as its readings show; without numbers before they do."""
+
+    is_elsewhere: bool = False
+    """Not where it is configured."""
+    ahead_m: float | None = None
+    """Of where it would be by the configuration; and to port."""
+    ahead_std_m: float | None = None
+    port_m: float | None = None
+    port_std_m: float | None = None
+
+
 class HullStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """The last HULL in short."""
 
@@ -349,6 +436,26 @@ class AttitudeStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
     age_s: float | None = None
     cautions: tuple[str, ...] = ()
     resets: int = 0
+
+
+class ReferenceStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The last REFERENCE in short; without numbers before the first, and ten seconds after the last."""
+
+    heave_difference_m: float | None = None
+    """Latest; then over the window, as there."""
+    heave_std_difference_m: float | None = None
+    heave_explained_m: float | None = None
+    heave_correlation: float | None = None
+    heave_delay_s: float | None = None
+    heave_scale: float | None = None
+    roll_mean_difference_deg: float | None = None
+    roll_std_difference_deg: float | None = None
+    pitch_mean_difference_deg: float | None = None
+    pitch_std_difference_deg: float | None = None
+    compared_s: float | None = None
+    age_s: float | None = None
+    """Of the last reading that was compared."""
+    warnings: tuple[str, ...] = ()
 
 
 class ClockStatus(msgspec.Struct, frozen=True, kw_only=True):
@@ -379,10 +486,14 @@ class StatusRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     lead_s: float | None = None
     observer: ObserverStatus | None = None
     correction: CorrectionStatus | None = None
+    laser: LaserStatus | None = None
+    """When there is one."""
     hull: HullStatus | None = None
     """When [hull] is enabled."""
     attitude: AttitudeStatus | None = None
     """When [attitude] is enabled."""
+    reference_mru: ReferenceStatus | None = None
+    """When there is a device of that role."""
     rock: tuple[RockStatus, ...] = ()
     """Of 150 ms and 1 s, where they are predicted."""
     quiet: QuietStatus | None = None

@@ -10,7 +10,7 @@ import msgspec
 MAX_REQUEST_BYTES: Final = 512
 """Longest line that a client may send, its line end included."""
 
-StreamClass = Literal["MOTION", "SEA", "DELAYED", "HULL", "ATTITUDE", "QUIET", "STATUS"]
+StreamClass = Literal["MOTION", "SEA", "DELAYED", "HULL", "ATTITUDE", "REFERENCE", "QUIET", "STATUS"]
 """What a client may subscribe to. VERSION, ERROR and the answer to ``?STATUS`` are sent to all."""
 STREAM_CLASSES: Final[tuple[str, ...]] = get_args(StreamClass)
 

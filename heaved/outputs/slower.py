@@ -21,6 +21,7 @@ SLOW: Final[Mapping[str, Callable[[Any, float], msgspec.Struct]]] = {
     "delayed": wire.delayed_record,
     "hull": wire.hull_record,
     "attitude": wire.attitude_record,
+    "reference_mru": wire.reference_record,
     "quiet": wire.quiet_record,
 }
 """By the attribute of a frame that many frames share, how its record is made; it has a time of its own, ``t_s``."""

@@ -18,14 +18,14 @@ from heaved.outputs import wire
 from heaved.outputs.listen import Listener
 from heaved.outputs.records import ErrorRecord, StatusRecord, VersionRecord
 from heaved.outputs.subscriber import Subscriber
-from heaved.samples import CraftMotion, DelayedHeave, HullAngles, MotionFrame, SeaState
+from heaved.samples import CraftMotion, DelayedHeave, HullAngles, MotionFrame, MruComparison, SeaState
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     import msgspec
 
-Slow = TypeVar("Slow", DelayedHeave, HullAngles, CraftMotion, SeaState)
+Slow = TypeVar("Slow", DelayedHeave, HullAngles, CraftMotion, MruComparison, SeaState)
 
 _log = structlog.get_logger(__name__)
 
@@ -109,10 +109,13 @@ class Publisher:
         self._publish_motion(frame)
         self._publish_new("DELAYED", frame.delayed, wire.delayed_record)
 
-    def publish_stages(self, hull: HullAngles | None, attitude: CraftMotion | None) -> None:
-        """HULL and ATTITUDE, if they are new."""
+    def publish_stages(
+        self, hull: HullAngles | None, attitude: CraftMotion | None, reference: MruComparison | None = None
+    ) -> None:
+        """HULL, ATTITUDE and REFERENCE, if they are new."""
         self._publish_new("HULL", hull, wire.hull_record)
         self._publish_new("ATTITUDE", attitude, wire.attitude_record)
+        self._publish_new("REFERENCE", reference, wire.reference_record)
 
     def publish_slow(self, frame: MotionFrame) -> None:
         """SEA, if it has been fitted again, and QUIET; to be called once a second."""

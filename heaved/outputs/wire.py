@@ -12,24 +12,29 @@ from __future__ import annotations
 import functools
 import math
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 
 from heaved.outputs import fields
 from heaved.outputs.fields import rounded
 from heaved.outputs.records import (
+    AngleAgreementRecord,
     AttitudeRecord,
     DelayedRecord,
     ForecastRecord,
+    HeaveAgreementRecord,
     HullRecord,
     MotionRecord,
     PointRecord,
     QuietRecord,
     QuietStatus,
+    ReferenceRecord,
+    ReferenceStatus,
     RockRecord,
     RockStatus,
     SeaRecord,
+    VelocityAgreementRecord,
     WaveSystemRecord,
 )
 from heaved.samples import (
@@ -37,11 +42,15 @@ from heaved.samples import (
     DelayedHeave,
     HullAngles,
     MotionFrame,
+    MruComparison,
     QuietForecast,
     RockScore,
     SeaState,
     Vibration,
 )
+
+REFERENCE_OLD_S: Final = 10.0
+"""A reference MRU that has said nothing for so long is not beside ours any more."""
 
 _encoder = msgspec.json.Encoder()
 _motion_record = fields.MOTION.into(
@@ -221,6 +230,51 @@ def attitude_record(motion: CraftMotion, utc_s: float) -> AttitudeRecord:
         switches=motion.switches,
         resets=motion.resets,
         cautions=motion.cautions,
+    )
+
+
+def reference_record(compared: MruComparison, utc_s: float) -> ReferenceRecord:
+    """``utc_s``: of its own validity, seconds since 1970."""
+    heave, velocity = fields.MRU_HEAVE.known(compared.heave), fields.MRU_VELOCITY.known(compared.heave_velocity)
+    roll, pitch, yaw = (fields.MRU_ANGLE.known(one) for one in (compared.roll, compared.pitch, compared.yaw))
+    return ReferenceRecord(
+        time=iso_time(utc_s),
+        mono_s=_micro(compared.t_s),
+        heave=HeaveAgreementRecord(**heave) if heave else None,
+        heave_velocity=VelocityAgreementRecord(**velocity) if velocity else None,
+        roll=AngleAgreementRecord(**roll) if roll else None,
+        pitch=AngleAgreementRecord(**pitch) if pitch else None,
+        yaw=AngleAgreementRecord(**yaw) if yaw else None,
+        compared_s=rounded(compared.compared_s),
+        warnings=compared.warnings,
+    )
+
+
+def reference_status(compared: MruComparison | None, now_s: float) -> ReferenceStatus:
+    """The part of a REFERENCE record that a status shows, its age alone once that is great; None: nothing has been
+    compared yet.
+    """
+    if compared is None:
+        return ReferenceStatus()
+    if now_s - compared.t_s > REFERENCE_OLD_S:
+        return ReferenceStatus(age_s=rounded(now_s - compared.t_s))
+    record = reference_record(compared, 0.0)
+    heave = record.heave or HeaveAgreementRecord()
+    roll, pitch = record.roll or AngleAgreementRecord(), record.pitch or AngleAgreementRecord()
+    return ReferenceStatus(
+        heave_difference_m=heave.difference_m,
+        heave_std_difference_m=heave.std_difference_m,
+        heave_explained_m=heave.explained_m,
+        heave_correlation=heave.correlation,
+        heave_delay_s=heave.delay_s,
+        heave_scale=heave.scale,
+        roll_mean_difference_deg=roll.mean_difference_deg,
+        roll_std_difference_deg=roll.std_difference_deg,
+        pitch_mean_difference_deg=pitch.mean_difference_deg,
+        pitch_std_difference_deg=pitch.std_difference_deg,
+        compared_s=record.compared_s,
+        age_s=rounded(now_s - compared.t_s),
+        warnings=compared.warnings,
     )
 
 

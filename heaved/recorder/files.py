@@ -32,7 +32,11 @@ ROWS_OF_GROUP: Final = 60_000
 """Of Parquet: ten minutes at 100 Hz."""
 LEVEL: Final = 9
 """Of zstd: a minute's work for an hour's rows would be too much, seconds are not."""
-NAME: Final = re.compile(r"heaved-(\d{8}T\d{6}Z)(-\d+)?\.(samples|frames)(\.arrows|\.parquet|\.parquet\.tmp)")
+DAMAGED: Final = ".damaged"
+"""Behind the name of a stream of which more than an end is not whole: it is kept beside what could be read."""
+NAME: Final = re.compile(
+    r"heaved-(\d{8}T\d{6}Z)(-\d+)?\.(samples|frames)(\.arrows|\.arrows\.damaged|\.parquet|\.parquet\.tmp)"
+)
 _TIME: Final = "%Y%m%dT%H%M%SZ"
 
 
@@ -175,6 +179,8 @@ class Converted(msgspec.Struct, frozen=True, kw_only=True):
     rows: int
     torn_bytes: int
     """At its end, that were no whole batch."""
+    kept: str = ""
+    """Name under which the stream is kept, because that is more than a crash tears off."""
 
 
 def to_parquet(source: Path, *, table_rows: int = ROWS_OF_GROUP) -> Converted:
@@ -187,12 +193,13 @@ def to_parquet(source: Path, *, table_rows: int = ROWS_OF_GROUP) -> Converted:
     if target.exists():  # The crash came between the two.
         source.unlink()
         return Converted(rows=0, torn_bytes=0)
-    size, rows, end = source.stat().st_size, 0, 0
+    size, rows, end, largest = source.stat().st_size, 0, 0, 0
     writer: Any = None
     waiting: list[Any] = []
     try:
         try:
-            for batch, end in whole_batches(source):  # noqa: B007  # How far the last of them goes is wanted below.
+            for batch, reached in whole_batches(source):
+                largest, end = max(largest, reached - end), reached
                 if writer is None:
                     writer = _writer(unfinished, batch.schema)
                 waiting.append(batch)
@@ -216,11 +223,18 @@ def to_parquet(source: Path, *, table_rows: int = ROWS_OF_GROUP) -> Converted:
         with suppress(OSError):
             unfinished.unlink(missing_ok=True)
         raise
+    torn = max(size - end, 0)
+    if torn > 2 * largest > 0:
+        kept = source.with_name(f"{source.name}{DAMAGED}")
+        source.replace(kept)
+        return Converted(rows=rows, torn_bytes=torn, kept=kept.name)
     source.unlink(missing_ok=True)
-    return Converted(rows=rows, torn_bytes=max(size - end, 0))
+    return Converted(rows=rows, torn_bytes=torn)
 
 
 def _writer(path: Path, schema: Any) -> Any:
+    # As private as the stream was: the library would have it readable by everybody.
+    os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o640))
     texts = [field.name for field in schema if pa.types.is_string(field.type)]
     encodings = {field.name: "DELTA_BINARY_PACKED" for field in schema if pa.types.is_integer(field.type)}
     encodings |= {field.name: "BYTE_STREAM_SPLIT" for field in schema if pa.types.is_floating(field.type)}
@@ -234,6 +248,7 @@ def _writer(path: Path, schema: Any) -> Any:
         column_encoding=encodings,
         data_page_version="2.0",
         data_page_size=1 << 20,
+        write_page_checksum=True,
         store_schema=True,
     )
 

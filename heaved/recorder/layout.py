@@ -125,6 +125,7 @@ class Call(Enum):
     """This stage began anew, or ended: Config, JSON."""
     ATTITUDE = "attitude"
     CRANE = "crane"
+    REFERENCE_MRU = "reference mru"
 
 
 CALLS: Final = tuple(Call)

@@ -68,7 +68,7 @@ class Hour(msgspec.Struct, frozen=True, kw_only=True):
         """
         try:
             if self.path.name.endswith(PARQUET):
-                with pq.ParquetFile(self.path) as file:
+                with pq.ParquetFile(self.path, page_checksum_verification=True) as file:
                     yield from file.iter_batches(_ROWS_AT_A_TIME, columns=columns, use_threads=False)
             else:
                 for batch, _ in whole_batches(self.path):
@@ -167,7 +167,7 @@ def _hour(path: Path, table: str, remarks: list[str]) -> Hour | None:
     size = _size(path)
     try:
         if path.name.endswith(PARQUET):
-            with pq.ParquetFile(path) as file:
+            with pq.ParquetFile(path, page_checksum_verification=True) as file:
                 header = _header(path, file.schema_arrow, table)
                 ends = [(batch.column(0)[0].as_py(), batch.column(0)[-1].as_py())
                         for batch in file.iter_batches(_ROWS_AT_A_TIME, columns=[name], use_threads=False)
@@ -180,7 +180,7 @@ def _hour(path: Path, table: str, remarks: list[str]) -> Hour | None:
             for batch, end in whole_batches(path):  # noqa: B007  # How far the last of them goes is wanted below.
                 ends.append((batch.column(name)[0].as_py(), batch.column(name)[-1].as_py()))
                 rows += len(batch)
-            torn = size - end if rows else 0
+            torn = max(size - end, 0) if rows else 0  # It may have grown since its size was looked at.
     except (OSError, pa.ArrowException) as error:
         if path.name.endswith(STREAM) and isinstance(error, pa.ArrowInvalid) and NAME.fullmatch(path.name):
             remarks.append(f"{path.name} was torn before its first second")

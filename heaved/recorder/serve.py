@@ -274,8 +274,9 @@ class Converter:
                 self._notes.put(said)
             return
         if done.torn_bytes:
+            kept = f"; more than a crash tears off: it is kept as {done.kept}" if done.kept else ""
             self._notes.put(
-                f"{path.name} was torn: {done.rows} rows are whole, {done.torn_bytes} bytes at its end are not"
+                f"{path.name} was torn: {done.rows} rows are whole, {done.torn_bytes} bytes at its end are not{kept}"
             )
 
 

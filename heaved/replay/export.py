@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 STEP_S: Final = 0.5
 """A change of the clock by more than this from one frame to the next is a step; it is followed at 5 ms/s otherwise."""
 ALL: Final = "all"
+TIMES: Final = ("t_s", "time")
+"""Columns that stand first in any case."""
 DELAYED: Final = "delayed_heave_m"
 """Aligned to its own time, as in the table of a replay: in the recording it stands where it became known."""
 QUALITY: Final = "quality"
@@ -108,6 +110,8 @@ def export(
         RecordedError: it is not a recording of a daemon, has no frames, or none of these columns.
         OutputError: the result cannot be written; nothing is left behind.
     """
+    if not source.exists():
+        raise RecordedError(f"{source}: there is no such file or directory")
     if not is_recorded(source):
         raise RecordedError(
             f"{source}: export reads what a daemon has recorded, a directory or a file of it; the results of a CSV are "
@@ -117,6 +121,8 @@ def export(
     from heaved.recorder.read import open_recorded  # What it reads with need not be installed.
 
     is_netcdf = out.suffix in (".nc", ".nc4")
+    if not is_netcdf and out.suffix not in ("", ".csv", ".txt"):
+        raise OutputError(f"{out}: {out.suffix} is neither CSV nor netCDF: end it in .csv or .nc")
     if is_netcdf and importlib.util.find_spec("netCDF4") is None:
         raise OutputError(f"{out}: writing netCDF needs netCDF4: pip install 'heaved[export]'; or name a .csv with -o")
     recorded = open_recorded(source, FRAMES)
@@ -161,6 +167,7 @@ def _known(recorded: Recorded) -> dict[str, Column]:
 def _chosen(source: Path, known: dict[str, Column], asked: Sequence[str]) -> list[str]:
     if list(asked) == [ALL]:
         return [*_FIRST, *(name for name in known if name not in _FIRST)]
+    asked = [name for name in asked if name not in TIMES]
     unknown = [name for name in asked if name not in known]
     if unknown:
         there = ", ".join(name for name in known if not _AHEAD.fullmatch(name) and "interval" not in name)
@@ -309,7 +316,7 @@ class CsvWriter:
             column = known[name]
             cells.append("%s" if column.stored is Stored.TEXT else f"%.{max(0, round(-log10(column.scale)))}f")
         self._row = ",".join(cells) + "\n"
-        write(",".join(("t_s", "time", *names)) + "\n")
+        write(",".join((*TIMES, *names)) + "\n")
 
     def push(self, block: Block) -> None:
         """Add rows."""

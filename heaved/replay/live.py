@@ -157,7 +157,9 @@ class Rerun:
         self._emit, self._count, self._learning = emit, count, learning
         self._has_laser = any(device.role == "laser" for device in hour.header.layout.devices)
         config = config_of(hour) if config is None else config
-        stages = Stages(config.hull, config.attitude, config.crane, refit_inline=learning is not None)
+        stages = Stages(
+            config.hull, config.attitude, config.crane, config.reference_mru, refit_inline=learning is not None
+        )
         self.pipeline = self._assembled(config, stages)
         self.has_begun = False
         self.fit: SeaFit | None = None
@@ -198,7 +200,7 @@ class Rerun:
         elif call is Call.RESTORED:
             restored = msgspec.msgpack.decode(row.record, type=Restored)
             self.pipeline.restore(restored.state, restored.age_s)
-        elif call in (Call.PIPELINE, Call.HULL, Call.ATTITUDE, Call.CRANE):
+        elif call in (Call.PIPELINE, Call.HULL, Call.ATTITUDE, Call.CRANE, Call.REFERENCE_MRU):
             if self._is_as_recorded:
                 self._configure(call, _decoded(self._hour, row.record))
         elif self._learning is None:
@@ -266,6 +268,8 @@ class Rerun:
             stages.configure_attitude(config.attitude)
         elif call is Call.CRANE:
             stages.configure_crane(config.crane)
+        elif call is Call.REFERENCE_MRU:
+            stages.configure_reference_mru(config.reference_mru)
         else:
             learned = self.pipeline.state()
             self._has_laser = config.has_laser

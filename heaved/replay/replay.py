@@ -188,7 +188,9 @@ class Run:
         self.config = config
         self.number = 1
         self.pipeline = assembled(
-            config, Stages(config.hull, config.attitude, config.crane), has_laser=recording.has_laser
+            config,
+            Stages(config.hull, config.attitude, config.crane, config.reference_mru),
+            has_laser=recording.has_laser,
         )
         self.fit: SeaFit | None = None
         self._trainer = trainer
@@ -250,6 +252,7 @@ def assembled(config: Config, stages: Stages, *, has_laser: bool) -> Pipeline:
         lead_s=config.compensation.lead_s,
         stages=stages,
         quiet=config.quiet,
+        attitude_late_s=config.attitude_late_s,
     )
 
 

@@ -31,6 +31,8 @@ from heaved.samples import (
     ImuSample,
     LaserSample,
     MotionFrame,
+    MruComparison,
+    MruSample,
     RatesSample,
     Sample,
     SeaState,
@@ -80,6 +82,7 @@ _DEVICES: Final = {
     RatesSample: "second IMU",
     CraftSample: "craft",
     CraneSample: "crane",
+    MruSample: "reference MRU",
 }
 _DEGREES: Final = 180.0 / np.pi
 
@@ -156,6 +159,8 @@ class Collector:
         frames, begin_s, end_s: how many, and the times of the first and the last.
         interval_s: usual time between frames; nan: there are too few.
         realtime, laser: errors of the heave against the delayed heave and the laser, by state.
+        reference_mru: by what the heave of an existing MRU differs from ours, its mean taken out, beside what both
+            explain.
         forecasts, rock: by horizon; by axis and horizon.
         quality, reasons, laser_states, corrections: what held when.
         reason_texts: by their kinds, as first given; varied: kinds that came with other numbers.
@@ -171,6 +176,9 @@ class Collector:
         self.all_realtime, self.settled_realtime = Errors(), Errors()
         self.laser = {state: Errors() for state in STATES}
         self.all_laser, self.settled_laser = Errors(), Errors()
+        self.reference_mru = Errors()
+        self._compared: MruComparison | None = None
+        self._differences: list[tuple[float, float, float]] = []
         self.forecasts = [Errors() for _ in layout.forecasts_s]
         self.rock = {axis: [Errors() for _ in layout.rock_s] for axis in AXES}
         self.quality, self.reasons, self.laser_states, self.corrections = (Timeline() for _ in range(4))
@@ -225,6 +233,7 @@ class Collector:
         if frame is not None:
             if frame.sea is not self._sea:
                 self._note_sea(frame, run.fit)
+            self._note_reference_mru(frame)
             self._rows.append(self._row(run.pipeline, frame, sample))
             if (delayed := frame.delayed) is not None and delayed.t_s > self._delayed_s:
                 self._delayed_s = delayed.t_s
@@ -311,6 +320,12 @@ class Collector:
             model, dt_s = (fit.model, fit.dt_s) if is_of_fit and fit is not None else (None, nan)
             self.mean_sea.change(frame.t_s, frame.sea, model, dt_s)
 
+    def _note_reference_mru(self, frame: MotionFrame) -> None:
+        found = frame.reference_mru
+        if found is not None and found is not self._compared:
+            self._compared, heave = found, found.heave
+            self._differences.append((found.t_s, heave.difference - heave.mean_difference, heave.explained))
+
     def _take_down(self, kind: type[Sample]) -> None:
         """Samples of one device, column by column."""
         told = self._samples[kind]
@@ -339,6 +354,9 @@ class Collector:
         self.end_s = float(rows[-1, T])
         self._blocks.append(_Block(rows, *self._told))
         self._rows, self._told = [], ([], [], [])
+        if self._differences:
+            self.reference_mru.push(*np.array(self._differences).T)
+            self._differences = []
         if self._delayed:
             self._delayed_known = np.concatenate((self._delayed_known, np.array(self._delayed)))
             self._delayed = []

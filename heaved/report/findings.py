@@ -142,6 +142,8 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True):
     independent_errors: float
     """How many independent errors the heave's are worth, by their spectrum."""
     laser: dict[str, ErrorStatistics]
+    reference_mru: ErrorStatistics
+    """What the heave of an existing MRU differs from ours, m, beside what the errors of both explain."""
     forecasts: tuple[HorizonErrors, ...]
     """m"""
     rock: dict[str, tuple[HorizonErrors, ...]]
@@ -232,6 +234,7 @@ def findings(
         delayed_std_rms_m=collector.moments["delayed_std"].rms,
         expected_nees=collector.expected_nees.mean,
         independent_errors=compared / independent_s if independent_s > 0.0 else nan,
+        reference_mru=collector.reference_mru.statistics(),
         laser={
             **laser_by_state,
             SETTLED: collector.settled_laser.statistics(),
@@ -313,7 +316,7 @@ def _sea(collector: Collector) -> Sea:
 
 # ---- the configuration -----------------------------------------------------------------------------------------------
 
-USED = ("heave", "laser", "correction", "rock", "hull", "attitude", "quiet", "point", "compensation")
+USED = ("heave", "laser", "correction", "rock", "hull", "attitude", "reference_mru", "quiet", "point", "compensation")
 """Tables that change what a replay computes."""
 
 
@@ -392,6 +395,12 @@ def _heave_in_words(found: Findings) -> list[str]:
         words.append("No reading of the laser could be compared with the heave.")
     else:
         words.append("There was no laser: nothing but the acceleration itself speaks for or against the heave.")
+    mru = found.reference_mru
+    if mru.count:
+        words.append(
+            f"An existing MRU differed from it by {length(mru.rms)} RMS over {mru.count} readings, where the errors of "
+            f"both explain {length(mru.claimed_rms)}; {_shares(mru)}. Either may be the one that is right."
+        )
     return words
 
 

@@ -13,11 +13,12 @@ import numpy as np
 
 from heaved.samples import CraftSample, Fault, ImuSample, LaserSample, Sample
 from heaved.simulate.crane import CraneAtWork, CraneSensors
+from heaved.simulate.gauge import AT_THE_IMU, Gauge
 from heaved.simulate.gyro_shaking import GyroLine, GyroShake
 from heaved.simulate.hydrofoil import CraftShake, CraftShaking, Passage, Voyage
+from heaved.simulate.mru import MruModel, SimulatedMru
 from heaved.simulate.second_imu import CraneBase, SecondImu
 from heaved.simulate.sensors import (
-    LASER_DISTANCE_M,
     LASER_NOISE_M,
     REGISTER_STEPS,
     ImuModel,
@@ -112,18 +113,21 @@ class Attitude:
 
 
 class Laser:
-    """A laser gauge on the heave, read at any instants."""
+    """A laser gauge, read at any instants."""
 
-    def __init__(self, sea: MotionSource, pattern: LaserPattern, *, seed: int, name: str = "laser") -> None:
-        self._sea, self._pattern = sea, pattern
+    def __init__(
+        self, sea: MotionSource, pattern: LaserPattern, *, seed: int, name: str = "laser", gauge: Gauge = AT_THE_IMU
+    ) -> None:
+        self._sea, self._pattern, self._gauge = sea, pattern, gauge
         self._rng = np.random.default_rng([seed, 2, zlib.crc32(name.encode())])
 
     def read(self, t_s: float) -> LaserSample:
         """The reading at ``t_s``; without an echo it is nan, and the device refuses the request."""
         noise = LASER_NOISE_M * float(self._rng.standard_normal())
-        if not self._pattern.on(t_s):
+        distance_m = self._gauge.read(self._sea.at(t_s)) if self._pattern.on(t_s) else math.nan
+        if math.isnan(distance_m):
             return LaserSample(t_s=t_s, fault=Fault.EXCEPTION)
-        return LaserSample(t_s=t_s, laser_m=LASER_DISTANCE_M + self._sea.at(t_s).heave_m + noise)
+        return LaserSample(t_s=t_s, laser_m=distance_m + noise)
 
 
 class Moved:
@@ -184,9 +188,10 @@ class Instruments:
     def __init__(
         self, sea: MotionSource, *, sensor: str | ImuModel = "A", laser: str = "on", shake: str | Shake = NONE,
         seed: int = 1, base: CraneBase | None = None, voyage: Voyage | None = None, crane: CraneAtWork | None = None,
+        mru: MruModel | None = None, gauge: Gauge = AT_THE_IMU,
     ) -> None:  # fmt: skip
         """``base``: of a second IMU. ``voyage``: of a craft, whose sensors share no sea with the others. ``crane``: by
-        default one at work.
+        default one at work. ``mru``: an existing motion reference unit at the IMU. ``gauge``: where the laser is.
 
         Raises:
             ValueError: unknown ``sensor`` (:data:`SENSORS`), ``laser`` pattern (:func:`laser_pattern`) or ``shake``
@@ -197,7 +202,7 @@ class Instruments:
         self._sea = Moved(sea, self._shaken)
         self._imus: dict[str, Imu] = {}
         self._lasers: dict[str, Laser] = {}
-        self._base, self._voyage = base or CraneBase(), voyage
+        self._base, self._voyage, self._gauge = base or CraneBase(), voyage, gauge
         self._second: dict[str, SecondImu] = {}
         lines = [part for part in shake_of(shake).vibration if isinstance(part, Line) and part.rate_radps > 0.0]
         self._crane_shake = GyroShake(
@@ -209,12 +214,15 @@ class Instruments:
         self._craft: dict[str, CraftSensors] = {}
         self.crane = crane or CraneAtWork(seed=seed)
         self._encoders: dict[str, CraneSensors] = {}
+        self._mru, self._mrus = mru or MruModel(), dict[str, SimulatedMru]()
 
     def read(self, device: DeviceSpec, t_s: float) -> Sample:
         """What ``device`` measures at ``t_s``, seconds from the start of the simulation."""
         if device.role == "laser":
             if device.name not in self._lasers:
-                self._lasers[device.name] = Laser(self._sea, self._pattern, seed=self._seed, name=device.name)
+                self._lasers[device.name] = Laser(
+                    self._sea, self._pattern, seed=self._seed, name=device.name, gauge=self._gauge
+                )
             return self._lasers[device.name].read(t_s)
         if device.role == "imu2":
             return self.second_imu(device).read(t_s)
@@ -222,6 +230,10 @@ class Instruments:
             if device.name not in self._encoders:
                 self._encoders[device.name] = CraneSensors(self.crane, seed=self._seed, name=device.name)
             return self._encoders[device.name].read(t_s)
+        if device.role == "reference_mru":
+            if device.name not in self._mrus:
+                self._mrus[device.name] = SimulatedMru(self._sea, self._mru, seed=self._seed, name=device.name)
+            return self._mrus[device.name].read(t_s)
         if device.role != "imu":
             return self._craft_sensors(device).read(t_s) if self._voyage else CraftSample(t_s=t_s)
         if device.name not in self._imus:

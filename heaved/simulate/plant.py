@@ -1,4 +1,4 @@
-"""A plant of simulated devices: every line of a configuration, served in this process."""
+"""A plant of simulated devices: every line of a configuration, served in this process, and those that speak."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from heaved.devices.link import bus_key
 from heaved.links import Link, SerialLink, TcpLink, parse_link
 from heaved.simulate.faults import FaultKind, PlannedFault
 from heaved.simulate.slave import Answer, RtuLine, Slave, Source, TcpLine
+from heaved.simulate.speaking import Speaker
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -57,10 +58,12 @@ class SimulatedPlant:
         self._slaves: dict[str, dict[int, Slave]] = {}  # by bus, by device id
         self._lines: dict[str, TcpLine | RtuLine] = {}  # by bus
         self._bus_of: dict[str, str] = {}  # by name of the device
+        self._speakers: dict[str, Speaker] = {}  # by name of the device; faults are for the others
         links: dict[str, Link] = {}
         for device in devices:
             if not device.is_asked:
-                raise ValueError(f"{device.name} speaks by itself: only devices that are asked are simulated")
+                self._speakers[device.name] = Speaker(device, source, self.time_s, any_port=any_port)
+                continue
             link = parse_link(device.link)
             bus = bus_key(link)
             if links.setdefault(bus, link) != link:
@@ -93,7 +96,7 @@ class SimulatedPlant:
             OSError: a port or path cannot be had.
         """
         try:
-            for line in self._lines.values():
+            for line in (*self._lines.values(), *self._speakers.values()):
                 await line.open()
         except OSError:
             await self.stop()
@@ -103,6 +106,8 @@ class SimulatedPlant:
         self._supervisor = asyncio.create_task(self._supervise(), name="simulated plant")
 
     def _as_reached(self, device: DeviceSpec) -> DeviceSpec:
+        if device.name in self._speakers:
+            return self._speakers[device.name].device
         line = self._lines[self._bus_of[device.name]]
         if isinstance(line, TcpLine):
             return msgspec.structs.replace(device, link=str(TcpLink(line.host, line.port)))
@@ -118,7 +123,7 @@ class SimulatedPlant:
         if supervisor is not None:
             supervisor.cancel()
             await asyncio.wait([supervisor])
-        for line in self._lines.values():
+        for line in (*self._lines.values(), *self._speakers.values()):
             await line.close()
         if supervisor is not None and not supervisor.cancelled() and (error := supervisor.exception()) is not None:
             raise error

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from heaved.samples import CraftSample, CraneSample, Fault, ImuSample, LaserSample, Sample
+from heaved.samples import CraftSample, CraneSample, Fault, ImuSample, LaserSample, MruSample, Sample
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -150,6 +150,8 @@ class Player:
                 jib_rad=self._value("jib_rad", at),
                 line_out_m=self._value("line_out_m", at),
             )
+        if device.role == "reference_mru":
+            return MruSample(t_s=t_s)  # Nor of an MRU.
         if device.role != "imu":
             return CraftSample(t_s=t_s)  # A recording of the heave has none of theirs.
         return ImuSample(

@@ -16,6 +16,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from heaved.samples import GRAVITY_MPS2, ImuSample, LaserSample, Sample
+from heaved.simulate.gauge import AT_THE_IMU, Gauge
 from heaved.simulate.shaking import BUTTERWORTH_DAMPING, NONE, Shake, shaking
 from heaved.simulate.vessel import Array, Motion, Real, Triad, body_rates, specific_force
 
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 
     from heaved.simulate.seaway import Seaway
 
-LASER_DISTANCE_M = 12.0
-"""What the laser reads at zero heave; it reads more as the vessel rises (sign +)."""
 LASER_NOISE_M = 0.002
 
 REGISTER_STEPS = np.repeat([16.0 * GRAVITY_MPS2, math.pi, math.radians(2000.0)], 3) / 32768
@@ -193,14 +192,15 @@ def record(
     laser_rate_hz: float = 20.0,
     sensor: str | ImuModel = "A",
     laser: str = "on",
+    gauge: Gauge = AT_THE_IMU,
     shake: str | Shake = NONE,
     seed: int = 1,
 ) -> Recording:
     """Record a sea from 0 to ``duration_s``. Parameters and ``Raises`` as :func:`measure`."""
     t = np.arange(round(duration_s * imu_rate_hz)) / imu_rate_hz
     return measure(
-        sea.motion(t), imu_rate_hz=imu_rate_hz, laser_rate_hz=laser_rate_hz, sensor=sensor, laser=laser, shake=shake,
-        seed=seed,
+        sea.motion(t), imu_rate_hz=imu_rate_hz, laser_rate_hz=laser_rate_hz, sensor=sensor, laser=laser, gauge=gauge,
+        shake=shake, seed=seed,
     )  # fmt: skip
 
 
@@ -211,14 +211,15 @@ def measure(
     laser_rate_hz: float = 20.0,
     sensor: str | ImuModel = "A",
     laser: str = "on",
+    gauge: Gauge = AT_THE_IMU,
     shake: str | Shake = NONE,
     seed: int = 1,
 ) -> Recording:
     """Put a sensor's errors on a true motion given at ``imu_rate_hz``, and what shakes it.
 
     ``sensor`` is a model, or names one of :data:`SENSORS`; ``laser`` is a pattern of :func:`laser_pattern`, counted
-    from the first instant. The laser is read at those IMU instants that are the first at or after its own ticks, so
-    that every reading is exactly as old as its row says. ``shake`` is one, or names one of
+    from the first instant; ``gauge`` is where it is. The laser is read at those IMU instants that are the first at or
+    after its own ticks, so that every reading is exactly as old as its row says. ``shake`` is one, or names one of
     :data:`~heaved.simulate.shaking.SHAKES`, happens at the instants that it says, and what of it is true motion is in
     the recording's truth. ``seed`` draws the errors and the vibration alone.
 
@@ -246,7 +247,7 @@ def measure(
     ticks = np.floor(since_start * laser_rate_hz + 1e-6)
     due = np.diff(ticks, prepend=-1.0) > 0
     seen = due & np.array([pattern.on(t) for t in since_start.tolist()], dtype=bool)
-    reading = LASER_DISTANCE_M + truth.heave_m + LASER_NOISE_M * laser_rng.standard_normal(n)
+    reading = gauge.read(truth) + LASER_NOISE_M * laser_rng.standard_normal(n)
     distance[seen] = reading[seen]
     ax, ay, az, roll, pitch, yaw, gx, gy, gz = values
     return Recording(

@@ -17,9 +17,11 @@ from heaved.outputs.records import (
     CorrectionStatus,
     DeviceStatus,
     HeaveStatus,
+    LaserStatus,
     MotionRecord,
     ObserverStatus,
     OutputStatus,
+    ReferenceStatus,
     StatusRecord,
     VersionRecord,
 )
@@ -41,6 +43,29 @@ def quality(heave: HeaveState, *reasons: str) -> Quality:
 
 def snapshot(status: StatusRecord | None = None, frame: MotionRecord | None = None) -> Snapshot:
     return Snapshot(version=VersionRecord(release="1.2.3"), status=status or make_status(), motion=frame)
+
+
+MRU = ReferenceStatus(
+    heave_difference_m=0.123, heave_std_difference_m=0.21, heave_explained_m=0.06, heave_correlation=0.95,
+    heave_delay_s=0.4, heave_scale=0.9, roll_mean_difference_deg=1.5, roll_std_difference_deg=0.1, compared_s=300.0,
+    age_s=0.1, warnings=("reference MRU: heave differs by 0.21 m RMS over 300 s, both explain 0.06 m",),
+)  # fmt: skip
+
+
+def test_an_mru_beside_ours_is_shown_and_one_that_differs_is_a_warning() -> None:
+    shown = table(snapshot(make_status(reference_mru=MRU), motion()))
+    assert "reference   heave +0.123 m from ours   0.210 m RMS over 300 s, both explain 0.060 m" in shown
+    assert "correlation 0.950, +400 ms late, 0.900 times ours   age 100.0 ms" in shown
+    assert "minus ours, in the mean: roll +1.50° ±0.10°" in shown
+    assert MRU.warnings[0] in shown
+    state, line = check_line(snapshot(make_status(reference_mru=MRU), motion()))
+    assert state is CheckState.WARNING
+    assert MRU.warnings[0] in line
+    good = msgspec.structs.replace(MRU, warnings=())
+    assert check_line(snapshot(make_status(reference_mru=good), motion()))[0] is CheckState.OK
+    for status, words in ((ReferenceStatus(), "nothing to compare yet"), (ReferenceStatus(age_s=30.0), "for 30.0 s")):
+        assert words in table(snapshot(make_status(reference_mru=status), motion()))
+    assert "reference" not in table(snapshot(make_status(), motion()))
 
 
 LASER_DOWN = DeviceStatus(
@@ -149,6 +174,7 @@ def test_table_shows_what_there_is() -> None:
         correction=CorrectionStatus(
             state=CorrectionState.ACTIVE, runs=12, last_result="accepted", age_s=35.0, nothing_to_learn=3
         ),
+        laser=LaserStatus(is_elsewhere=True, ahead_m=8.124, ahead_std_m=0.05, port_m=-0.031, port_std_m=0.004),
         clock=ClockStatus(utc_offset_s=1.7e9, steps=2),
         config_file="/etc/heaved/heaved.toml",
         state_file="/var/lib/heaved/state.json",
@@ -167,6 +193,7 @@ def test_table_shows_what_there_is() -> None:
         "+12.3 ms",
         "active, 12 trainings, the last accepted, 3 times nothing to learn, network in use since 35.0 s",
         "rtu:///dev/ttyUSB0: no answer: check the cable",
+        "elsewhere: 8.12 m ±0.05 m ahead, 0.03 m ±0.00 m to starboard of where it is configured",
         "1 connected, 44 lines dropped",
         "stepped 2 times",
     ):

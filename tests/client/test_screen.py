@@ -151,7 +151,7 @@ def test_outputs_are_shown_and_one_that_is_down_says_what_to_do() -> None:
     bad = SimpleNamespace(
         name="plc", kind="registers", link="tcp://y", up=False, sent=0, lost={}, detail="refused: is it on?"
     )
-    status = SimpleNamespace(devices=(), observer=None, outputs=(good, bad))
+    status = SimpleNamespace(devices=(), observer=None, reference_mru=None, outputs=(good, bad))
     view._status = status  # type: ignore[assignment]
     text = drawn(view, 0.1)
     assert "✖ output plc (registers) DOWN: refused: is it on?" in text

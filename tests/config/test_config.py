@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from heaved.config import Config
 from heaved.config.read import ConfigError, data_directory, load, parse
 from heaved.config.rules import cautions, rate_faults
-from heaved.devices.profile import Block, DeviceSpec, Field, Profile, Sentence, SentenceField
+from heaved.devices.profile import Block, Condition, DeviceSpec, Field, Profile, Sentence, SentenceField
 from heaved.estimation.lever_arm import Point
 from heaved.outputs.telegrams.spec import OutputSpec
 
@@ -94,8 +94,15 @@ FAULTS: dict[str, tuple[str, str]] = {
     "wrong type": ('[stream]\nport = "5570"', "stream.port: Expected `int`, got `str` (got '5570')"),
     "out of range": ("[stream]\nport = 70000", "stream.port: Expected `int` <= 65535 (got 70000)"),
     "no such choice": ('[heave]\nobserver = "kalman"', "heave.observer: must be 'harmonic' or 'sea' (got 'kalman')"),
-    "no such role": (LASER.replace('role = "laser"', 'role = "gps"'), "'pitch_sensor' or 'crane' (got 'gps')"),
+    "no such role": (LASER.replace('role = "laser"', 'role = "gps"'), "'crane' or 'reference_mru' (got 'gps')"),
     "neither sign": ("[laser]\nsign = 2", "laser.sign: must be 1 or -1 (got 2)"),
+    "a laser on another ship": ("[laser]\nforward_m = 501", "laser.forward_m: Expected `float` <= 500.0 (got 501)"),
+    "a laser nowhere": ("[laser]\nup_m = nan", "laser.up_m: Expected `float` >= -500.0 (got nan)"),
+    "a beam that points nowhere": ("[laser]\nbeam = [0, 0, 0]", "laser.beam: must point down or up"),
+    "a level beam": ("[laser]\nbeam = [1, 0, 0]", "laser.beam: must point down or up, by no more than 60 degrees"),
+    "a beam that leans too far": ("[laser]\nbeam = [0.9, 0, -0.5]", "from it (got [0.9, 0, -0.5])"),
+    "a beam of two numbers": ("[laser]\nbeam = [0, -1]", "laser.beam: Expected `array` of length 3"),
+    "a beam of nan": ("[laser]\nbeam = [0, 0, nan]", "laser.beam: must be finite"),
     "nan": ("[heave]\nmax_gap_s = nan", "heave.max_gap_s: "),
     "nan in a list": ("[heave]\nband_hz = [nan, 0.6]", "heave.band_hz: must be finite"),
     "infinity": ("[correction]\nstep_s = inf", "correction.step_s: "),
@@ -176,6 +183,23 @@ FAULTS: dict[str, tuple[str, str]] = {
     "measured after the answer": (
         IMU + "latency_ms = 80" + IMU_PROFILE,
         "device[0].latency_ms: 80 is beyond timeout_ms (50): no device measures after it has answered",
+    ),
+    "a laser that is turned": (
+        LASER.replace("rate_hz = 20", "rate_hz = 20\nrotation_deg = [0, 0, 90]"),
+        "device[0].rotation_deg: is for an IMU; a device in role 'laser' has nothing to apply it to",
+    ),
+    "a lateness of what has no angles": (
+        LASER.replace("rate_hz = 20", "rate_hz = 20\nattitude_latency_ms = 10"),
+        "device[0].attitude_latency_ms: is for an IMU; a device in role 'laser' has nothing to apply it to",
+    ),
+    "a tilted sensor of one axis": (
+        IMU + "rotation_deg = [0.0, 3.0, 0.0]" + IMU_PROFILE,
+        "device[0].rotation_deg: the vertical acceleration of a tilted sensor takes all three, and profile 'inline' "
+        "has no ax_mps2 and no ay_mps2",
+    ),
+    "a bias that is none": (
+        IMU + "bias_mps2 = [9.8, 0, 0]" + IMU_PROFILE,
+        "device[0].bias_mps2: Expected `float` <= 5.0",
     ),
     "a profile that is not there": (
         IMU + 'profile = "mine/imu.toml"',
@@ -338,6 +362,15 @@ CAUTIONS: dict[str, tuple[str, str]] = {
         ),
         "device laser: timeout_ms 50 is longer than the period of imu (10 ms) on the same line",
     ),
+    "a laser that may look at the ship": (
+        IMU + 'profile = "witmotion-wt901c485"\n' + LASER + "\n[laser]\nsign = -1\nforward_m = 3",
+        "laser.sign: -1 with a beam that looks down is a laser that stands on something fixed and looks at the ship; "
+        "for one on board that looks the other way write beam = [0, 0, 1]",
+    ),
+    "a laser elsewhere without an attitude": (
+        IMU + IMU_PROFILE + LASER + "\n[laser]\nport_m = 3",
+        "laser.forward_m, laser.port_m: no imu measures roll and pitch",
+    ),
 }
 
 
@@ -361,6 +394,50 @@ def test_a_known_bandwidth_says_what_folds(rate_hz: float, said: str, count: int
 def test_the_bandwidth_of_the_device_comes_before_that_of_its_profile() -> None:
     text = IMU.replace("rate_hz = 100", "rate_hz = 20") + 'bandwidth_hz = 10\nprofile = "witmotion-wt901c485"'
     assert cautions(read(text)) == []
+
+
+def test_a_correction_needs_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = load(data_directory() / "heaved.toml")
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    (said,) = cautions(config)
+    assert said.startswith("correction.enabled: torch is not installed, so no correction is trained")
+    assert not cautions(msgspec.structs.replace(config, device=config.device[:1]))
+    off = msgspec.structs.replace(config.correction, enabled=False)
+    assert not cautions(msgspec.structs.replace(config, correction=off))
+
+
+SENTENCES = """
+[device.profile]
+name = "inline"
+[[device.profile.sentences]]
+header = "$PA"
+fields = [
+    { quantity = "ax_mps2", index = 1, unit = "m/s2" },
+    { quantity = "ay_mps2", index = 2, unit = "m/s2" },
+    { quantity = "az_mps2", index = 3, unit = "m/s2" },
+    { quantity = "roll_rad", index = 4, unit = "rad" },
+]
+[[device.profile.sentences]]
+header = "$PB"
+fields = [{ quantity = "pitch_rad", index = 1, unit = "rad" }]
+"""
+
+
+@pytest.mark.parametrize(
+    ("rotation", "profile", "expected"),
+    [
+        ("[0, -85, 0]", 'profile = "witmotion-wt901c485"', ["its x axis stands 85 degrees up or down"]),
+        ("[180, 0, 90]", 'profile = "witmotion-wt901c485"', []),
+        ("[0, 0, 30]", SENTENCES, ["roll and pitch take each other"]),
+        ("[30, 0, 180]", SENTENCES, []),
+    ],
+)
+def test_what_a_mounting_costs_is_said(rotation: str, profile: str, expected: list[str]) -> None:
+    link = 'link = "tcp://127.0.0.1:15020"'
+    text = IMU.replace(link, 'link = "serial:///dev/x"') if profile is SENTENCES else IMU
+    found = cautions(read(f"{text}\nrotation_deg = {rotation}\nbandwidth_hz = 20\n{profile}"))
+    assert len(found) == len(expected)
+    assert all(part in caution for part, caution in zip(expected, found, strict=True))
 
 
 @pytest.mark.parametrize("name", ["heaved.toml", "demo.toml", "sensors.toml", "hull.toml", "hydrofoil.toml"])
@@ -540,7 +617,7 @@ def test_the_default_file_documents_devices_and_profiles() -> None:
         assert field.name in device
         if not field.required and field.name != "device_id":
             assert msgspec.convert(device[field.name], field.type) == field.default
-    for kind in (Profile, Block, Field, Sentence, SentenceField):
+    for kind in (Profile, Block, Field, Sentence, SentenceField, Condition):
         for field in msgspec.structs.fields(kind):
             assert re.search(rf"(?m)^#.*\b{field.name}\b", text), f"{field.name} of {kind.__name__} is not documented"
 

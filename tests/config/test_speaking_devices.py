@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from heaved.config import Config
-from heaved.config.read import ConfigError, parse
+from heaved.config.read import ConfigError, packaged_profiles, packaged_sentences, parse
+from heaved.config.rules import cautions
 
 BOX = """
 [[device]]
@@ -104,10 +105,17 @@ FAULTS = {
         "device[0].profile.sentences[0].header: ",
         "regex",
     ),
-    "a header with the separator": (
-        box("udp-listen://127.0.0.1:5601").replace("$--XDR", "$CRN;1").replace("fields", 'separator = ";"\nfields'),
+    "a header with the separator at its end": (
+        box("udp-listen://127.0.0.1:5601").replace("$--XDR", "$CRN;").replace("fields", 'separator = ";"\nfields'),
         "device[0].profile.sentences[0]: ",
-        "header holds the separator",
+        "header ends with the separator",
+    ),
+    "columns beyond the line": (
+        box("udp-listen://127.0.0.1:5601")
+        .replace('transducer = "PTCH"', "columns = [20, 30]")
+        .replace("fields", "length = 25\nfields"),
+        "device[0].profile.sentences[0]: ",
+        "are not first and last of 25",
     ),
     "nothing for the role": (
         box("udp-listen://127.0.0.1:5601").replace('"craft"', '"heave_sensor"'),
@@ -123,3 +131,21 @@ def test_faults_are_named(name: str) -> None:
     with pytest.raises(ConfigError) as caught:
         read(text)
     assert any(fault.startswith(path) and words in fault for fault in caught.value.faults), caught.value.faults
+
+
+MRU = box("udp-listen://127.0.0.1:5601").replace('"craft"', '"reference_mru"')
+
+
+def test_a_reference_mru_needs_its_point_and_an_imu() -> None:
+    with pytest.raises(ConfigError) as caught:
+        read(MRU + '[reference_mru]\npoint = "mru"\n')
+    assert caught.value.faults == ["reference_mru.point: no [[point]] is named 'mru'"]
+    config = read(MRU + '[reference_mru]\npoint = "mru"\n[[point]]\nname = "mru"\nforward_m = 3.0\n')
+    assert any("there is nothing to compare it with" in caution for caution in cautions(config))
+
+
+def test_packaged_profiles_are_told_apart_by_how_they_are_read() -> None:
+    asked, speaking = packaged_profiles(), packaged_sentences()
+    assert {profile.name for profile in speaking} >= {"tss1", "pashr"}
+    assert all(profile.blocks and not profile.sentences for profile in asked)
+    assert not {profile.name for profile in asked} & {profile.name for profile in speaking}

@@ -224,6 +224,21 @@ async def test_reload_restarts_only_what_has_changed(tmp_path: Path) -> None:
             assert metric(daemon, 'heaved_config_reloads_total{result="applied"}') == 2
 
 
+async def test_reload_turns_a_sensor_and_begins_to_estimate_anew(tmp_path: Path) -> None:
+    path = tmp_path / "heaved.toml"
+    async with plant_of(demo_config(tmp_path)) as (_, config):
+        path.write_text(to_toml(config))
+        async with running(config, path) as daemon:
+            before = await until(daemon, lambda record: "yaw_deg" in record)
+            pipeline = daemon.acquisition.pipeline
+            # Its x axis to port: the vessel heads a quarter of a turn further to starboard than it does.
+            path.write_text(to_toml(config).replace("[[device]]", "[[device]]\nrotation_deg = [0.0, 0.0, 90.0]", 1))
+            await daemon.reload()
+            assert daemon.acquisition.pipeline is not pipeline
+            wanted = (before["yaw_deg"] + 90.0) % 360.0
+            await until(daemon, lambda record: abs(record.get("yaw_deg", 1e9) - wanted) < 5.0)
+
+
 @pytest.mark.parametrize(("params", "learned", "other"), [HARMONIC, SEA])
 async def test_reload_of_an_estimator_keeps_what_was_learned(
     tmp_path: Path, params: heave.Params, learned: SavedState, other: dict[str, Any]

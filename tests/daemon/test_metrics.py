@@ -20,6 +20,8 @@ from heaved.samples import (
     HullAngles,
     LaserState,
     MotionFrame,
+    MruAgreement,
+    MruComparison,
     Quality,
     QuietForecast,
     QuietWindow,
@@ -46,6 +48,11 @@ CONTRACT = {
     ("heaved_lead_seconds", "gauge", ()),
     ("heaved_hull_angle_radians", "gauge", ("axis",)),
     ("heaved_hull_std_radians", "gauge", ("axis",)),
+    ("heaved_reference_difference_meters", "gauge", ("kind",)),
+    ("heaved_reference_difference_radians", "gauge", ("axis", "kind")),
+    ("heaved_reference_correlation_ratio", "gauge", ()),
+    ("heaved_reference_delay_seconds", "gauge", ()),
+    ("heaved_reference_scale_ratio", "gauge", ()),
     ("heaved_attitude_heave_meters", "gauge", ()),
     ("heaved_attitude_heave_std_meters", "gauge", ()),
     ("heaved_attitude_pitch_radians", "gauge", ()),
@@ -213,6 +220,11 @@ WHOLE_CRAFT = CraftMotion(
     t_s=999.9, heave_m=0.4, heave_velocity_mps=0.0, pitch_rad=0.05, pitch_rate_radps=0.0, heave_std_m=0.01,
     heave_velocity_std_mps=0.1, pitch_std_rad=0.001, pitch_rate_std_radps=0.01,
 )  # fmt: skip
+AGREED = MruAgreement(
+    reference=1.6, own=1.5, difference=0.1, mean_difference=0.02, std_difference=0.05, rms_difference=0.06,
+    explained=0.07, correlation=0.99, delay_s=0.12, scale=0.97,
+)  # fmt: skip
+WHOLE_MRU = MruComparison(t_s=999.9, heave=AGREED, roll=AGREED, pitch=AGREED)
 WHOLE = MotionFrame(
     t_s=1000.0,
     quality=Quality(heave=HeaveState.VALID, laser=LaserState.VALID, correction=CorrectionState.ACTIVE),
@@ -224,6 +236,7 @@ WHOLE = MotionFrame(
     delayed=DelayedHeave(t_s=940.0, heave_m=-0.75, std_m=0.01),
     hull=WHOLE_HULL,
     attitude=WHOLE_CRAFT,
+    reference_mru=WHOLE_MRU,
     quiet=QuietForecast(
         t_s=1000.0, window=QuietWindow(t_s=1000.0, start_s=12.0, length_s=15.0, confidence=0.85), best=0.9
     ),
@@ -241,7 +254,11 @@ CRAFT = {f"heaved_attitude_{x}" for x in ("heave_meters", "heave_std_meters", "p
 ROCK = {"heaved_rock_error_radians", "heaved_rock_coverage_ratio"}
 QUIET = {"heaved_quiet_confidence_ratio", "heaved_quiet_start_seconds"}
 TRAINED = {"heaved_training_age_seconds"}
-ALL = NOW | SEA | DELAYED | HULL | CRAFT | ROCK | QUIET | TRAINED
+MRU = {
+    f"heaved_reference_{x}"
+    for x in ("difference_meters", "difference_radians", "correlation_ratio", "delay_seconds", "scale_ratio")
+}
+ALL = NOW | SEA | DELAYED | HULL | CRAFT | MRU | ROCK | QUIET | TRAINED
 
 
 def changed(**changes: object) -> MotionFrame:
@@ -289,7 +306,12 @@ GONE: dict[str, tuple[MotionFrame | None, set[str]]] = {
         NOISE,
     ),
     "the delayed heave": (changed(delayed=None), DELAYED),
-    "the smoother": (changed(t_s=1006.0, hull=None, attitude=None), DELAYED | HULL | CRAFT),
+    "the smoother": (changed(t_s=1006.0, hull=None, attitude=None), DELAYED | HULL | CRAFT | MRU),
+    "the reference MRU": (changed(reference_mru=msgspec.structs.replace(WHOLE_MRU, t_s=994.9)), MRU),
+    "roll of the reference MRU": (
+        changed(reference_mru=MruComparison(t_s=999.9, heave=AGREED, pitch=AGREED)),
+        {"heaved_reference_difference_radians"},
+    ),
     "the second IMU": (changed(hull=msgspec.structs.replace(WHOLE_HULL, t_s=994.9)), HULL),
     "the hull's stage": (changed(hull=None), HULL),
     "the craft's sensors": (changed(attitude=msgspec.structs.replace(WHOLE_CRAFT, t_s=994.9)), CRAFT),

@@ -137,6 +137,8 @@ async def test_a_replay_makes_the_very_frames_that_the_daemon_published(tmp_path
     directory = recording_directory(config)
     found, calls, became, remarks = again(directory)
     assert remarks == []
+    stems = {path.name.partition(".")[0] for path in directory.glob("heaved-*")}
+    assert len(stems) == len({stem[:18] for stem in stems})  # One pair an hour.
     assert calls[Call.COAST] > 20
     assert (calls[Call.RESTORED], calls[Call.REFIT]) == (1, 1)
     assert became["fits", "accepted"] >= 1

@@ -63,6 +63,8 @@ def test_what_the_daemon_relies_on() -> None:
     assert float(unit["WatchdogSec"][0].removesuffix("s")) >= 2.0
     # A configuration error is exit code 78, and nothing that a restart could cure.
     assert unit["RestartPreventExitStatus"] == ["78"]
+    # The workers are the daemon's to end.
+    assert unit["KillMode"] == ["mixed"]
     # The daemon ends within two seconds of SIGTERM.
     assert float(unit["TimeoutStopSec"][0].removesuffix("s")) > 2.0
     assert {"char-ttyUSB rw", "char-ttyACM rw", "char-ttyS rw"} <= set(unit["DeviceAllow"])

@@ -5,6 +5,7 @@ built by hand from the manual's map. The bus must send exactly the request, and 
 from __future__ import annotations
 
 import tomllib
+from functools import reduce
 from math import pi, radians
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import pytest
 from modbus_slaves import Results, RtuSlave, crc, rtu, rtu_answer, running
 
 from heaved.devices.profile import DeviceSpec, Profile, Quantity, Role, decode, encode, profile_faults
+from heaved.devices.sentences import SentenceReader
 from heaved.samples import Fault, ImuSample
 
 FOLDER = Path(__file__).parents[2] / "config" / "devices"
@@ -48,6 +50,34 @@ FRAMES = [
     (
         "witmotion-hwt905-485", "imu", "50 03 0034 0010", "50 03 20" + HWT905,
         {**WT901_VALUES, "pitch_rad": pi / 8, "temperature_c": 24.5},
+    ),
+    (
+        "witmotion-hwt9073-485", "imu", "50 03 0034 0010", "50 03 20" + HWT905,
+        {**WT901_VALUES, "pitch_rad": pi / 8, "temperature_c": 24.5},
+    ),
+    # The numbers of the maker's table of registers (RF602 manual 1.2.0, 11.8.1): range 500, value 15894.
+    ("riftek-rf602", "laser", "01 04 0005 0002", "01 04 04 01f4 3e16", {"laser_m": 15894 * 500 / 16384 / 1000}),
+    ("riftek-rf602-500", "laser", "01 04 0006 0001", "01 04 02 3e16", {"laser_m": 15894 * 500 / 16384 / 1000}),
+    # The maker's example (SMC IMU user guide 3.1, 4.6): 0.305 m, -0.088 m/s, 0.16 and -0.63 degrees (bow down), 159.
+    (
+        "smc-imu-108", "reference_mru", "01 03 0003 0006", "01 03 0c 0131 ffa8 ffba 0010 ffc1 009f",
+        {
+            "heave_m": 0.305, "heave_velocity_mps": -0.088, "roll_rad": radians(0.16), "pitch_rad": radians(0.63),
+            "device_time_s": 159.0,
+        },
+    ),
+    # The request as its driver has it, CRC included; 12.34, -5.67 and 90 degrees from 20000.
+    (
+        "bewis-mins127", "reference_mru", "01 03 00 01 00 03 54 0B", "01 03 06 52f2 4be9 7148",
+        {"roll_rad": radians(12.34), "pitch_rad": radians(5.67), "yaw_rad": -radians(90.0)},
+    ),
+    (
+        "generic-imu-float32", "imu", "01 03 0000 0012",
+        "01 03 24 3d800000 bd000000 40400000 3e000000 be000000 00000000 3f000000 be800000 411c0000",
+        {
+            "ax_mps2": 0.5, "ay_mps2": -0.25, "az_mps2": 9.75, "gx_radps": 0.125, "gy_radps": -0.125, "gz_radps": 0.0,
+            "roll_rad": 0.0625, "pitch_rad": -0.03125, "yaw_rad": 3.0,
+        },
     ),
     # Maker's frames, CRC included (WT53R-485 manual v23-0720, 6.2): 0x070B = 1803 mm.
     ("witmotion-wt53r-485", "laser", "50 03 00 34 00 01 C8 45", "50 03 02 07 0B 06 7F", {"laser_m": 1.803}),
@@ -95,6 +125,43 @@ FRAMES = [
 ]  # fmt: skip
 
 
+# Telegrams that makers print, and what they say there (of TSS1: NovAtel, SMC, SBG, CodaOctopus, a Seatex MRU
+# of USCGC Healy). Checksums are worked out here: printed ones are wrong in places.
+TELEGRAMS = [
+    ("tss1", ":00FFCA -0003F-0325  0319", (-0.03, -3.25, 3.19)),
+    ("tss1", ":000064 -0003U 0007 -0056", (-0.03, 0.07, -0.56)),
+    ("tss1", ":05FEFF  0000H 0102 -0049", (0.0, 1.02, -0.49)),
+    ("tss1", ":1A4770 -0016H 0429 -0680", (-0.16, 4.29, -6.80)),
+    ("tss1", ":1a4770 -0016H 0429 -0680", (-0.16, 4.29, -6.80)),
+    ("tss1", ":053C22  0000f-0046 -0563", None),
+    ("tss1", ":053C22  0000?-0046 -0563", (None, -0.46, -5.63)),
+    ("tss1", ":053C22       H-0046 -0563", None),
+    ("tss1", ":053C22      H-0046 -0563", (None, -0.46, -5.63)),
+    ("pashr", "$PASHR,123816.80,312.95,T,-0.83,-0.42,-0.01,0.234,0.224,0.298,2,1", (-0.01, -0.83, -0.42)),
+    ("pashr", "$PASHR,,,,,,,,,,0,0", None),
+    ("pashr", "$PASHR,ATT,88536.0,345.96,0.0390,-0.9052,0.0024,0.0144,0", None),
+    ("psxn23", "$PSXN,23,0.02,-0.76,330.56,0.11", (-0.11, 0.02, -0.76)),
+    ("prdid", "$PRDID,-000.84,+001.17,259.89", (None, 1.17, -0.84)),
+    ("pnorsub2", "$PNORSUB2,203798,2,+0.117,-0.505,259.893,1.350,0.023,1", (-1.35, 0.117, -0.505)),
+    ("pnorsub2", "$PNORSUB2,203798,2,+0.117,-0.505,259.893,1.350,0.023,0", None),
+]
+
+
+@pytest.mark.parametrize(("name", "printed", "said"), TELEGRAMS, ids=[f"{t[0]} {t[1]}" for t in TELEGRAMS])
+def test_telegrams(name: str, printed: str, said: tuple[float | None, float, float] | None) -> None:
+    sum_ = reduce(lambda a, b: a ^ b, printed[1:].encode(), 0)
+    line = printed if name == "tss1" else f"{printed}*{sum_:02x}"
+    (found,) = SentenceReader(load(name).sentences).feed(f"{line}\r\n".encode())
+    if said is None:
+        assert (found.values, bool(found.detail)) == ({}, True)
+        return
+    assert found.fault is Fault.NONE
+    heave_m, roll_deg, pitch_deg = said
+    assert found.values.get("heave_m") == (None if heave_m is None else pytest.approx(heave_m))
+    assert found.values["roll_rad"] == pytest.approx(radians(roll_deg))
+    assert found.values["pitch_rad"] == pytest.approx(radians(pitch_deg))
+
+
 def frame(text: str, length: int) -> bytes:
     """The frame; a printed CRC must be right, a missing one is added."""
     data = bytes.fromhex(text)
@@ -106,7 +173,7 @@ def frame(text: str, length: int) -> bytes:
 
 
 def test_every_profile_has_a_golden_frame() -> None:
-    assert {path.stem for path in FOLDER.glob("*.toml")} == {row[0] for row in FRAMES}
+    assert {path.stem for path in FOLDER.glob("*.toml")} == {row[0] for row in (*FRAMES, *TELEGRAMS)}
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.toml")), ids=lambda path: path.stem)
@@ -142,6 +209,10 @@ async def test_golden_frames(
     # And the way back, which is the simulator's: the same registers, but for those that no field covers.
     block = spec.profile.blocks[0]
     sent = encode(block, values)
+    if block.fields[0].scale_from is not None:
+        # The range of this sensor is one of many that could tell the value.
+        assert decode(block, sent).values["laser_m"] == pytest.approx(values["laser_m"], abs=values["laser_m"] / 16384)
+        return
     covered = {field.offset + i for field in block.fields for i in range(2 if field.type[-2:] == "32" else 1)}
     for offset in covered:
         low = answer[3 + 2 * offset : 5 + 2 * offset]
@@ -155,8 +226,24 @@ async def test_golden_frames(
         ("baumer-om20", "0002 0000 7c37 428b 0000 447a 0003 03e8 0000 0011 0000 a120 0007", Fault.OUT_OF_RANGE),
         ("benewake-tf02-i", "1194 0014 0000 0001 86a0", Fault.OUT_OF_RANGE),
         ("witmotion-wt53r-485", "0000", Fault.OUT_OF_RANGE),
+        ("riftek-rf602", "01f4 0000", Fault.OUT_OF_RANGE),
+        ("riftek-rf602", "01f4 4001", Fault.OUT_OF_RANGE),
+        ("riftek-rf602", "01f4 ffff", Fault.OUT_OF_RANGE),
+        ("riftek-rf602", "0000 2000", Fault.OUT_OF_RANGE),
+        ("riftek-rf602-500", "0000", Fault.OUT_OF_RANGE),
+        ("riftek-rf602-500", "4001", Fault.OUT_OF_RANGE),
     ],
-    ids=["critical signal", "weak echo", "no reading"],
+    ids=[
+        "critical signal",
+        "weak echo",
+        "no reading",
+        "nothing in range",
+        "beyond the range",
+        "no result",
+        "no range",
+        "nothing in a range that is known",
+        "beyond a range that is known",
+    ],
 )
 def test_readings_that_the_maker_calls_invalid_are_faults(name: str, registers: str, fault: Fault) -> None:
     data = bytes.fromhex(registers)

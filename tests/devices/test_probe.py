@@ -185,6 +185,24 @@ async def test_registers_of_anything_fit_nothing(name: str, seed: int) -> None:
     assert lines[0] in ("id 5: could be", "id 5: answers, but no known profile fits")
 
 
+@pytest.mark.parametrize(("pace", "verdict"), [(1.0, "id 5: fits"), (0.1, "id 5: could be"), (3.0, "id 5: could be")])
+async def test_a_counter_that_does_not_keep_time_is_no_clock(pace: float, verdict: str) -> None:
+    def answer(request: bytes) -> bytes:
+        # A laser gauge with its time in ms, or a crane that pays out line.
+        counted = int(1e3 * pace * asyncio.get_running_loop().time()) & 0xFFFFFFFF
+        noise = int(1e3 * asyncio.get_running_loop().time()) % 3
+        return asked_for(request, [1200 + noise, 900, 0, counted >> 16, counted & 0xFFFF], 0) or b""
+
+    tf02 = PROFILES["benewake-tf02-i"]
+    slave = TcpSlave(answer)
+    await slave.start()
+    try:
+        found = await probe(parse_link(f"tcp://127.0.0.1:{slave.port}"), (5,), (tf02,), 0.5, lambda device_id: None)
+    finally:
+        await slave.stop()
+    assert found.lines[0] == verdict
+
+
 async def test_a_sensor_that_stands_is_a_mere_possibility() -> None:
     lines = (await reported(TcpSlave(lambda request: asked_for(request, wt901(1), 0x34)), "80")).lines
     assert lines[:2] == ["id 80: could be", "  100%  witmotion-wt901c485"]
@@ -221,6 +239,22 @@ async def test_probing_goes_on_after_answers_that_are_none() -> None:
     assert "heard of id 2: 21 bytes that are no whole Modbus TCP frame" in hints
     assert "heard of id 3: the connection was lost" in hints
     assert "id 4" not in hints
+
+
+async def test_a_device_that_ignores_what_it_has_not_got_is_found_all_the_same() -> None:
+    def answer(request: bytes) -> bytes:
+        first, count = int.from_bytes(request[2:4]) - 0x34, int.from_bytes(request[4:6])
+        known = request[:2] == b"\x50\x03" and first >= 0 and first + count <= 12
+        return rtu_answer(request, wt901(len(slave.requests))[first : first + count]) if known else b""
+
+    slave = RtuSlave(answer)
+    link, known = parse_link(f"rtu://{slave.path}?baudrate=115200"), (PROFILES["witmotion-wt901c485"],)
+    try:
+        lines = (await probe(link, (79, 80, 81), known, 0.1, lambda device_id: None)).lines
+    finally:
+        slave.close()
+    assert lines[:2] == ["id 80: fits", "  100%  witmotion-wt901c485"]
+    assert [line for line in lines if line.startswith("id")] == ["id 80: fits"]
 
 
 @pytest.mark.parametrize("serial", [True, False])

@@ -6,6 +6,7 @@ import math
 import struct
 from typing import Any, Literal
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -229,3 +230,57 @@ def test_every_fault_of_a_profile_is_reported_at_once() -> None:
         assert words in text
     assert len(text.splitlines()) == 9
     assert all("profile bad: block" in line for line in text.splitlines())
+
+
+# ---- a scale that the device tells itself, and numbers that are none -------------------------------------------------
+
+RANGED = Field(
+    quantity="laser_m", offset=1, type="uint16", scale=0.5, scale_from=0, unit="mm", raw_min=1, raw_max=1000,
+    offset_value=100.0,
+)  # fmt: skip
+
+
+def test_the_scale_is_read_with_the_value() -> None:
+    block = Block(start=10, fields=(RANGED,))
+    for factor, raw in ((1, 1), (7, 1000), (65535, 3)):
+        decoded = decode(block, [factor, raw])
+        assert decoded.values == {"laser_m": pytest.approx((raw * 0.5 * factor + 100.0) / 1000.0)}
+
+
+@given(st.floats(0.2, 30_000.0))
+def test_what_is_told_with_a_scale_is_read_again(laser_m: float) -> None:
+    block = Block(start=10, fields=(RANGED,))
+    decoded = decode(block, encode(block, {"laser_m": laser_m}))
+    assert decoded.values["laser_m"] == pytest.approx(laser_m, rel=2e-3, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("registers", "words"),
+    [
+        ([5, 0], "laser_m (holding register 11) holds 0, outside 1..1000: the sensor has no reading"),
+        ([5, 1001], "holds 1001, outside 1..1000"),
+        ([0, 5], "its scale, register 10, is 0"),
+    ],
+)
+def test_numbers_that_are_no_reading(registers: list[int], words: str) -> None:
+    decoded = decode(Block(start=10, fields=(RANGED,)), registers)
+    assert (decoded.fault, decoded.values) == (Fault.OUT_OF_RANGE, {})
+    assert words in decoded.detail
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"scale_from": 1}, "scale_from is a register of the value itself"),
+        ({"raw_min": 2.0, "raw_max": 1.0}, "raw_min 2 is above raw_max 1"),
+        ({"raw_min": float("nan")}, "raw_min and raw_max must be finite"),
+    ],
+)
+def test_faults_of_such_a_field(changed: dict[str, float], words: str) -> None:
+    field = msgspec.structs.replace(RANGED, **changed)
+    faults = profile_faults(Profile(name="p", blocks=(Block(start=10, fields=(field,)),)))
+    assert any(words in fault for fault in faults)
+
+
+def test_the_register_of_the_scale_is_asked_for() -> None:
+    assert block_registers(Block(start=0, fields=(msgspec.structs.replace(RANGED, scale_from=6),))) == 7

@@ -2,9 +2,11 @@
 worked out with functools; bytes in any pieces say the same.
 """
 
+import tomllib
 from functools import reduce
 from itertools import pairwise
 from math import radians
+from pathlib import Path
 
 import msgspec
 import pynmea2
@@ -12,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from heaved.devices.profile import Profile, Sentence, SentenceField, profile_faults
+from heaved.devices.profile import Condition, Profile, Sentence, SentenceField, profile_faults
 from heaved.devices.sentences import MOST_BYTES, SentenceReader
 from heaved.samples import Fault
 
@@ -31,6 +33,14 @@ BOX = Sentence(
         SentenceField(quantity="speed_mps", index=4, unit="kn"),
     ),
 )
+
+
+FOLDER = Path(__file__).parents[2] / "config" / "devices"
+TSS1, PASHR, PSXN = [
+    msgspec.convert(tomllib.loads((FOLDER / f"{name}.toml").read_text()), Profile).sentences[0]
+    for name in ("tss1", "pashr", "psxn23")
+]
+GOOD_TSS1 = b":05FEFF -0123H 0102 -0049\r\n"
 
 
 def summed(body: str) -> bytes:
@@ -143,6 +153,98 @@ def test_no_bytes_are_an_error(data: bytes) -> None:
         assert bool(one.values) == (one.fault is Fault.NONE)
 
 
+# ---- lines of fixed columns, and what a sentence says of its own worth -----------------------------------------------
+
+COLUMNS = {
+    "cut at its end": (GOOD_TSS1[:-4] + b"\n", Fault.LENGTH, "23 characters instead of 25"),
+    "two that were merged": (GOOD_TSS1[:-2] + GOOD_TSS1, Fault.LENGTH, "50 characters instead of 25"),
+    "a cut one before a whole one": (GOOD_TSS1[:13] + GOOD_TSS1, Fault.LENGTH, "38 characters instead of 25"),
+    "a character lost within": (GOOD_TSS1[:10] + GOOD_TSS1[11:], Fault.LENGTH, "24 characters"),
+    "a letter in the heave": (GOOD_TSS1.replace(b"-0123", b"-01O3"), Fault.NOT_FINITE, "'-01O3', which is no number"),
+    "a sign in the middle": (GOOD_TSS1.replace(b"-0123", b"0-123"), Fault.NOT_FINITE, "no number"),
+    "bytes of another speed": (b":" + bytes(range(128, 152)) + b"\r\n", Fault.LENGTH, "characters instead of 25"),
+    "settling": (GOOD_TSS1.replace(b"H", b"h"), Fault.NOT_FINITE, "column 14 is 'h', not 'U' or 'G'"),
+    "a letter that nobody defines": (GOOD_TSS1.replace(b"H", b"X"), Fault.NOT_FINITE, "column 14 is 'X'"),
+    "no letter": (GOOD_TSS1.replace(b"H", b" "), Fault.NOT_FINITE, "column 14 is ''"),
+    "nothing but a letter": (b":              H          ".replace(b"  H", b"H") + b" \r\n", Fault.NOT_FINITE, ""),
+    "more than the format's most": (GOOD_TSS1.replace(b"-0123", b" 9999"), Fault.OUT_OF_RANGE, "is 99.99, outside"),
+}
+
+
+@pytest.mark.parametrize("name", COLUMNS)
+def test_a_faulty_line_of_fixed_columns_is_a_fault(name: str) -> None:
+    data, fault, words = COLUMNS[name]
+    (found,) = SentenceReader([TSS1]).feed(data)
+    assert (found.fault, found.values) == (fault, {})
+    assert words in found.detail
+    assert found.detail.isprintable()
+
+
+def test_after_a_faulty_line_the_next_is_read() -> None:
+    for data, _, _ in COLUMNS.values():
+        found = SentenceReader([TSS1]).feed(data + GOOD_TSS1)[-1]
+        assert found.values["heave_m"] == pytest.approx(-1.23)
+
+
+@given(st.binary(max_size=200), st.lists(st.integers(0, 400), max_size=8))
+def test_garbage_around_a_line_changes_nothing_of_it(garbage: bytes, cuts: list[int]) -> None:
+    data = garbage + b"\r\n" + GOOD_TSS1 + garbage + b"\n"
+    reader = SentenceReader([TSS1, PASHR])
+    places = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
+    found = [one for a, b in pairwise(places) for one in reader.feed(data[a:b])]
+    assert any(one.values.get("pitch_rad") == pytest.approx(radians(-0.49)) for one in found)
+    assert all(bool(one.values) == (one.fault is Fault.NONE) for one in found)
+
+
+@given(
+    heave_cm=st.integers(-9998, 9998), roll=st.integers(-9000, 9000), pitch=st.integers(-9000, 9000),
+    letter=st.sampled_from("UuGgHhFf?"), level=st.integers(0, 255), up=st.integers(0, 65535), small=st.booleans(),
+)  # fmt: skip
+def test_any_tss1(heave_cm: int, roll: int, pitch: int, letter: str, level: int, up: int, small: bool) -> None:
+    def told(number: int) -> str:
+        return f"{'-' if number < 0 else ' '}{abs(number):04d}"
+
+    accelerations = f"{level:02X}{up:04X}"
+    accelerations = accelerations.lower() if small else accelerations
+    line = f":{accelerations} {told(heave_cm)}{letter}{told(roll)} {told(pitch)}\r\n"
+    assert len(line) == 27
+    (found,) = SentenceReader([TSS1]).feed(line.encode())
+    if letter.islower():
+        assert found.values == {}
+        return
+    expected = {"roll_rad": radians(roll / 100), "pitch_rad": radians(pitch / 100)}
+    if letter != "?":
+        expected["heave_m"] = heave_cm / 100
+    assert found.values == {name: pytest.approx(value, abs=1e-12) for name, value in expected.items()}
+
+
+def test_a_sentence_named_by_its_second_value() -> None:
+    data = summed("PSXN,20,2,0,0,0") + summed("PSXN,23,1.50,-0.76,330.56,0.11") + summed("PSXN,24,0.1,0.2,0.3,0.4")
+    reader = SentenceReader([PSXN])
+    (found,) = reader.feed(data)
+    assert found.values["roll_rad"] == pytest.approx(radians(1.5))
+    assert reader.heard() == "$PSXN"
+
+
+def test_pashr_as_an_independent_reader_has_it() -> None:
+    line = summed("PASHR,085335.000,224.19,T,-1.26,+0.83,+0.52,0.101,0.113,0.267,1,1")
+    read_by_others = pynmea2.parse(line.decode().strip())
+    (found,) = SentenceReader([PASHR]).feed(line)
+    assert found.values == {
+        "heave_m": pytest.approx(float(read_by_others.heave)),
+        "roll_rad": pytest.approx(radians(float(read_by_others.roll))),
+        "pitch_rad": pytest.approx(radians(float(read_by_others.pitch))),
+        "yaw_rad": pytest.approx(radians(float(read_by_others.true_heading))),
+    }
+
+
+def test_a_condition_may_be_of_one_quantity() -> None:
+    careful = msgspec.structs.replace(PASHR, conditions=(*PASHR.conditions, Condition(index=11, one_of=("1",))))
+    (found,) = SentenceReader([careful]).feed(summed("PASHR,,224.19,T,-1.26,+0.83,+0.52,,,,1,0"))
+    assert found.fault is Fault.NOT_FINITE
+    assert "value 11 is '0', not '1'" in found.detail
+
+
 def test_a_datagram_is_whole() -> None:
     reader = SentenceReader([XDR])
     reader.feed(b"$YXXDR,A,9")
@@ -161,6 +263,15 @@ WRONG = {
         Profile(name="p", sentences=(Sentence(header="A", fields=(BOX.fields[0], BOX.fields[0])),)),
         "heave_m is given twice",
     ),
+    "a condition of what no field gives": (
+        Profile(
+            name="p",
+            sentences=(
+                msgspec.structs.replace(BOX, conditions=(Condition(index=1, one_of=("A",), quantities=("roll_rad",)),)),
+            ),
+        ),
+        "a condition is of roll_rad, which no field gives",
+    ),
     "a sentence twice": (Profile(name="p", sentences=(BOX, BOX)), "sentence CRN is given twice"),
 }
 
@@ -173,5 +284,5 @@ def test_faults_of_a_profile_are_named(name: str) -> None:
 
 def test_a_value_stands_at_a_place_or_at_a_transducer() -> None:
     for keys in ({}, {"index": 1, "transducer": "ROLL"}):
-        with pytest.raises(msgspec.ValidationError, match="index or transducer"):
+        with pytest.raises(msgspec.ValidationError, match="index, columns or transducer"):
             msgspec.convert({"quantity": "roll_rad", "unit": "deg", **keys}, SentenceField)

@@ -24,8 +24,9 @@ from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
 from heaved.estimation.heave.sea.refit import SeaFit, SeaWindow, look
 from heaved.samples import HeaveState, LaserSample, LaserState, MotionFrame
+from heaved.simulate.gauge import LASER_DISTANCE_M
 from heaved.simulate.seaway import seaway
-from heaved.simulate.sensors import LASER_DISTANCE_M, Recording, record
+from heaved.simulate.sensors import Recording, record
 
 if TYPE_CHECKING:
     from heaved.pipeline import Pipeline

@@ -32,6 +32,7 @@ SHORT = Record("S4", 10.0, 3, largest_sigma=4.0, largest_deg=5.0)
 
 DISASTERS: dict[str, dict[Record, float | None]] = {
     "attitude_lost_85": {ROUGH: None, SHORT: 5.0},
+    "attitude_bursts": {ROUGH: 5.0},
     "attitude_never": {ROUGH: None},
     "holes_again": {ROUGH: 95.0, SHORT: 75.0},
     "gap_1": {ROUGH: 5.0, SHORT: 5.0},

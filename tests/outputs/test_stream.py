@@ -38,7 +38,7 @@ async def until_clients(served: Served, count: int) -> None:
 async def test_version_comes_first_then_every_frame_at_once(serve: Serve) -> None:
     served = await serve()
     peer = Peer(*await asyncio.open_connection(served.host, served.port))
-    assert await peer.record() == {"class": "VERSION", "release": "1.2.3", "proto_major": 1, "proto_minor": 4}
+    assert await peer.record() == {"class": "VERSION", "release": "1.2.3", "proto_major": 1, "proto_minor": 5}
     served.publish(3)
     records = await peer.records(3)
     assert [(record["class"], record["seq"], record["dropped"]) for record in records] == [

@@ -13,7 +13,14 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from heaved.outputs import wire
-from heaved.outputs.records import DeviceStatus, ErrorRecord, HeaveStatus, StatusRecord, VersionRecord
+from heaved.outputs.records import (
+    DeviceStatus,
+    ErrorRecord,
+    HeaveStatus,
+    ReferenceStatus,
+    StatusRecord,
+    VersionRecord,
+)
 from heaved.outputs.requests import (
     ACCEPTED,
     MAX_REQUEST_BYTES,
@@ -33,6 +40,8 @@ from heaved.samples import (
     HeaveState,
     LaserState,
     MotionFrame,
+    MruAgreement,
+    MruComparison,
     PointMotion,
     Quality,
     RockPrediction,
@@ -229,6 +238,34 @@ def test_golden_delayed_line() -> None:
     )
 
 
+def test_golden_reference_line() -> None:
+    """What an MRU does not tell is absent, a quantity that it knows nothing of altogether."""
+    compared = MruComparison(
+        t_s=12.5,
+        heave=MruAgreement(
+            reference=1.25, own=1.0, difference=0.25, mean_difference=0.5, std_difference=0.125, rms_difference=0.5154,
+            explained=0.0625, correlation=0.99, delay_s=math.nan, scale=1.05,
+        ),
+        roll=MruAgreement(reference=0.5 * math.pi, own=0.25 * math.pi, difference=0.25 * math.pi),
+        compared_s=300.0,
+        warnings=("reference MRU: ...",),
+    )  # fmt: skip
+    assert strict(wire.encode_record(wire.reference_record(compared, 1767225600.0))) == {
+        "class": "REFERENCE", "time": "2026-01-01T00:00:00.000000Z", "mono_s": 12.5,
+        "heave": {
+            "reference_m": 1.25, "own_m": 1.0, "difference_m": 0.25, "mean_difference_m": 0.5,
+            "std_difference_m": 0.125, "rms_difference_m": 0.5154, "explained_m": 0.0625, "correlation": 0.99,
+            "scale": 1.05,
+        },
+        "roll": {"reference_deg": 90.0, "own_deg": 45.0, "difference_deg": 45.0},
+        "compared_s": 300.0, "warnings": ["reference MRU: ..."],
+    }  # fmt: skip
+    status = wire.reference_status(compared, 13.0)
+    assert (status.heave_std_difference_m, status.heave_delay_s, status.age_s) == (0.125, None, 0.5)
+    assert wire.reference_status(compared, 30.0) == ReferenceStatus(age_s=17.5)
+    assert wire.reference_status(None, 30.0) == ReferenceStatus()
+
+
 @given(st.integers(0, 4102444800 * 10**6))
 @example(1767225600 * 10**6)  # A whole second keeps its six zeros.
 @example(1767225600 * 10**6 - 1)
@@ -254,7 +291,7 @@ def test_records_that_are_not_known_are_left_out() -> None:
         "quality": {"heave": "invalid", "laser": "off", "correction": "off", "reasons": []},
     }  # fmt: skip
     assert wire.encode_record(VersionRecord(release="1.2.3")) == (
-        b'{"class":"VERSION","release":"1.2.3","proto_major":1,"proto_minor":4}\n'
+        b'{"class":"VERSION","release":"1.2.3","proto_major":1,"proto_minor":5}\n'
     )
     assert wire.encode_record(ErrorRecord(message="no")) == b'{"class":"ERROR","message":"no"}\n'
 

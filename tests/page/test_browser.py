@@ -14,7 +14,7 @@ from stream_peers import Serve, make_frame, make_status
 from waiting import holds
 
 from heaved.outputs import wire
-from heaved.outputs.records import DeviceStatus, MotionRecord
+from heaved.outputs.records import DeviceStatus, MotionRecord, ReferenceStatus
 from heaved.page.follower import Link
 from heaved.page.server import PageServer
 from heaved.samples import HeaveState, MotionFrame, PointMotion, SeaState, WaveSystem
@@ -165,6 +165,29 @@ async def test_what_the_heave_is_worth_is_said_with_every_reason(
             assert reasons[0] in (await shown(tab, "reason"))[0]
             listed = (await lines_of(tab, "reasons")).split("\n")
             assert [line.removeprefix("• ") for line in listed] == list(reasons)
+
+
+async def test_an_mru_beside_ours_is_shown_where_there_is_one(serve: Serve) -> None:
+    said = [None, ReferenceStatus()]
+    said += [
+        ReferenceStatus(
+            heave_difference_m=-0.123, heave_std_difference_m=0.21, compared_s=300.0, age_s=0.1,
+            warnings=(f"reference MRU: heave differs {EVIL}",),
+        ),
+        ReferenceStatus(age_s=42.0),
+    ]  # fmt: skip
+    served = await serve(clock=time.monotonic, status=lambda: make_status(reference_mru=said[0]))
+    async with page(served.port) as (tab, _):
+        with publishing(served.publisher, with_points):
+            await until_text(tab, "title", "HEAVE VALID")
+            assert await tab.evaluate("document.getElementById('reference-mru-row').hidden")
+            for text in ("nothing to compare yet", "−0.12 m, 0.21 m RMS in 300 s", "nothing for 42 s"):
+                del said[0]
+                served.publisher.publish_record(make_status(reference_mru=said[0]))
+                await until_text(tab, "reference-mru", text)
+                if "RMS" in text:
+                    await until_text(tab, "title", "HEAVE VALID, BUT")
+                    assert (await shown(tab, "reason"))[0] == f"reference MRU: heave differs {EVIL}"
 
 
 async def test_a_device_that_is_down_is_said_and_its_name_is_only_text(serve: Serve) -> None:

@@ -13,6 +13,7 @@ from running import demo_config
 
 from heaved.recorder import files
 from heaved.recorder.files import delete_old, new_stem, pairs, to_parquet, whole_batches
+from heaved.recorder.found import RecordedError
 from heaved.recorder.layout import SAMPLES
 from heaved.recorder.read import open_recorded, rows_of
 
@@ -57,6 +58,41 @@ def test_a_torn_stream_becomes_the_parquet_of_what_is_whole(stream: Path, batche
     if batches:
         rows = [row for hour in open_recorded(target, SAMPLES).hours for row in rows_of(hour)]
         assert [row.seq for row in rows] == list(range(120 * batches))
+
+
+def test_a_stream_that_is_damaged_in_its_middle_is_kept_beside_what_is_whole(tmp_path: Path) -> None:
+    write_recording(tmp_path / "out", Scribe(tmp_path), 9)
+    stream = next((tmp_path / "out").glob(f"*.{SAMPLES}.arrows"))
+    spoilt = bytearray(stream.read_bytes())
+    ends = [end for _, end in whole_batches(stream)]
+    spoilt[ends[1] : ends[1] + 64] = bytes(64)
+    stream.write_bytes(spoilt)
+    done = to_parquet(stream)
+    assert (done.rows, done.torn_bytes) == (240, len(spoilt) - ends[1])
+    kept = stream.with_name(done.kept)
+    assert kept.read_bytes() == spoilt
+    assert not stream.exists()
+    (pair,) = [pair for pair in pairs(kept.parent) if kept in pair.paths]  # So that it goes when its hour does.
+    assert stream.with_suffix(".parquet") in pair.paths
+
+
+def test_a_byte_that_the_disk_has_turned_is_not_read_as_a_value(stream: Path) -> None:
+    to_parquet(stream)
+    path = stream.with_suffix(".parquet")
+    with pq.ParquetFile(path) as file:
+        group = file.metadata.row_group(0)
+        column = next(group.column(i) for i in range(group.num_columns) if group.column(i).path_in_schema == "t_s")
+    spoilt = bytearray(path.read_bytes())
+    spoilt[column.data_page_offset + column.total_compressed_size - 3] ^= 1
+    path.write_bytes(spoilt)
+    with pytest.raises(RecordedError, match="is damaged"):
+        [row for hour in open_recorded(path, SAMPLES).hours for row in rows_of(hour)]
+
+
+def test_parquet_is_as_private_as_the_stream(stream: Path) -> None:
+    mode = stream.stat().st_mode
+    to_parquet(stream)
+    assert stream.with_suffix(".parquet").stat().st_mode == mode
 
 
 def test_parquet_is_made_of_integers_packed_as_differences(stream: Path) -> None:

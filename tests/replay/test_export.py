@@ -153,7 +153,7 @@ def test_hours_of_another_configuration_have_blanks_where_it_had_no_column(tmp_p
     write_recording(directory, Scribe(tmp_path), 1)
     quiet: dict[str, Any] = {"quiet": quiescence.Params(enabled=True)}
     write_recording(directory, Scribe(tmp_path, run="second", **quiet), 1, first_s=10)
-    export(directory, tmp_path / "out.csv", columns=["quiet_confidence", "heave_m"])
+    export(directory, tmp_path / "out.csv", columns=["t_s", "quiet_confidence", "heave_m"])
     rows = rows_of(tmp_path / "out.csv")
     assert len(rows) == 200
     assert {row["quiet_confidence"] for row in rows} == {""}
@@ -173,6 +173,10 @@ def test_what_cannot_be_exported_is_said_and_nothing_is_left_behind(
         export(directory, tmp_path / "out.csv", columns=["heave"])
     with pytest.raises(RecordedError, match="made by heaved replay"):
         export(tmp_path / "in.csv", tmp_path / "out.csv")
+    with pytest.raises(RecordedError, match="there is no such file"):
+        export(tmp_path / "absent", tmp_path / "out.csv")
+    with pytest.raises(OutputError, match=r"\.xls is neither CSV nor netCDF"):
+        export(directory, tmp_path / "out.xls")
     for name in ("out.csv", "out.nc"):
         with pytest.raises(OutputError, match="cannot be written"):
             export(directory, tmp_path / "nowhere" / name)

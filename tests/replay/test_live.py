@@ -31,8 +31,9 @@ from heaved.replay.live import LiveRecording, Rerun
 from heaved.replay.replay import OutputError, replay
 from heaved.report.report import report
 from heaved.samples import LaserSample, TrainedNetwork
+from heaved.simulate.gauge import LASER_DISTANCE_M
 from heaved.simulate.seaway import seaway
-from heaved.simulate.sensors import LASER_DISTANCE_M, record
+from heaved.simulate.sensors import record
 from heaved.workers.process import BlockingTrainer
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
 
 EAGER: dict[str, Any] = {
     "heave": heave.Params(lead=lead.Params(window_s=20.0, refresh_s=2.0, min_laser_s=5.0, min_coherence=0.0)),
-    "correction": correction.Params(min_laser_s=20.0, window_s=30.0, period_s=12.0, epochs=300),
+    "correction": correction.Params(min_laser_s=20.0, window_s=30.0, period_s=6.0, epochs=300),
 }
 """Learns early and trains often, so that a short recording shows all of it."""
 HALF_S = 60.0

@@ -25,6 +25,8 @@ from heaved.samples import (
     LaserSample,
     LaserState,
     MotionFrame,
+    MruAgreement,
+    MruComparison,
     Quality,
     RockPrediction,
     SeaState,
@@ -68,6 +70,7 @@ def collected(t_s: list[float]) -> Collector:
             ),
         ),
     )
+    compared: MruComparison | None = None
     for number, t in enumerate(t_s):
         off = rng.standard_normal(4).tolist()
         attitude.measured_s = t
@@ -96,11 +99,20 @@ def collected(t_s: list[float]) -> Collector:
             ),
             compensation_lead_s=LEAD_S,
             delayed=DelayedHeave(t_s=delayed_s, heave_m=truth_m(delayed_s), std_m=DELAYED_STD_M),
+            reference_mru=(compared := _compared(t, number, off[1], compared)),
         )
         collector.take(run, LaserSample(t_s=t - 0.03, laser_m=1.0), None)
         collector.take(run, ImuSample(t_s=t, az_mps2=9.8 + 0.1 * off[3], roll_rad=roll_rad(t), pitch_rad=0.0), frame)
     collector.finish()
     return collector
+
+
+def _compared(t_s: float, number: int, off: float, before: MruComparison | None) -> MruComparison | None:
+    """Every second frame has a new one: off by 0.07 m about a mean of 3 m, where 0.1 m is explained."""
+    if number % 2:
+        return before
+    heave = MruAgreement(difference=3.0 + 0.07 * off, mean_difference=3.0, explained=0.1)
+    return MruComparison(t_s=t_s, heave=heave if number > 100 else MruAgreement(difference=3.0))
 
 
 @pytest.fixture(scope="module")
@@ -139,6 +151,14 @@ def test_the_laser_is_compared_at_its_own_time(steady: Collector) -> None:
     expected = sqrt((share**2 + (1.0 - share) ** 2) * STD_M**2 + READING_STD_M**2)
     assert laser.rms == pytest.approx(expected, rel=0.03)
     assert laser.claimed_rms == pytest.approx(sqrt(STD_M**2 + CONFIG.laser.noise_std_m**2), rel=1e-6)
+
+
+def test_an_existing_mru_is_compared_once_for_each_of_its_readings(steady: Collector) -> None:
+    mru = steady.reference_mru.statistics()
+    assert mru.count == pytest.approx(23_400 / 2 - 50, abs=2)
+    assert mru.rms == pytest.approx(0.07, rel=0.03)
+    assert mru.mean == pytest.approx(0.0, abs=0.003)
+    assert mru.claimed_rms == pytest.approx(0.1)
 
 
 def test_states_are_kept_apart(steady: Collector) -> None:

@@ -21,11 +21,11 @@ from heaved.devices.profile import Block, DeviceSpec, Field, Profile, Quantity
 from heaved.links import SerialLink, TcpLink, parse_link
 from heaved.samples import GRAVITY_MPS2, ImuSample, LaserSample, Sample
 from heaved.simulate.faults import parse_faults
+from heaved.simulate.gauge import LASER_DISTANCE_M
 from heaved.simulate.instruments import Instruments
 from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.play import Player, read_recording
 from heaved.simulate.seaway import seaway
-from heaved.simulate.sensors import LASER_DISTANCE_M
 from heaved.simulate.slave import RtuPace, Slave
 
 if TYPE_CHECKING:
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pymodbus.pdu import ModbusPDU
+
+    from heaved.simulate.vessel import Motion
 
 Client = AsyncModbusTcpClient | AsyncModbusSerialClient
 
@@ -175,6 +177,11 @@ async def test_registers_hold_the_values_of_the_map(links: tuple[str, str]) -> N
         assert part.registers == [2048]
 
 
+def distance_m(motion: Motion[float]) -> float:
+    """Of a laser that looks straight down from the vessel on a level target."""
+    return (LASER_DISTANCE_M + motion.heave_m) / math.cos(motion.roll_rad) / math.cos(motion.pitch_rad)
+
+
 async def test_a_sea_read_live_is_the_truth_of_the_moment_of_the_request() -> None:
     sea, clock = seaway("S6", seed=3), Clock()
     plant = SimulatedPlant(
@@ -185,7 +192,7 @@ async def test_a_sea_read_live_is_the_truth_of_the_moment_of_the_request() -> No
             clock.now += 0.7
             t = plant.time_s()
             # 5 sigma of the laser's 2 mm; the loop's own clock moves by microseconds meanwhile.
-            assert await laser_m(laser) == pytest.approx(LASER_DISTANCE_M + sea.at(t).heave_m, abs=0.011)
+            assert await laser_m(laser) == pytest.approx(distance_m(sea.at(t)), abs=0.011)
             answer = await imu.read_holding_registers(0x3D, count=1, device_id=0x50)
             roll_deg = signed(answer.registers)[0] * 180.0 / 32768
             assert roll_deg == pytest.approx(math.degrees(sea.at(t).roll_rad), abs=0.02)
@@ -275,7 +282,7 @@ async def test_exception_frozen_spike_and_nan() -> None:
         assert await laser_m(laser) != first
         clock.now += 10.0
         t = plant.time_s()
-        assert await laser_m(laser) == pytest.approx(LASER_DISTANCE_M + sea.at(t).heave_m + 2.0, abs=0.011)
+        assert await laser_m(laser) == pytest.approx(distance_m(sea.at(t)) + 2.0, abs=0.011)
         ideal = Instruments(sea, sensor="ideal").read(plant.devices[0], t)
         assert isinstance(ideal, ImuSample)
         spiked = (await imu_registers(imu))[2] * 16.0 * GRAVITY_MPS2 / 32768

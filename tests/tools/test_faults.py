@@ -301,6 +301,7 @@ def test_the_last_minute_is_the_last_minute() -> None:
     found = judged(alternating, rock_off(0.5, roll_rad=0.01), from_s=160.0, to_s=220.0)
     assert found.last_heave_m == pytest.approx(0.03)
     assert found.last_rock_deg == pytest.approx(np.degrees(0.01), rel=1e-6)
+    assert 0.0 < found.whole_heave_m < 0.03
     before = judged(alternating, from_s=100.0, to_s=160.0)
     assert before.last_heave_m == pytest.approx(0.0, abs=1e-12)
     gone = judged(changed(heave_m=lambda _: nan), with_state(INVALID), from_s=160.0, to_s=220.0)
@@ -392,10 +393,12 @@ def test_a_run_is_held_against_the_honest_one_of_its_own_record() -> None:
     assert found is not None
     assert (found.heave, found.rock) == pytest.approx((1.2, 1.05))
     assert fault_table.missed(run, found) == ["3 heave lies", "valid after 7 s > 5 s", "heave 1.20 > 1.1"]
-    again = outcome("holes_again", last_heave_m=0.0105, last_rock_deg=nan, valid_after_s=79.0)
+    honest = msgspec.structs.replace(honest, whole_heave_m=0.02, whole_rock_deg=0.1)
+    again = outcome("holes_again", last_heave_m=9.0, whole_heave_m=0.021, whole_rock_deg=nan, valid_after_s=79.0)
     later = fault_table.honest_beside([honest, again], again)
     assert later is not None
     assert later.valid_later_s == pytest.approx(19.0)
+    assert later.heave == pytest.approx(1.05)  # What lasts from the start is compared as a whole.
     assert fault_table.missed(again, later) == ["no rock in the end"]
     assert fault_table.honest_beside([elsewhere, run], run) is None
 

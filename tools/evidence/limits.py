@@ -6,10 +6,15 @@ stationary process) are what each table divides by. Spectra are one-sided: varia
 
 from __future__ import annotations
 
+from math import log, sqrt
+from typing import Final, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.linalg import cho_factor, cho_solve, solve_toeplitz
+from scipy.signal import fftconvolve
+from scipy.special import ndtr
 
 Array = NDArray[np.float64]
 
@@ -94,6 +99,13 @@ def causal_heave_limit(f_hz: Array, s_heave: Array, noise_psd: Array | float, de
         ValueError: the grid does not start at 0, is not uniform, or the noise is not positive everywhere.
     """
     f, heave, noise = _checked(f_hz, s_heave, noise_psd)
+    _, causal = _factored(f, heave, noise, delay_s)
+    residual = 2 * f[1] * (_trapezoid(heave / 2) - _trapezoid(np.abs(causal) ** 2))
+    return float(np.sqrt(max(residual, 0.0)))
+
+
+def _factored(f: Array, heave: Array, noise: Array, delay_s: float) -> tuple[Array, NDArray[np.complex128]]:
+    """Minimum-phase factor of the two-sided spectrum of what is measured, and the heave from what it whitens."""
     omega = 2 * np.pi * f
     heave = heave / 2  # two-sided from here on
     measured = omega**4 * heave + noise / 2
@@ -102,13 +114,81 @@ def causal_heave_limit(f_hz: Array, s_heave: Array, noise_psd: Array | float, de
     n = cepstrum.size
     cepstrum[1 : n // 2] *= 2.0
     cepstrum[n // 2 + 1 :] = 0.0
-    factor = np.exp(np.fft.rfft(cepstrum) / 2)  # minimum phase, |factor|^2 = measured
+    factor: Array = np.exp(np.fft.rfft(cepstrum) / 2)  # minimum phase, |factor|^2 = measured
 
     # The wanted response is shifted by the delay, or ahead by the horizon, before its anticausal half is cut off.
     explained = np.fft.irfft(-(omega**2) * heave / np.conj(factor) * np.exp(-1j * omega * delay_s))
     causal = np.fft.rfft(np.where(np.arange(n) < n // 2, explained, 0.0))
-    residual = 2 * f[1] * (_trapezoid(heave) - _trapezoid(np.abs(causal) ** 2))
-    return float(np.sqrt(max(residual, 0.0)))
+    return factor, causal
+
+
+DRIFT_EVERY_S: Final = 1800.0
+"""So often a rate changes, as far as the estimator of :func:`drift_limit` knows: with ten times as often its error is
+within a tenth of that."""
+DRIFT_SEEN_S: Final = 120.0
+"""After that long a change is known to a few per cent."""
+DRIFT_BEFORE_S: Final = 60.0
+"""And changes are thought of that may have been so long before the true one."""
+DRIFT_RECORDS: Final = 300
+
+
+class DriftLimit(NamedTuple):
+    """What one change of the rate at which the bias goes on costs."""
+
+    added_m2s: float
+    """Integral of the mean square error that it adds, m2 s."""
+    lies_s: float
+    """Expected time in which the error is more than 4 of the standard deviations that the estimator itself has."""
+
+
+def drift_limit(
+    f_hz: Array, s_heave: Array, noise_psd: Array | float, rate_mps3: float, lie: float = 4.0, seed: int = 1
+) -> DriftLimit:
+    """The cost of a change of rate to the best estimator that knows the spectra, that a rate changes now and then (once
+    in :data:`DRIFT_EVERY_S`), and by how much in the root of the mean square, but not when, nor by how much this time.
+
+    What the filter of :func:`causal_heave_limit` whitens is white noise and the answer to a ramp that began at some
+    second. For each second the posterior of the rate is normal, and its likelihood known; their mixture gives the mean
+    and the variance of what the heave is off by, which is taken out of it. The error of the filter itself has nothing
+    to do with what it whitens. Averaged over :data:`DRIFT_RECORDS` records of white noise.
+
+    Raises:
+        ValueError: as :func:`causal_heave_limit`.
+    """
+    f, heave, noise = _checked(f_hz, s_heave, noise_psd)
+    factor, causal = _factored(f, heave, noise, 0.0)
+    base_m2 = causal_heave_limit(f, heave, noise) ** 2
+    rate_hz = 2.0 * float(f[-1])
+    dt, whole, each = 1.0 / rate_hz, round(DRIFT_SEEN_S * rate_hz), round(rate_hz)
+    ramp = dt * np.arange(whole, dtype=np.float64)
+    # Of a rate of 1: what is left of it when white noise is of unit variance in a second, and in the heave.
+    left = fftconvolve(ramp, np.fft.irfft(1.0 / factor)[:whole])[:whole].reshape(-1, each).mean(axis=1)
+    answer = fftconvolve(ramp, np.fft.irfft(causal / factor)[:whole])[:whole].reshape(-1, each)[:, -1]
+    before = round(DRIFT_BEFORE_S)
+    count = before + len(left)
+    rng = np.random.default_rng(seed)
+    white = rng.standard_normal((DRIFT_RECORDS, count))
+    white[:, before:] += rate_mps3 * left
+    energy, added_m2s, lies_s = np.cumsum(left**2), 0.0, 0.0
+    for now in range(before, count):
+        ages = np.arange(1, min(now + 1, len(left)) + 1)  # seconds since each beginning, this one included
+        patterns = np.array([np.pad(left[:age], (now + 1 - age, 0)) for age in ages.tolist()])
+        share = rate_mps3**2 / (rate_mps3**2 + 1.0 / energy[ages - 1])
+        variance = share / energy[ages - 1]
+        mean = white[:, : now + 1] @ patterns.T * variance
+        log_odds = 0.5 * mean**2 / variance + 0.5 * np.log1p(-share) - log(DRIFT_EVERY_S)
+        most = np.maximum(log_odds.max(axis=1, keepdims=True), 0.0)
+        odds = np.exp(log_odds - most)
+        weights = odds / (np.exp(-most) + odds.sum(axis=1, keepdims=True))
+        off = answer[ages - 1]
+        told = (weights * mean * off).sum(axis=1)
+        spread = (weights * (mean**2 + variance) * off**2).sum(axis=1) - told**2
+        error = rate_mps3 * answer[now - before] - told
+        std = np.sqrt(base_m2 + np.maximum(spread, 0.0))
+        beyond = ndtr((-lie * std - error) / sqrt(base_m2)) + ndtr((-lie * std + error) / sqrt(base_m2))
+        added_m2s += float(np.mean(error**2))
+        lies_s += float(np.mean(beyond))
+    return DriftLimit(added_m2s, lies_s)
 
 
 def noncausal_heave_limit(f_hz: Array, s_heave: Array, noise_psd: Array | float) -> float:

@@ -12,7 +12,7 @@ each other; all estimators get the same three.
 from __future__ import annotations
 
 from functools import lru_cache
-from math import inf, nan
+from math import hypot, inf, nan, sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import welch
 
-from evidence.limits import causal_heave_limit, noncausal_heave_limit
+from evidence.limits import DriftLimit, causal_heave_limit, drift_limit, noncausal_heave_limit
 from heaved.simulate.seaway import HIGHEST_HZ, RAMPS, SEAS, STILL, TRAINS, heave_spectrum, seaway
 from heaved.simulate.sensors import REGISTER_STEPS, ImuModel, Recording, imu_model, record
 from heaved.simulate.shaking import NONE, Shake, shake_of
@@ -102,6 +102,9 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
     noncausal_m: float = nan
     forecast_m: dict[float, float] = msgspec.field(default_factory=lambda: dict.fromkeys(HORIZONS_S, nan))
     """Horizon (s) -> RMS error (m)."""
+    lies: float = 0.0
+    """Share of the record in which the best of all estimators is off by more than 4 of its own standard deviations,
+    because something has begun that cannot be seen yet."""
 
 
 class Case(msgspec.Struct, frozen=True, kw_only=True):
@@ -187,13 +190,16 @@ def _simulated(scenario: str, seeds: Seeds, setting: Setting) -> Case:
         seed=seeds.noise,
     )
     steady = scenario in SEAS and scenario not in RAMPS
+    limits = sea_limits(scenario, setting.sensor, setting.rate_hz, setting.shake) if steady else Limits()
+    if steady and shake_of(setting.shake).drift is not None:
+        limits = _drifting(limits, scenario, setting, duration_s)
     return Case(
         scenario=scenario,
         seeds=seeds,
         setting=setting,
         recording=recording,
         period_s=TRAINS[scenario].period_s if scenario in TRAINS else SEAS.get(scenario, SEAS["S6"])[0].tp_s,
-        limits=sea_limits(scenario, setting.sensor, setting.rate_hz, setting.shake) if steady else Limits(),
+        limits=limits,
         start_s=setting.scored_from_s,
         end_s=duration_s,
         local_sigma_m=sea.heave_std_m * sea.envelope(recording.t_s),
@@ -258,6 +264,27 @@ def limits_of(
         noncausal_m=noncausal_heave_limit(f, heave, noise),
         forecast_m={horizon: causal_heave_limit(f, heave, noise, -horizon) for horizon in HORIZONS_S},
     )
+
+
+def _drifting(limits: Limits, scenario: str, setting: Setting, duration_s: float) -> Limits:
+    """The limits of a record in which the bias drifts: its rate changes at the beginning of that and at its end."""
+    drift = shake_of(setting.shake).drift
+    assert drift is not None
+    changes_s = (drift.start_s, drift.start_s + drift.duration_s)
+    scored = sum(setting.scored_from_s <= change_s < duration_s for change_s in changes_s)
+    rate_mps3 = drift.size_mps2 / drift.duration_s
+    each = _drift_limit(scenario, setting.sensor, setting.rate_hz, setting.shake, rate_mps3)
+    added_m2 = scored * each.added_m2s / (duration_s - setting.scored_from_s)
+    return msgspec.structs.replace(
+        limits, causal_m=hypot(limits.causal_m, sqrt(added_m2)), lies=scored * each.lies_s / duration_s
+    )
+
+
+@lru_cache
+def _drift_limit(scenario: str, sensor: str, rate_hz: float, shake: str | Shake, rate_mps3: float) -> DriftLimit:
+    f = grid(rate_hz)
+    noise = accelerometer_noise(f, sensor, rate_hz, shake)
+    return drift_limit(f, simulated_spectrum(scenario, f), noise, rate_mps3)
 
 
 def grid(rate_hz: float) -> Array:

@@ -89,6 +89,8 @@ class HeaveEstimator:
             observer.amend(up.amendment.t_s, up.amendment.more_mps2)
         if up.noise is not None:
             observer.disturb(up.noise.f_hz, up.noise.psd)
+        if (one := up.unsized) is not None:
+            observer.mistake(one.t_s, (one.by_lean, one.by_lateness), one.covariance)
 
     def at(self, shift_s: float) -> Heave | None:
         """What is known for ``shift_s`` after the last sample, the configured lead added; None: nothing yet."""
@@ -117,7 +119,26 @@ class HeaveEstimator:
             observer_m=observer_m,
             correction_m=correction_m,
             lead_s=observer.design_lead_s + taught.learned_s,
-            forecast=observer.forecast(shift_s, taught.learned_s, no_less, gain) if are_forecasts_wanted else (),
+            forecast=self._forecast(shift_s, no_less, motion.velocity_mps) if are_forecasts_wanted else (),
+        )
+
+    def _forecast(self, shift_s: float, scale: float, velocity_mps: float) -> tuple[HeaveForecast, ...]:
+        """For each horizon, with what gain and lead may be off by: as fast as the wave is now at its fastest."""
+        observer, taught = self.observer, self.laser.lead
+        found = observer.forecast(shift_s, taught.learned_s, scale, taught.gain)
+        if not taught.updates:
+            return found
+        return tuple(
+            [
+                msgspec.structs.replace(
+                    one,
+                    std_m=hypot(
+                        one.std_m,
+                        taught.error_std_m(one.heave_m, hypot(velocity_mps, observer.omega_radps * one.heave_m)),
+                    ),
+                )
+                for one in found
+            ]
         )
 
     def delayed(self) -> DelayedHeave | None:
@@ -128,6 +149,8 @@ class HeaveEstimator:
         """A window for the trainer, when it is time for one; each is given out once."""
         if not self.has_laser or (self._params.lead.enabled and self.laser.lead.last is None):
             return None  # The first comparison moves the observer, and with it everything there is to learn.
+        if self.laser.placement.is_open(self.t_s):
+            return None
         return self.correction.due(self.t_s, self.observer.omega_radps)
 
     def restore(self, observer: SavedObserver, correction: SavedNetwork | None, age_s: float) -> None:

@@ -66,7 +66,11 @@ class SavedObserver(msgspec.Struct, frozen=True, kw_only=True):
     frequencies_hz: tuple[float, ...] = ()
     """Of the lines of a harmonic observer."""
     sea: SeaModel | None = None
-    """Of a sea observer."""
+    """Of a sea observer,"""
+    bias_mps2: float | None = None
+    """the bias of the accelerometer that it has found, and"""
+    bias_std_mps2: float = 1.0
+    """how well."""
 
 
 class LaserAided(Protocol):
@@ -99,6 +103,11 @@ class HeaveObserver(Protocol):
     def disturb(self, f_hz: Array, psd: Array) -> None:
         """What comes, and what came, has noise that it does not show, of one-sided density ``psd`` (n,), (m/s2)2/Hz, at
         ``f_hz`` (n,), evenly spaced.
+        """
+
+    def mistake(self, t_s: float, shapes: tuple[float, float], covariance: Array) -> None:
+        """The acceleration about ``t_s`` has two errors beside, that are ``shapes`` (2,) for each unit of their size,
+        which is known as well as ``covariance`` (2, 2) says.
         """
 
     @property

@@ -29,6 +29,10 @@ class Plausible(msgspec.Struct, frozen=True, kw_only=True):
     """Of such a resonance, (m/s2)2/Hz."""
     noise_psd: tuple[float, float] = (1e-15, 1e3)
     """Of an accelerometer, (m/s2)2/Hz: from far below the best to one that is of no use."""
+    bias_mps2: tuple[float, float] = (-5.0, 5.0)
+    """Of an accelerometer."""
+    bias_std_mps2: tuple[float, float] = (0.0, 5.0)
+    """Of that."""
     bias_walk_psd: tuple[float, float] = (0.0, 10.0)
     """Of its bias, (m/s2)2/s."""
     lead_s: float = 60.0
@@ -52,6 +56,10 @@ class SavedState(msgspec.Struct, frozen=True, kw_only=True):
     frequencies_hz: tuple[float, ...] = ()
     """Of the harmonic observer."""
     sea: SeaModel | None = None
+    bias_mps2: float | None = None
+    """Of the accelerometer, upwards, and"""
+    bias_std_mps2: float = 1.0
+    """how well it was known."""
     lead_learned_s: float | None = None
     gain_learned: float = 1.0
     correction: SavedNetwork | None = None
@@ -66,6 +74,9 @@ def check(state: SavedState) -> None:
     _within("frequency of the observer", state.frequencies_hz, PLAUSIBLE.frequency_hz, "Hz")
     if state.sea is not None:
         _check_sea(state.sea)
+    if state.bias_mps2 is not None:
+        _within("bias of the accelerometer", (state.bias_mps2,), PLAUSIBLE.bias_mps2, "m/s2")
+        _within("uncertainty of that bias", (state.bias_std_mps2,), PLAUSIBLE.bias_std_mps2, "m/s2")
     if state.lead_learned_s is not None:
         _within("learned lead", (state.lead_learned_s,), (-PLAUSIBLE.lead_s, PLAUSIBLE.lead_s), "s")
     _within("learned gain", (state.gain_learned,), PLAUSIBLE.gain, "")

@@ -222,23 +222,32 @@ class AttitudePropagator:
 
 
 def predicted(t_s: float, last: Attitude, rock: Sequence[RockPrediction]) -> Attitude | None:
-    """The angles of a moment from what was predicted from it, if they are known well: back along the line of the first
-    two horizons, by less than they are apart.
+    """The angles of a moment from what was predicted from it, if they are known well: back along the parabola of the
+    first three horizons, by less than they are apart. (A line would be off by a share of the angle's acceleration,
+    always to the same side, and gravity that is taken out with it by what varies with the groups of waves.)
     """
-    soon, later, *_ = rock
+    soon, later, last_one, *_ = rock
     are_known = max(soon.roll_std_rad, soon.pitch_std_rad) <= TUNING.known_rad
     if not (are_known and t_s - last.measured_s <= TUNING.longest_s):
         return None
-    apart_s = later.horizon_s - soon.horizon_s
-    roll_rate = (later.roll_rad - soon.roll_rad) / apart_s
-    pitch_rate = (later.pitch_rad - soon.pitch_rad) / apart_s
+    h_s = soon.horizon_s, later.horizon_s, last_one.horizon_s
+    roll, roll_rate = _back(h_s, soon.roll_rad, later.roll_rad, last_one.roll_rad)
+    pitch, pitch_rate = _back(h_s, soon.pitch_rad, later.pitch_rad, last_one.pitch_rad)
     if not isfinite(roll_rate + pitch_rate):
         return None
     return msgspec.structs.replace(
         last,
         t_s=t_s,
-        roll_rad=soon.roll_rad - soon.horizon_s * roll_rate,
-        pitch_rad=soon.pitch_rad - soon.horizon_s * pitch_rate,
+        roll_rad=roll,
+        pitch_rad=pitch,
         roll_rate_radps=roll_rate,
         pitch_rate_radps=pitch_rate,
     )
+
+
+def _back(at_s: tuple[float, float, float], first: float, second: float, third: float) -> tuple[float, float]:
+    """Value and slope at 0 of the parabola through three values (Newton's divided differences)."""
+    a_s, b_s, c_s = at_s
+    slope = (second - first) / (b_s - a_s)
+    bend = ((third - second) / (c_s - b_s) - slope) / (c_s - a_s)
+    return first - a_s * (slope - b_s * bend), slope - (a_s + b_s) * bend

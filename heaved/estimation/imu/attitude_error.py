@@ -30,7 +30,7 @@ Where nothing shows them they stay nothing, which they may well be; how far they
 
 from __future__ import annotations
 
-from math import cos, exp, hypot, inf, nan, sin, sqrt
+from math import cos, exp, hypot, inf, isfinite, nan, sin, sqrt
 from typing import Final
 
 import msgspec
@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.imu import attitude_fit
-from heaved.estimation.imu.attitude_fit import MEANS, TUNING, Noise, Run
+from heaved.estimation.imu.attitude_fit import MEANS, TUNING, Noise, Run, Unsized
 from heaved.samples import GRAVITY_MPS2
 
 Array = NDArray[np.float64]
@@ -48,6 +48,8 @@ LEAN: Final = slice(MEANS, MEANS + 2)
 """Columns of the record beside those of :func:`attitude_fit.runs`: the integrals as they stood,"""
 ACROSS, ALONG = range(MEANS - 1, MEANS + 1)
 """Of these, among the means of a row,"""
+ROLL_RATE, PITCH_RATE = 5, 6
+"""and the rates,"""
 TAKEN: Final = MEANS + 2
 """what has been taken out of the vertical acceleration,"""
 TURNED: Final = MEANS + 3
@@ -78,7 +80,7 @@ the mean acceleration along or across another than nothing."""
 OF_LEAN: Final = 0.12
 """What that leaves of a lean: a wave of 12 s is in it by a sixteenth, and what a level bias that is being learned
 makes of the integrals is no straight line."""
-SETTLED: Final = 4.0
+SETTLED: Final = 7.0
 """So many times as long it takes to know that; before, it is known less by as much as is lacking."""
 SHOWN: Final = 2.0
 """Standard deviations from which the record has shown a lean, or a lateness, to whoever wants the angles themselves."""
@@ -94,14 +96,21 @@ class AttitudeError:
         late_s: by which the angles are later than the accelerations.
         covariance: (2, 2) of the two.
         noise: what not knowing them better leaves in the vertical acceleration, as of the last look; take it away.
+        unsized: what it leaves in the row that has just ended, by the two; take it away.
         amendment: what has been found out that is worth amending the past for; take it away.
         record: means over the last minutes, a row every quarter of a second.
     """
 
-    def __init__(self) -> None:
-        self.lean_per_s = self.late_s = 0.0
-        self.covariance: Array = 0.5 * np.diag(np.square(TUNING.usual))
+    def __init__(self, late_s: float = 0.0) -> None:
+        """``late_s``: as somebody has measured it; 0: nobody has."""
+        self._belief = attitude_fit.told(late_s)
+        self.lean_per_s, self.late_s = self._belief.null
+        self.covariance: Array = 0.5 * np.diag(np.square(self._belief.spread))
+        self._if_any: Array = np.hypot(self._belief.null, self._belief.spread)
+        """Of the two, where they are not nothing: whoever wants the angles has one sensor, not the average of those
+        that lean and those that do not."""
         self.noise: Noise | None = None
+        self.unsized: Unsized | None = None
         self.amendment: Amendment | None = None
         self.record = RingBuffer(round(TUNING.record_s / TUNING.row_s), TURNED + 1)
         self._t_s = self._off_x = self._off_y = nan
@@ -113,7 +122,9 @@ class AttitudeError:
         self._means = [0.0, 0.0, 0.0, 0.0]
         """Of the two integrals, and of these means,"""
         self._square_along = self._square_across = 0.0
-        """and mean squares of what is left."""
+        """and mean squares of what is left,"""
+        self._square_roll_rate = self._square_pitch_rate = 0.0
+        """and of the rates."""
         self._followed_s = 0.0
         self._samples: list[tuple[float, ...]] = []
         """Of the row that has begun."""
@@ -151,8 +162,9 @@ class AttitudeError:
             self._are_rates_measured = False
         return up_mps2 - error
 
-    def _follow(self, along: float, across: float) -> None:
-        """Keep what is slow in the integrals, and the size of the rest, from their means over a row. The mean of a
+    def _follow(self, along: float, across: float, roll_radps: float, pitch_radps: float) -> None:
+        """Keep what is slow in the integrals, and the size of the rest, and of the rates, from their means over a row:
+        nan, where those are not known. The mean of a
         while, and once more the mean of that, are behind a slope by as much each: twice the one less the other is not.
         """
         self._followed_s += TUNING.row_s
@@ -166,6 +178,9 @@ class AttitudeError:
         across += means[3] - 2.0 * means[1]
         self._square_along += share * (along * along - self._square_along)
         self._square_across += share * (across * across - self._square_across)
+        if isfinite(roll_radps + pitch_radps):
+            self._square_roll_rate += share * (roll_radps * roll_radps - self._square_roll_rate)
+            self._square_pitch_rate += share * (pitch_radps * pitch_radps - self._square_pitch_rate)
 
     @property
     def _waves(self) -> tuple[float, float]:
@@ -184,31 +199,44 @@ class AttitudeError:
             return Lean()
         std = sqrt(float(self.covariance[0, 0]))
         k = self.lean_per_s if self.lean_per_s > SHOWN * std else 0.0
+        late2 = float(self.covariance[1, 1] if self.angles_late_s else self._if_any[1] ** 2)
+        late_roll2, late_pitch2 = late2 * self._square_roll_rate, late2 * self._square_pitch_rate
+        if k == 0.0:
+            k2 = float(self._if_any[0] ** 2)
+            return Lean(
+                0.0, 0.0, sqrt(k2 * self._square_across + late_roll2), sqrt(k2 * self._square_along + late_pitch2)
+            )
         settling = max(SETTLED * MEAN_S / max(self._followed_s, MEAN_S), 1.0)
         doubt = hypot(std, OF_LEAN * k * settling)
-        if k == 0.0:
-            return Lean(0.0, 0.0, std * sqrt(self._square_across), std * sqrt(self._square_along))
         turned = omega_radps * max(since_s, 0.0)
         left = exp(-((turned / COHERENT) ** 2))
         c, s = left * cos(turned), left * (sin(turned) / omega_radps if omega_radps > 0.0 else since_s)
         along, across = self._waves
         along = c * along + s * (self._off_x - self._rise_x)
         across = c * across + s * (self._off_y - self._rise_y)
-        lost = hypot(doubt, k * sqrt(1.0 - left * left))
-        return Lean(k * across, k * along, lost * sqrt(self._square_across), lost * sqrt(self._square_along))
+        lost2 = doubt**2 + k * k * (1.0 - left * left)
+        return Lean(
+            k * across,
+            k * along,
+            sqrt(lost2 * self._square_across + late_roll2),
+            sqrt(lost2 * self._square_along + late_pitch2),
+        )
 
     @property
     def angles_late_s(self) -> float:
         """By which the angles are late. Where it is less than nothing it is the accelerometers that are."""
-        return self.late_s if self.late_s > SHOWN * sqrt(float(self.covariance[1, 1])) else 0.0
+        is_known = self._belief.null[1] > 0.0 or self.late_s > SHOWN * sqrt(float(self.covariance[1, 1]))
+        return max(self.late_s, 0.0) if is_known else 0.0
 
     def _close(self, t_s: float) -> None:
         """Keep the row that has ended, and look at them all when it is time to."""
         if self._samples:
             means = [sum(column) / len(self._samples) for column in zip(*self._samples, strict=True)]
             self.record.push((self._row, *means, float(self._are_rates_measured)))
+            now = self.record.last(1)[0]
+            self.unsized = attitude_fit.unsized(now, (self.lean_per_s, self.late_s), self.covariance)
             self._samples, self._are_rates_measured = [], True
-            self._follow(means[ALONG], means[ACROSS])
+            self._follow(means[ALONG], means[ACROSS], *means[ROLL_RATE : PITCH_RATE + 1])
             if t_s >= self._look_s:
                 self._look_s = t_s + TUNING.every_s
                 self._look()
@@ -239,10 +267,10 @@ class AttitudeError:
 
     def _learn(self, record: list[Run], turned: list[Run]) -> Array:
         """The two, as the record shows them; ``turned``: that part of it whose rates gyroscopes have measured."""
-        belief, told = attitude_fit.turned(turned), (np.zeros((2, 2)), np.zeros(2))
+        belief, told = attitude_fit.turned(turned, self._belief), (np.zeros((2, 2)), np.zeros(2))
         if (found := attitude_fit.spectra(record)) is not None:
             told = attitude_fit.below_waves(found, belief)
-        solution, self.covariance = attitude_fit.averaged(belief, *told)
+        solution, self.covariance, self._if_any = attitude_fit.averaged(belief, *told)
         solution[0] = max(solution[0], 0.0)
         self.lean_per_s, self.late_s = solution.tolist()
         self.noise = attitude_fit.noise(record, solution, self.covariance)

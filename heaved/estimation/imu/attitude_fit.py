@@ -8,7 +8,7 @@ matrix (2, 2), the inverse of a covariance, and that times their mean (2,); what
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -92,6 +92,13 @@ NOTHING: Final = Belief(np.zeros((2, 2)), np.zeros(2))
 """There are no gyroscopes."""
 
 
+def told(late_s: float) -> Belief:
+    """There are none, and somebody has measured the lateness: it is that, or off it as by another low-pass."""
+    if late_s == 0.0:
+        return NOTHING
+    return Belief(NOTHING.information, NOTHING.right, (0.0, late_s), (TUNING.usual[0], TUNING.low_pass_s))
+
+
 class Run(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     """A stretch of the record without a hole, evenly spaced; arrays (n,), rad, of roll and of pitch (n, 2)."""
 
@@ -115,6 +122,19 @@ class Noise(msgspec.Struct, frozen=True, eq=False):
     """(n,) evenly spaced,"""
     psd: Array
     """(n,) one-sided, (m/s2)2/Hz."""
+
+
+class Unsized(msgspec.Struct, frozen=True, eq=False):
+    """What lean and lateness that are not known make of the vertical acceleration: known in shape, not in size."""
+
+    t_s: float
+    """The middle of a row."""
+    by_lean: float
+    """m/s2 for each unit of k,"""
+    by_lateness: float
+    """and of lateness, at their present values."""
+    covariance: Array
+    """(2, 2) of the two."""
 
 
 def runs(rows: Array) -> list[Run]:
@@ -189,6 +209,24 @@ def error(made: Array | Complex, solution: Array) -> Array:
     return np.asarray(made[..., 1:] @ (k, late_s, k * k, k * late_s, late_s * late_s))
 
 
+def unsized(row: Array, solution: tuple[float, float], covariance: Array) -> Unsized:
+    """Of one row of the record, the integrals of the lean as it has them (columns after the others, of roll first)."""
+    number, up, left, ahead, roll, pitch, roll_rate, pitch_rate, across, along = row[: MEANS + 2].tolist()
+    k, late_s = solution
+    weight = GRAVITY_MPS2 + up
+    roll_off, pitch_off = k * across - late_s * roll_rate, k * along - late_s * pitch_rate
+    turned_roll, turned_pitch = roll + left / weight, pitch + ahead / weight
+    by_lean = (
+        (left + weight * roll_off) * (across - late_s * turned_roll)
+        + (ahead + weight * pitch_off) * (along - late_s * turned_pitch)
+    )  # fmt: skip
+    by_lateness = (
+        -(left + weight * roll_off) * (roll_rate + k * turned_roll)
+        - (ahead + weight * pitch_off) * (pitch_rate + k * turned_pitch)
+    )  # fmt: skip
+    return Unsized(TUNING.row_s * (number + 0.5), by_lean, by_lateness, covariance)
+
+
 def sensitivity(made: Complex, solution: Array) -> Complex:
     """(..., 2) of the vertical acceleration to the two; ``made`` (..., 6)."""
     k, late_s = solution
@@ -210,8 +248,8 @@ def noise(record: Sequence[Run], solution: Array, covariance: Array) -> Noise | 
     )
 
 
-def turned(record: Sequence[Run]) -> Belief:
-    """What gyroscopes say of the two; the rates of the ``record`` are theirs.
+def turned(record: Sequence[Run], otherwise: Belief = NOTHING) -> Belief:
+    """What gyroscopes say of the two; the rates of the ``record`` are theirs. ``otherwise``: while they say nothing.
 
     The angle less what they have made of it is k times the integral, less lateness times the rate: its changes from row
     to row are fitted with the changes of these. Scales and axes of gyroscopes are not those of the angles, so a part of
@@ -219,7 +257,7 @@ def turned(record: Sequence[Run]) -> Belief:
     accelerometers, too, unless these have another low-pass.
     """
     if sum(len(run.angle) for run in record) < TUNING.turns:
-        return NOTHING
+        return otherwise
     angle, rate, apart = (
         np.concatenate([np.diff(values, axis=0) for values in one])
         for one in zip(*[(run.angle, run.rate, run.apart) for run in record], strict=True)
@@ -245,9 +283,20 @@ def turned(record: Sequence[Run]) -> Belief:
     )
 
 
-def averaged(belief: Belief, information: Array, right: Array) -> tuple[Array, Array]:
-    """Mean and covariance of the two from a belief and more information, when either may as well be what it is by the
-    belief: the average over the four cases, each weighed by how likely it makes the record (Bayes).
+class Average(NamedTuple):
+    """Of the four cases, in which either of the two is what it may as well be, or not."""
+
+    mean: Array
+    """(2,)"""
+    covariance: Array
+    """(2, 2)"""
+    if_any: Array
+    """(2,) root of the mean square of each, where it is not what it may as well be."""
+
+
+def averaged(belief: Belief, information: Array, right: Array) -> Average:
+    """The two from a belief and more information, when either may as well be what it is by the belief: each case is
+    weighed by how likely it makes the record (Bayes).
     """
     null = np.array(belief.null)
     information = belief.information + information
@@ -263,7 +312,9 @@ def averaged(belief: Belief, information: Array, right: Array) -> tuple[Array, A
     mean = weights @ means
     off = means - mean
     covariance = np.einsum("c,cij->ij", weights, covariances + off[:, :, None] * off[:, None, :])
-    return null + mean, covariance
+    squares = np.square(null + means) + np.einsum("cii->ci", covariances)
+    if_any = [float(weights[of] @ squares[of, i] / weights[of].sum()) for i, of in enumerate(([1, 3], [2, 3]))]
+    return Average(null + mean, covariance, np.sqrt(if_any))
 
 
 def _smoothed(power: Array) -> Array:

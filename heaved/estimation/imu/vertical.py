@@ -16,7 +16,7 @@ from heaved.estimation.common.ring import History
 from heaved.estimation.common.sample_rate import Arrivals
 from heaved.estimation.imu.attitude import Attitude, AttitudePropagator, level_acceleration
 from heaved.estimation.imu.attitude_error import Amendment, AttitudeError, Lean
-from heaved.estimation.imu.attitude_fit import Noise
+from heaved.estimation.imu.attitude_fit import Noise, Unsized
 from heaved.estimation.imu.conditioning import NOTHING, Conditioned
 from heaved.estimation.imu.level_bias import LevelBias
 from heaved.samples import GRAVITY_MPS2, Fault, RockPrediction
@@ -64,6 +64,8 @@ class VerticalAcceleration(msgspec.Struct, frozen=True, gc=False):
     """What the past was measured too little by."""
     noise: Noise | None = None
     """Noise that the acceleration has and does not show."""
+    unsized: Unsized | None = None
+    """The same of the last quarter of a second, as it came."""
 
 
 class Vertical:
@@ -78,7 +80,8 @@ class Vertical:
         level_mps2: acceleration forward and to port in the level frame, of the last sample; nan: not known.
     """
 
-    def __init__(self, max_rate_hz: float) -> None:
+    def __init__(self, max_rate_hz: float, attitude_late_s: float = 0.0) -> None:
+        """``attitude_late_s``: how much older the angles are than the accelerations, as was measured; 0: nobody has."""
         self.fault = Fault.NONE
         self.arrivals = Arrivals()
         self.notes = NOTHING
@@ -96,7 +99,7 @@ class Vertical:
         """Mean square of what the tilt makes of the vertical acceleration."""
         self._across = _TiltAcross()
         self._level_bias = LevelBias()
-        self._attitude_error = AttitudeError()
+        self._attitude_error = AttitudeError(attitude_late_s)
 
     def step(
         self, readings: Conditioned, rock: Sequence[RockPrediction], *, lag_s: float, bias_mps2: float
@@ -139,9 +142,9 @@ class Vertical:
         up += bias_mps2 * (1.0 - cos(roll) * cos(pitch))
         self._note_tilt(t_s, up - (az - GRAVITY_MPS2))
         level_bias.step(t_s, ax, ay, az, roll, pitch)
-        amendment, noise = error.amendment, error.noise
-        error.amendment = error.noise = None
-        return VerticalAcceleration(t_s, up, is_of_another_kind, amendment, noise)
+        amendment, noise, unsized = error.amendment, error.noise, error.unsized
+        error.amendment = error.noise = error.unsized = None
+        return VerticalAcceleration(t_s, up, is_of_another_kind, amendment, noise, unsized)
 
     def _is_of_another_kind(self, t_s: float, has_tilt: bool) -> bool:
         """Whether the tilt is removed from now on and was not, or the other way round; and whether the acceleration had

@@ -110,6 +110,12 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """The same where rates are given: they tell much, while they are there."""
     run_s: float = 0.15
     """And so much missing on end begins it."""
+    one_hole_s: float = 0.5
+    """With less missing than this it was one hole, and what was in it is known from both sides when ..."""
+    whole_again_s: float = 0.5
+    """... nothing has been missing for so long: then the lags tell more than the filter."""
+    rated_whole_again_s: float = 0.2
+    """The same where rates are given, which the filter does not know of: that many of them are looked at."""
     filled_s: float = 10.0
     """What the filter said of its errors fades within that time, for the lags hold what it has filled them with."""
     measured: float = 0.75
@@ -197,6 +203,8 @@ class DirectPredictor:
         self._left: dict[int, tuple[int, Array]] = {}
         """Of those that no longer are: when that ended, and the deviations now and at the horizons then."""
         count = expert_count(rates=self._with_rates)
+        self._replaced: tuple[Array, Array] | None = None
+        """Deviations and half-widths of those who made the latest predictions, if others are in office now."""
         self.surplus = [0.0] * self._n
         """By how much of themselves deviations are larger than usual: the motion has just become another one."""
         self._switch = Switch(self._horizons, count, self._n, first_choice(self._horizons))
@@ -259,6 +267,8 @@ class DirectPredictor:
         of the readings, or what the filter for holes says, if that is more.
         """
         std, half_width = self._switch.std, self._switch.half_width
+        if self._replaced is not None:
+            std, half_width = (np.fmax(now, then) for now, then in zip((std, half_width), self._replaced, strict=True))
         if max(self.surplus) > 0.0:
             wider = 1.0 + self._growth * self.surplus
             std, half_width = std * wider, half_width * wider
@@ -287,7 +297,7 @@ class DirectPredictor:
         """
         deviations: Array = np.sqrt(self.filters[channel].variance(self._row_index, ahead_s))
         alike = self._switch.rms_of(TUNING.filter_like)[:, channel]
-        return np.fmax(deviations, np.interp(ahead_s, self._horizons, alike))
+        return experts.TUNING.sure * np.fmax(deviations, np.interp(ahead_s, self._horizons, alike))
 
     def _spread_left(self, channel: int, ahead_s: Array) -> Array:
         """The same of a channel that was predicted so until lately."""
@@ -444,6 +454,7 @@ class DirectPredictor:
         """Times on end that predictions were beyond the limits."""
         self.filters = [HoleFilter(int(self._nodes[1]), interval_s, float(horizons[-1])) for _ in range(n)]
         self._holes_s = TUNING.rated_holes_s if self._with_rates else TUNING.holes_s
+        self._whole_again_s = TUNING.rated_whole_again_s if self._with_rates else TUNING.whole_again_s
         self._missing = [0.0] * n
         """Samples missing lately, of those further from the reading before than the first knots are apart."""
         self._missed_row = [0] * n
@@ -530,6 +541,7 @@ class DirectPredictor:
         if self._row_index % self._bridged == 0:
             self._be_surprised(known)
         self._until_row -= 1
+        self._replaced = None
         if self._until_row == 0:
             self._until_row = self._learner.every
             self._learn()
@@ -540,8 +552,9 @@ class DirectPredictor:
         if self._limits is not None:
             self._bound(self._limits)
         if self._learner.keep(curves[:, 1:].T, channels):
+            before = self._switch.std, self._switch.half_width
             if self._learner.batch(channels):
-                self._map = self._mapped()
+                self._map, self._replaced = self._mapped(), before
             for c in self.holed:
                 self._fill(c, self._row_index)
             if self._limits is not None:
@@ -624,8 +637,10 @@ class DirectPredictor:
         if not channel.step_judged(x, measured=measured):
             self.holed.discard(c)
         elif measured:
-            missing = self._missing[c] * self._share_left(row - self._missed_row[c])
-            if missing * self._interval_s < self._holes_s[1]:
+            since = row - self._missed_row[c]
+            missing_s = self._missing[c] * self._share_left(since) * self._interval_s
+            was_one = since * self._interval_s > self._whole_again_s and missing_s < TUNING.one_hole_s
+            if was_one or missing_s < self._holes_s[1]:
                 self._left[c] = row, self._spread(c, self._curve_s)
                 self.holed.discard(c)
                 self._fill(c, row - 1)  # the latest is not in the window yet

@@ -29,6 +29,12 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     memory_s: float = 30.0
     per_horizon: float = 4.0
     """Memory of the errors: so many horizons more, as errors closer together than one are hardly different ones."""
+    longer: float = 3.0
+    """So many times that memory: what is small lately may be so by chance, and mostly is."""
+    sure: float = 1.2
+    """Deviations of the motion's part of what errors have been for so long, that are published: of Gaussian ones of
+    known size, one in 16 000 is beyond four of them, which is one in every record of ten minutes; beyond 4.8, one in
+    600 000."""
     report_memory_s: float = 300.0
     """Of the error and coverage that are reported."""
     early: float = 2.0
@@ -66,6 +72,7 @@ class Switch:
         self._early = np.array([[TUNING.early]] * experts + [[1.0]])
         self._seconds = np.zeros((count, experts + 1, channels))
         self._mean_square = np.zeros((count, experts + 1, channels))
+        self._longer_square = np.zeros((count, experts, channels))
         self._coverage = np.zeros((count, channels))
         self._quantile = np.full((count, channels), TUNING.gaussian_quantile)
         self._horizon, self._channel = np.ogrid[:count, :channels]
@@ -92,6 +99,10 @@ class Switch:
         memory_s = np.minimum(self._seconds / self._early, self._memory_s)
         share = np.minimum(elapsed_s / np.maximum(memory_s, 1e-9), 1.0)
         self._mean_square += share * (mean - self._mean_square)
+        memory_s = np.minimum(self._seconds / self._early, TUNING.longer * self._memory_s)[:, :-1]
+        of_experts = elapsed_s if isinstance(elapsed_s, float) else elapsed_s[:, :-1]
+        longer = np.minimum(of_experts / np.maximum(memory_s, 1e-9), 1.0)
+        self._longer_square += longer * (mean[:, :-1] - self._longer_square)
 
         scored = count if isinstance(count, float) else count[:, -1]
         quantile = self._quantile + TUNING.quantile_step * (misses - TUNING.miss_share * scored)
@@ -116,13 +127,15 @@ class Switch:
         office = self._horizon, self.best, self._channel
         square = (1.0 + (TUNING.rare * share[office]) ** TUNING.rare_power) * self._mean_square[office]
         square = np.where(unknown, np.nan, square)
-        self.std = np.sqrt(np.maximum(square, self.least_square))
+        longer = np.where(unknown, np.nan, self._longer_square[office])
+        longer += (TUNING.sure**2 - 1.0) * np.maximum(longer - self.least_square, 0.0)
+        self.std = np.sqrt(np.maximum(np.maximum(square, longer), self.least_square))
         least = TUNING.gaussian_quantile * np.sqrt(self.least_square)
         self.half_width = np.maximum(self._quantile * np.sqrt(square), least)
 
     def rms_of(self, expert: int) -> Array:
-        """Errors of an expert, (H, n); 0 until one is known."""
-        errors: Array = np.sqrt(self._mean_square[:, expert])
+        """Errors of an expert, (H, n), lately or for longer, whichever is more; 0 until one is known."""
+        errors: Array = np.sqrt(np.maximum(self._mean_square[:, expert], self._longer_square[:, expert]))
         return errors
 
     @property

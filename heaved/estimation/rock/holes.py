@@ -13,7 +13,8 @@ state of 11 s brings with it. Moments over their number are the covariance that 
 
 from __future__ import annotations
 
-from math import exp, inf, nan
+from collections import deque
+from math import comb, exp, inf, nan
 from typing import Final, TypeVar
 
 import msgspec
@@ -53,7 +54,13 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     solved_rows: int = 40
     """Nodes from one solution to the next while there are holes."""
     noise_memory: float = 100.0
-    """Readings by which the variance of their noise is followed."""
+    """Readings by which the variance of their noise is followed, if that is all that is not known of them."""
+    adjacent: int = 4
+    """Readings of so many rows on end show their noise by how far they are from a parabola: the motion is one,"""
+    adjacent_s: float = 0.1
+    """in rows no further apart than this;"""
+    shown: int = 8
+    """so often before it counts."""
     doubt_memory: float = 20.0
     """Readings by which it is judged whether innovations are as large as they should be."""
     noise_range: float = 4.0
@@ -73,6 +80,10 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
 
 TUNING: Final = Tuning()
 POINTS: Final = np.arange(4)
+BEND: Final = [(-1) ** k * comb(TUNING.adjacent - 1, k) for k in range(TUNING.adjacent)]
+"""Weights on so many readings of what a parabola has none of,"""
+BEND_SQUARE: Final = sum(weight * weight for weight in BEND)
+"""and what noise has: that of each, times this."""
 
 
 def cubic(place: Array) -> Array:
@@ -192,6 +203,12 @@ class HoleFilter:
         """Row of the newest node."""
         self._until_solved = 0
         self._doubt = 1.0
+        self._latest: deque[tuple[float, float]] = deque(maxlen=TUNING.adjacent)
+        """Row and value of the latest readings,"""
+        self._shown, self._shown_square = 0.0, 0.0
+        """and the mean square of the noise that they have shown, so many times."""
+        self._told = 0.0
+        """What readings have told of their noise so far (the Fisher information, twice)."""
         self._refused = 0
         self._refused_row = 0.0
         self._assumed = False
@@ -213,11 +230,14 @@ class HoleFilter:
             self._assumed = True
             spread = float(np.mean(y[measured] ** 2)) if measured.any() else 0.0
             model.assume(max(spread, noise_square, 1e-12))
+        noise_square = max(noise_square, self._seen_noise)
         if not model.solve(noise_square):
             return False
         self.noise_square = noise_square or inf
         self._bound_noise(self._largest_noise)
         self._ridge_square = self.noise_square
+        self._told = TUNING.noise_memory * self.noise_square**-2.0
+        self._latest.clear()
         P = model.covariance
         here = np.flatnonzero(measured)
         if len(here):
@@ -242,7 +262,23 @@ class HoleFilter:
         return model.square / (1.0 + float(model.step @ model.step))
 
     def _bound_noise(self, most: float) -> None:
-        self.noise_square = max(min(self.noise_square, most), TUNING.position_noise * self.model.square)
+        least = max(TUNING.position_noise * self.model.square, self._seen_noise)
+        self.noise_square = max(min(self.noise_square, most), least)
+
+    @property
+    def _seen_noise(self) -> float:
+        """Mean square of what readings on end have shown of it, whatever the model; 0: not enough."""
+        return self._shown_square if self._shown >= TUNING.shown else 0.0
+
+    def _see_noise(self, row: float, value: float) -> None:
+        latest = self._latest
+        if latest and not 0.5 < row - latest[-1][0] < 1.5:
+            latest.clear()
+        latest.append((row, value))
+        if len(latest) == TUNING.adjacent and self._interval_s <= TUNING.adjacent_s:
+            bend = sum(weight * x for weight, (_, x) in zip(BEND, latest, strict=True))
+            self._shown = min(self._shown + 1.0, TUNING.noise_memory)
+            self._shown_square += (bend * bend / BEND_SQUARE - self._shown_square) / self._shown
 
     def move_mean(self, mean: float) -> None:
         """Count from another slow mean."""
@@ -260,7 +296,7 @@ class HoleFilter:
         self._until_solved -= 1
         if self._until_solved <= 0:
             self._until_solved = TUNING.solved_rows
-            if model.solve(self._ridge_square) and model.rows < TUNING.learned_rows:
+            if model.solve(max(self._ridge_square, self._seen_noise)) and model.rows < TUNING.learned_rows:
                 self._bound_noise(self._largest_noise)
         ahead = P[:, NEWEST] @ model.step
         newest = float(model.step @ ahead[NEWEST]) + model.square
@@ -298,9 +334,14 @@ class HoleFilter:
             self._doubt = max(self._doubt, 1.0) * TUNING.doubled
             return False
         self._refused = 0
+        self._see_noise(row, value)
         self._doubt += (e * e / S - self._doubt) / TUNING.doubt_memory
         if is_armed:
-            self.noise_square += (e * e - S) / TUNING.noise_memory
+            # Most is told by readings of what is known already: after a hole an innovation is that of the motion, and
+            # where that is less than it may be it would leave no noise at all.
+            tells = S**-2.0
+            self._told += tells - self._told / TUNING.noise_memory
+            self.noise_square += (e * e - S) * tells / self._told
             self._bound_noise(TUNING.noise_range * self._largest_noise)
         K /= S
         self._x += e * K

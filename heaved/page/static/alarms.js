@@ -50,6 +50,7 @@ function lesser({ status, divergence, motion }) {
   for (const device of status?.devices ?? []) if (!device.up) found.push(`${device.name} is DOWN`);
   for (const output of status?.outputs ?? []) if (!output.up) found.push(`output ${output.name} is DOWN`);
   for (const point of motion?.points ?? []) if (point.state && point.state !== "valid") found.push(`${point.name}: ${point.state}`);
+  for (const text of status?.reference_mru?.warnings ?? []) found.push(text);
   if (isDiverged(divergence)) found.push(`heave was off by ${divergence.rms_m.toFixed(2)} m against the delayed heave`);
   return found;
 }

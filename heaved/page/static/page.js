@@ -155,6 +155,15 @@ function showQuality(record, verdict) {
   fill(at("reasons"), [...reasons, ...more].map((text) => ["", text]));
 }
 
+// An existing MRU beside ours: nothing of it is shown where there is none.
+function showReferenceMru(mru) {
+  for (const id of ["reference-mru-name", "reference-mru-row"]) at(id).hidden = !mru;
+  if (!mru) return;
+  put(at("reference-mru"), !isNumber(mru.age_s) ? "nothing to compare yet"
+    : !isNumber(mru.compared_s) ? `nothing for ${lasting(mru.age_s)}`
+    : `${signed(mru.heave_difference_m, 2)} m, ${plain(mru.heave_std_difference_m, 2, " m")} RMS in ${plain(mru.compared_s, 0, " s")}`);
+}
+
 // "(link, id 1): what is wrong" follows the device's name; without that there is more room for what to do.
 function withoutPlace(device) {
   const detail = device.detail ?? "", [place, ...what] = detail.split("): ");
@@ -175,7 +184,7 @@ function showThings(status) {
   fill(at("output-rows"), outputs.map((output) => [
     output.up ? "up" : "down",
     `${output.up ? "✔" : "✖"} ${output.name} (${output.kind}) ${output.up ? "up" : "DOWN"}`,
-    `${output.sent ?? 0} sent${Object.entries(output.lost ?? {}).map(([why, count]) => `, ${count} lost: ${why}`).join("")}`,
+    `${output.sent ?? 0} sent${Object.entries(output.lost ?? {}).filter(([, count]) => count).map(([why, count]) => `, ${count} lost: ${why}`).join("")}`,
     output.detail ?? "",
   ]));
 }
@@ -210,6 +219,7 @@ function show() {
   showSea(isConnected ? feed.sea : null, feed.sea ? feed.age_s(feed.sea.read_s) : 0);
   showQuality(record, verdict);
   showThings(isConnected ? status : null);
+  showReferenceMru(isConnected ? status?.reference_mru : null);
   const told = isFresh ? feed.divergence : null;
   put(at("divergence"), told ? `${told.rms_m.toFixed(3)} m rms over ${lasting(told.span_s)}${isDiverged(told) ? " – more than it says" : ""}` : NOT_KNOWN);
   put(at("quiet"), quietInWords(isFresh && feed.quiet && feed.age_s(feed.quiet.read_s) < OLD_STATUS_S ? feed.quiet.record : null));

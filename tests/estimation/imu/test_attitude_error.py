@@ -17,7 +17,7 @@ from heaved.estimation.imu.attitude_error import AttitudeError
 from heaved.estimation.imu.attitude_fit import NOTHING, Belief, averaged
 from heaved.samples import ImuSample
 from heaved.simulate.seaway import seaway
-from heaved.simulate.sensors import SENSORS, Recording, record
+from heaved.simulate.sensors import SENSORS, ImuModel, Recording, record
 
 Array = NDArray[np.float64]
 RATE_HZ = 10.0
@@ -29,9 +29,9 @@ STEADY_S = 220.0
 
 
 @cache
-def recorded(lean_s: float, late_s: float, seed: int = 1) -> Recording:
-    sensor = msgspec.structs.replace(QUIET, attitude_lean_s=lean_s, attitude_late_s=late_s)
-    return record(seaway("S6", seed), LASTS_S, imu_rate_hz=RATE_HZ, sensor=sensor, laser="off", seed=seed)
+def recorded(lean_s: float, late_s: float, seed: int = 1, sea: str = "S6", of: ImuModel = QUIET) -> Recording:
+    sensor = msgspec.structs.replace(of, attitude_lean_s=lean_s, attitude_late_s=late_s)
+    return record(seaway(sea, seed), LASTS_S, imu_rate_hz=RATE_HZ, sensor=sensor, laser="off", seed=seed)
 
 
 def run(recording: Recording, *, has_gyros: bool, hole: range = range(0)) -> tuple[AttitudeError, Array, Array]:
@@ -115,6 +115,27 @@ def test_gyroscopes_show_both_within_half_a_minute() -> None:
     assert found[-1][2] == pytest.approx(0.04, abs=0.005)
 
 
+@pytest.mark.parametrize(("lean_s", "late_s"), [(8.0, 0.04), (20.0, 0.08), (inf, 0.0)])
+def test_angles_are_as_good_as_they_are_said_to_be_where_nothing_shows_their_errors(
+    lean_s: float, late_s: float
+) -> None:
+    """In short waves they do little harm to the heave, and a point at the end of a boom has them whole."""
+    ratios = []
+    for seed in (1, 2, 3):
+        made = recorded(lean_s, late_s, seed, "S4", SENSORS["A"])
+        one, _, _ = run(made, has_gyros=False)
+        end = made.t_s > LASTS_S - 60.0
+        lean = one.lean(float(made.t_s[-1]), 1.0)
+        for measured, true, std in (
+            (made.roll_rad, made.truth.roll_rad, lean.roll_std_rad),
+            (made.pitch_rad, made.truth.pitch_rad, lean.pitch_std_rad),
+        ):
+            off = (measured - true)[end]
+            ratios.append(float(np.mean(off**2)) / (std**2 + SENSORS["A"].attitude_noise_rad ** 2))
+    assert 0.05 < np.mean(ratios) < 1.7
+    assert np.max(ratios) < 4.0
+
+
 def test_a_hole_in_the_record_costs_little() -> None:
     one, raw, holed = run(recorded(8.0, 0.04), has_gyros=True, hole=range(2000, 2050))
     assert one.lean_per_s == pytest.approx(1.0 / 8.0, rel=0.1)
@@ -167,10 +188,11 @@ def test_bayes_average_against_a_grid() -> None:
     """Spikes and broad normals, integrated by brute force."""
     belief = Belief(np.diag([50.0, 0.0]), np.array([4.0, 0.0]), null=(0.0, 0.01), spread=(0.15, 0.1))
     information, right = np.array([[900.0, 300.0], [300.0, 2500.0]]), np.array([90.0, 120.0])
-    mean, covariance = averaged(belief, information, right)
+    mean, covariance, if_any = averaged(belief, information, right)
     A, b = belief.information + information, belief.right + right
     axis = [np.linspace(-1.0, 1.0, 2001), np.linspace(-1.0, 1.0, 2001)]
     total, first, second = 0.0, np.zeros(2), np.zeros((2, 2))
+    of_any = np.zeros((2, 2))
     for broad in ((False, False), (True, False), (False, True), (True, True)):
         points = [axis[i] if broad[i] else np.zeros(1) for i in range(2)]
         off = np.stack(np.meshgrid(*points, indexing="ij"), -1).reshape(-1, 2)
@@ -183,11 +205,77 @@ def test_bayes_average_against_a_grid() -> None:
         total += density.sum()
         first += density @ at
         second += np.einsum("p,pi,pj->ij", density, at, at)
+        for i in range(2):
+            if broad[i]:
+                of_any[i] += density.sum(), density @ at[:, i] ** 2
     np.testing.assert_allclose(mean, first / total, rtol=1e-6)
     np.testing.assert_allclose(covariance, second / total - np.outer(mean, mean), rtol=1e-4, atol=1e-9)
+    np.testing.assert_allclose(if_any, np.sqrt(of_any[:, 1] / of_any[:, 0]), rtol=1e-4)
 
 
 def test_nothing_is_concluded_from_nothing() -> None:
-    mean, covariance = averaged(NOTHING, np.zeros((2, 2)), np.zeros(2))
+    mean, covariance, if_any = averaged(NOTHING, np.zeros((2, 2)), np.zeros(2))
+    np.testing.assert_allclose(if_any, attitude_fit.TUNING.usual)
     np.testing.assert_allclose(mean, 0.0)
     np.testing.assert_allclose(np.sqrt(2.0 * np.diag(covariance)), attitude_fit.TUNING.usual)
+
+
+def test_what_is_not_known_is_known_in_shape() -> None:
+    """Against the corrected acceleration with either of the two a little larger, row by row."""
+    recording, row_s, little = recorded(8.0, 0.04), attitude_fit.TUNING.row_s, 1e-4
+    slope = [np.gradient(angle, 1.0 / RATE_HZ) for angle in (recording.roll_rad, recording.pitch_rad)]
+    ones = [AttitudeError() for _ in range(3)]
+    for one, lean, late_s in zip(ones, (0.1, 0.1 + little, 0.1), (0.03, 0.03, 0.03 + little), strict=True):
+        one.lean_per_s, one.late_s = lean, late_s
+    corrected: dict[int, list[list[float]]] = {}
+    shapes: dict[int, tuple[float, float]] = {}
+    for i, sample in enumerate(recording.samples()):
+        assert isinstance(sample, ImuSample)
+        if sample.t_s > 15.0:  # before the first look
+            break
+        roll, pitch = sample.roll_rad, sample.pitch_rad
+        x, y, up = level_acceleration(sample.ax_mps2, sample.ay_mps2, sample.az_mps2, roll, pitch)
+        given = sample.t_s, x, y, up, roll, pitch, slope[0][i], slope[1][i]
+        ups = [one.step(*given, are_rates_measured=False) for one in ones]
+        corrected.setdefault(int(sample.t_s // row_s), []).append(ups)
+        if (unsized := ones[0].unsized) is not None:
+            shapes[int(unsized.t_s // row_s)] = unsized.by_lean, unsized.by_lateness
+            ones[0].unsized = None
+    means = np.array([np.mean(corrected[row], axis=0) for row in shapes])
+    expected = (means[:, :1] - means[:, 1:]) / little
+    assert len(shapes) > 50
+    assert np.all(np.std(np.array(list(shapes.values())) - expected, axis=0) < 0.1 * np.std(expected, axis=0))
+
+
+def test_a_lateness_that_was_measured_serves_from_the_first_sample() -> None:
+    recording = recorded(inf, 0.08)
+    slope = recording.truth.roll_rate_radps, recording.truth.pitch_rate_radps
+    true = recording.truth.heave_acceleration_mps2
+    errors = {}
+    for told_s in (0.0, 0.08):
+        one, off = AttitudeError(told_s), []
+        assert one.angles_late_s == told_s
+        for i, sample in enumerate(sample for sample in recording.samples() if isinstance(sample, ImuSample)):
+            if sample.t_s > 120.0:
+                break
+            roll, pitch = sample.roll_rad, sample.pitch_rad
+            x, y, up = level_acceleration(sample.ax_mps2, sample.ay_mps2, sample.az_mps2, roll, pitch)
+            rates = slope[0][i], slope[1][i]
+            off.append(one.step(sample.t_s, x, y, up, roll, pitch, *rates, are_rates_measured=False) - true[i])
+        # Before three pieces of the record are there nothing else can know it.
+        errors[told_s] = float(np.std(sosfiltfilt(butter(4, 0.4, fs=RATE_HZ, output="sos"), off)))
+    assert errors[0.08] < 0.8 * errors[0.0]
+
+
+def test_gyroscopes_are_believed_before_what_was_measured_once() -> None:
+    recording = recorded(inf, 0.08)
+    one = AttitudeError(0.2)
+    for sample in recording.samples():
+        assert isinstance(sample, ImuSample)
+        roll, pitch = sample.roll_rad, sample.pitch_rad
+        x, y, up = level_acceleration(sample.ax_mps2, sample.ay_mps2, sample.az_mps2, roll, pitch)
+        rates = angle_rates(sample, roll, pitch)[:2]
+        one.step(sample.t_s, x, y, up, roll, pitch, *rates, are_rates_measured=True)
+        if sample.t_s > 60.0:
+            break
+    assert one.late_s == pytest.approx(0.08, abs=0.01)

@@ -182,7 +182,7 @@ def test_the_switch_finds_the_better_expert_and_a_calibrated_interval() -> None:
 
 
 def test_a_young_expert_says_how_little_is_known_of_it() -> None:
-    """4 deviations are exceeded once in ten thousand, however few errors there have been."""
+    """4 deviations are exceeded once in ten thousand, however few errors there have been; later, seldom at all."""
     rng = np.random.default_rng(9)
     channels, horizon_s = 4000, 0.8
     switch = Switch(np.array([horizon_s]), 1, channels, np.array([0]))
@@ -193,7 +193,8 @@ def test_a_young_expert_says_how_little_is_known_of_it() -> None:
         if count >= 4:
             beyond.append(np.mean(np.abs(rng.standard_normal(channels)) > 4.0 * switch.std[0]))
     assert np.mean(beyond) < 5e-4
-    assert np.median(switch.std) == pytest.approx(np.sqrt(1.0 + (12.5 / 39.0) ** 1.5), rel=0.05)
+    # No less than 1.2 of the errors of three times as long a memory, which has seen all of them.
+    assert np.median(switch.std) == pytest.approx(1.2, rel=0.05)
 
 
 def test_a_lucky_expert_is_not_believed_at_once() -> None:

@@ -125,6 +125,19 @@ PATTERNS = {
 }
 
 
+@pytest.mark.parametrize("rate_hz", [10.0, 20.0, 50.0])
+def test_noise_is_known_where_there_was_never_a_stretch_without_holes(rate_hz: float) -> None:
+    """What the filter takes for it is what was added, whatever it makes of the motion meanwhile."""
+    t, x = measured(rate_hz, 4, 100.0)
+    x[np.random.default_rng(8).random(len(t)) < 0.6] = nan
+    predictor = DirectRockPredictor()
+    for moment, (roll, pitch) in zip(t.tolist(), x.tolist(), strict=True):
+        predictor.step(moment, (roll, pitch, nan))
+    assert predictor.predictor is not None
+    found = np.sqrt([hole.noise_square for hole in predictor.predictor.filters[:2]])
+    assert np.all((found > 0.7 * NOISE_RAD) & (found < 1.6 * NOISE_RAD)), found / NOISE_RAD
+
+
 @pytest.mark.parametrize("name", PATTERNS)
 @pytest.mark.parametrize("predictor", ["direct", "ml"])
 def test_holes_for_a_while(name: str, predictor: Predictor) -> None:

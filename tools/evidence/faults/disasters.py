@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.samples import GRAVITY_MPS2
-from heaved.simulate.sensors import LASER_DISTANCE_M, REGISTER_STEPS, Recording
+from heaved.simulate.gauge import LASER_DISTANCE_M
+from heaved.simulate.sensors import REGISTER_STEPS, Recording
 from heaved.simulate.vessel import Motion
 
 Array = NDArray[np.float64]
@@ -55,7 +56,8 @@ class Asked(msgspec.Struct, frozen=True, kw_only=True):
     within_s: float | None = 60.0
     """Until it is so again. Of what is there from the first sample: beyond the time that the honest record takes."""
     heave_ratio: float | None = 1.1
-    """Error of the heave in the last minute over that of the honest record."""
+    """Error of the heave in the last minute over that of the honest record; where it lasts from the start, in all of
+    the record."""
     rock_ratio: float | None = 1.1
     """The same of roll and pitch half a second ahead."""
 

@@ -59,6 +59,11 @@ LIE: Final = 4.0
 ATTITUDE_LIE_RAD: Final = radians(1.0)
 """Of a measured angle, which carries no standard deviation."""
 LAST_S: Final = 60.0
+WHOLE_FROM_S: Final = 120.0
+"""What goes wrong from the first sample on, and all the time, is compared with the honest record from here on. Its
+error is another draw of what is as large: by minutes the ratio scatters by a seventh (S6, one row in 200 lost), over
+ten of them by a twentieth. What is over long before the last minute has the same error as the honest record there, and
+is compared by it alone."""
 HOLDS_S: Final = 20.0
 """A state counts as there again when it holds for so long: what is still valid before it is found out does not."""
 ENCODED_EVERY: Final = 10
@@ -126,6 +131,9 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     """RMS error of what was published of the heave in the last minute."""
     last_rock_deg: float
     """The same of roll and pitch half a second ahead, the worse of them."""
+    whole_heave_m: float
+    """The same two of everything from WHOLE_FROM_S on."""
+    whole_rock_deg: float
     last_published: float
     """Share of that minute in which there was a heave, and not an invalid one."""
     resets: dict[str, int]
@@ -418,6 +426,7 @@ def judged(
 
     stds = np.where(valid & np.isfinite(error), np.abs(error) / std_m, -1.0)
     last = sampled & (t >= plan.duration_s - LAST_S)
+    whole = sampled & (t >= min(WHOLE_FROM_S, plan.duration_s - LAST_S))
     served = np.isfinite(error) & (states != INVALID)
     worst = int(np.argmax(stds)) if stds.size else -1
     sigma_m = float(np.std(motion.heave_m)) or nan  # of a still ship there is no share
@@ -443,6 +452,8 @@ def judged(
         sigma_m=sigma_m,
         last_heave_m=_rms(error[last & served]),
         last_rock_deg=float(np.degrees(np.max([_rms(axis[last]) for axis in rock_ahead]))),
+        whole_heave_m=_rms(error[whole & served]),
+        whole_rock_deg=float(np.degrees(np.max([_rms(axis[whole]) for axis in rock_ahead]))),
         last_published=float(np.mean(served[last])) if np.any(last) else 0.0,
         resets=resets or {},
         reasons=_most_given([row for row in published.reasons if row[0] >= span.start_s], max(t.size, 1)),

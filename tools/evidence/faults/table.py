@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from evidence.faults.disasters import DISASTERS, HONEST_OF, Asked
-from evidence.faults.judge import KINDS, LIE, Outcome, Task
+from evidence.faults.judge import KINDS, LIE, WHOLE_FROM_S, Outcome, Task
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -40,9 +40,12 @@ def honest_beside(outcomes: Sequence[Outcome], outcome: Outcome) -> Ratios | Non
     for honest in outcomes:
         if honest.task == wanted:
             from_start = DISASTERS[outcome.task.name].from_start
+            span = "whole" if from_start else "last"
+            heave, honest_heave = (getattr(one, f"{span}_heave_m") for one in (outcome, honest))
+            rock, honest_rock = (getattr(one, f"{span}_rock_deg") for one in (outcome, honest))
             return Ratios(
-                heave=outcome.last_heave_m / honest.last_heave_m if honest.last_heave_m > 0.0 else nan,
-                rock=outcome.last_rock_deg / honest.last_rock_deg if honest.last_rock_deg > 0.0 else nan,
+                heave=heave / honest_heave if honest_heave > 0.0 else nan,
+                rock=rock / honest_rock if honest_rock > 0.0 else nan,
                 valid_later_s=outcome.valid_after_s - (honest.valid_after_s if from_start else 0.0),
                 usable_later_s=outcome.usable_after_s - (honest.usable_after_s if from_start else 0.0),
             )
@@ -169,7 +172,8 @@ def _notes(outcomes: Sequence[Outcome]) -> list[str]:
         f"Worst of: seas {seas}; {rates} Hz; records {seeds}; sensor A. Disasters begin at {plan.at_s:g} s of "
         f"{plan.duration_s:g} s, or with the record. Lies: frames from then on that are `valid` with an error beyond "
         f"{LIE:g} published standard deviations (measured angles: beyond 1°); doubted: the same in frames that are "
-        "`degraded` or `settling`. Beyond: numbers that no vessel has, in any state. Ratios: median and worst. In "
+        "`degraded` or `settling`. Beyond: numbers that no vessel has, in any state. Ratios: of the errors of the "
+        f"last minute, or of all from {WHOLE_FROM_S:g} s on where it lasts from the start; median and worst. In "
         "brackets what is asked; beside 0 lies and 0 beyond.",
         *(["", "Ended by an exception:", "", *crashes] if crashes else []),
     ]

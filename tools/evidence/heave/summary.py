@@ -32,6 +32,8 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     share_of_hs: float
     """Of the significant height of the heave, 4 standard deviations."""
     limit_m: float
+    limit_lies: float
+    """See :attr:`evidence.scenarios.Limits.lies`."""
     ratio_to_limit: float
     worst_ratio_to_limit: float
     gain: float
@@ -64,6 +66,7 @@ class Judged(msgspec.Struct, frozen=True, kw_only=True):
     setting: Setting
     sigma_m: float
     limit_m: float
+    limit_lies: float
     scores: tuple[Score, ...]
 
 
@@ -74,6 +77,7 @@ def judged(traces: Sequence[Trace], case: Case) -> Judged:
         setting=case.setting,
         sigma_m=sigma_of(case),
         limit_m=case.limits.causal_m,
+        limit_lies=case.limits.lies,
         scores=tuple(scores(traces, case)),
     )
 
@@ -112,6 +116,7 @@ def summary(records: Sequence[Judged]) -> list[Result]:
                 sigma_m=sigma_m,
                 share_of_hs=numbers["share_of_sigma"] / 4.0,
                 limit_m=_mean([record.limit_m for record in records]),
+                limit_lies=_mean([record.limit_lies for record in records]),
                 worst_ratio_to_limit=max(one.ratio_to_limit for one in row),
                 worst_coverage=min(one.coverage for one in row),
                 states=_means([one.states for one in row]),

@@ -158,6 +158,9 @@ class HarmonicObserver:
     def disturb(self, f_hz: Array, psd: Array) -> None:
         """What is published as not known is made from the measured spectrum, in which noise counts as sea."""
 
+    def mistake(self, t_s: float, shapes: tuple[float, float], covariance: Array) -> None:
+        """Likewise."""
+
     def due(self) -> SeaWindow | None:
         """Nothing to fit: the frequencies are looked for with the samples."""
         return None

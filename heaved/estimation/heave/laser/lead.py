@@ -172,18 +172,26 @@ class LeadTracker:
         self.refused = ""
         self._weight = 1.0 - exp(-params.refresh_s / params.time_constant_s) if params.time_constant_s > 0.0 else 1.0
 
-    def update(self, comparison: Comparison | None, design_lead_s: float, *, has_true_gain: bool = False) -> bool:
+    def update(
+        self,
+        comparison: Comparison | None,
+        design_lead_s: float,
+        *,
+        has_true_gain: bool = False,
+        may_learn: bool = True,
+    ) -> bool:
         """Take a comparison of the unshifted observer; False when it is not good enough to learn from.
 
         has_true_gain: the observer's amplitude is that of its sensor, so that a gain which the laser shows is the
-        sensor's. (The harmonic observer has a gain of its own.)
+        sensor's. (The harmonic observer has a gain of its own.) may_learn: whether it is known where the laser is; a
+        laser that shows something else than the heave is refused all the same.
         """
         p = self._params
         self.last, self.refused = comparison, ""
         if comparison is None or comparison.coherence < p.min_coherence or comparison.lead_std_s > p.max_std_s:
             return False
         self.refused = self._misfit(comparison, design_lead_s, has_true_gain=has_true_gain)
-        if self.refused:
+        if self.refused or not may_learn:
             return False
         measured = comparison.beyond(design_lead_s)
         weight = max(self._weight, 1.0 / (1.0 + self.updates))

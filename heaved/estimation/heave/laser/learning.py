@@ -19,7 +19,9 @@ from heaved.estimation.heave.laser import correction, lead, reference
 from heaved.estimation.heave.laser.correction import ResidualCorrection
 from heaved.estimation.heave.laser.error_scale import DelayedScale
 from heaved.estimation.heave.laser.lead import LeadTracker
+from heaved.estimation.heave.laser.placement import Placement
 from heaved.estimation.heave.laser.reference import Reference
+from heaved.estimation.heave.laser.tilts import Tilts
 from heaved.samples import Fault, LaserSample
 from heaved.unchanged import StuckDetector
 
@@ -42,17 +44,23 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Nor is a network trained on it before this: it would learn the transient."""
     moving: float = 3.0
     """The heave must be larger than what is not known of it by that for a laser to be told not to follow it."""
+    elsewhere: float = 3.0
+    """A gauge that is found elsewhere moves its readings by that many standard deviations of one."""
     longest_pause_s: float = 0.5
     """Between readings further apart than this there was no laser."""
 
 
 TUNING: Final = Tuning()
+UNTOLD: Final = (nan, nan)
+NO_TILT: Final = "laser: without roll and pitch nothing is known of the heave from where it is"
 
 
 class LaserLearning:
     """Push it every reading of the laser, and step it once for every sample of the IMU, after the observer.
 
     Attributes:
+        placement: where the gauge is.
+        tilts: how the vessel stood; whoever steps this tells it first.
         reference: the laser as heave reference.
         lead: what it has shown beyond the lead of the chain's own design.
         correction: the residual network, which learns from it.
@@ -73,6 +81,8 @@ class LaserLearning:
         kept_s = max(TUNING.late_s, float(correction.lags_s(network)[0]) + 5.0)
         self._outputs = RingBuffer(int(kept_s * max_rate_hz), 6)
         """Time, observer output X*, published heave, the unshifted observer's heave and velocity, raw correction."""
+        self.placement = Placement(laser.geometry, laser.noise_std_m)
+        self.tilts = Tilts(int((TUNING.late_s + 1.0) * max_rate_hz))
         self.reference = Reference(laser)
         self.lead = LeadTracker(comparison)
         self.correction = ResidualCorrection(network, self._outputs)
@@ -80,8 +90,13 @@ class LaserLearning:
         self.fault = Fault.NONE
         self._stuck = StuckDetector(must_live=True)
         self._waiting: deque[LaserSample] = deque(maxlen=TUNING.most_waiting)
-        self._compared = RingBuffer(int(comparison.window_s * max_rate_hz), 4)
-        """Time of a reading, the unshifted observer's heave and velocity then, the signed reading."""
+        self._compared = RingBuffer(int(comparison.window_s * max_rate_hz), 7)
+        """Time of a reading, the unshifted observer's heave and velocity then, the reading, roll and pitch or nan, and
+        the reading as heave, as it was taken then.
+        """
+        self._places = 0
+        """Of the gauge, until now."""
+        self._is_tilt_missing = False
         self._output_t_s = nan
         self._read_t_s = self._used_t_s = -inf
         self._lead_t_s = nan
@@ -101,12 +116,21 @@ class LaserLearning:
 
     def is_fresh(self, t_s: float) -> bool:
         """Whether there is a reading young enough to be published, of a laser that shows the heave."""
-        return self.reference.is_fresh(t_s) and not self._remark
+        return self.reference.is_fresh(t_s) and not self._is_doubted
+
+    @property
+    def _is_doubted(self) -> bool:
+        """Whether the readings are those of something else."""
+        return bool(self._remark) or self.placement.is_lost
 
     def remarks(self) -> tuple[str, ...]:
         """What people should know of the laser."""
-        remark = self._remark or self.lead.remark
-        return (remark,) if remark else ()
+        remarks = (
+            NO_TILT if self._is_tilt_missing else "",
+            self.placement.remark,
+            "" if self.placement.is_lost else self._remark or self.lead.remark,
+        )
+        return tuple([remark for remark in remarks if remark])
 
     # --- input -------------------------------------------------------------------------------------------------------
 
@@ -121,6 +145,11 @@ class LaserLearning:
         self._keep_output(observer)
         while self._waiting and not self._waiting[0].t_s > self._output_t_s:
             self._read(self._waiting.popleft(), observer)
+        self.placement.trust(self.tilts.std_rad)
+        self.placement.push_delayed(observer.delayed)
+        self.placement.look(t_s)
+        if self.placement.changes != self._places:
+            self._move()
         if (aided := self._aided(observer)) is not None:
             self._remark = aided.aiding_remark(t_s)
         elif self._params.enabled and not t_s - self._lead_t_s < self._params.refresh_s:
@@ -150,7 +179,19 @@ class LaserLearning:
         """The observer was restarted: nothing that it said before can be compared."""
         self._outputs.clear()
         self._compared.clear()
+        self.placement.restart()
         self.correction.reset()
+
+    def _move(self) -> None:
+        """The gauge is taken to be elsewhere: its readings are others, as far back as they are kept."""
+        self._places = self.placement.changes
+        rows = self._compared.last(len(self._compared))
+        more_m = self.placement.heaves_m(rows[:, 3], rows[:, 4], rows[:, 5]) - rows[:, 6]
+        known_m = more_m[np.isfinite(more_m)]
+        by_m, spread_m = (float(np.mean(known_m)), float(np.std(known_m))) if len(known_m) else (0.0, 0.0)
+        is_elsewhere = spread_m > TUNING.elsewhere * self.reference.reading_std_m
+        self.reference.move(self._output_t_s, by_m, is_elsewhere=is_elsewhere)
+        self.correction.reset_rows()
 
     def _aided(self, observer: HeaveObserver) -> LaserAided | None:
         """The observer that readings go into as measurements; None: they are compared with it."""
@@ -170,26 +211,33 @@ class LaserLearning:
         if not settled_s >= TUNING.reference_after_s or observer.refreshes == 0:
             return
         _, observer_m, published_m, heave_m, velocity_mps, raw_m = self._outputs.at(t_s).tolist()
-        if not isfinite(observer_m):
+        tilt = self.tilts.at(t_s)
+        signed_m = self.placement.heave_m(sample.laser_m, tilt)
+        self._is_tilt_missing = not isfinite(signed_m)
+        if not isfinite(observer_m + signed_m):
             return
         self._used_t_s = t_s
         aided = self._aided(observer)
-        verdict = self.reference.step(t_s, sample.laser_m, published_m, observer.error_std_m(0.0))
+        is_open = self.placement.is_open(t_s)
+        modelled_std_m = nan if is_open else observer.error_std_m(0.0)
+        verdict = self.reference.step(t_s, signed_m, published_m, modelled_std_m)
         if verdict is reference.Reading.NEW_TARGET:
             self._compared.clear()
+            self.placement.retarget()
             self.correction.reset_rows()
             if aided is not None:
                 aided.stop_aiding(t_s, "it is on another target")
         if verdict is not reference.Reading.ACCEPTED:
             return
-        if self.reference.is_known and self.reference.is_proven and not self._remark:
+        self.placement.push(t_s, sample.laser_m, heave_m, velocity_mps, tilt)
+        self._compared.push((t_s, heave_m, velocity_mps, sample.laser_m, *(tilt or UNTOLD), signed_m))
+        if self.reference.is_known and self.reference.is_proven and not self._is_doubted:
             self.delayed.push(t_s, self.reference.value_m)
-        signed_m = self.reference.signed(sample.laser_m)
         if aided is not None:
-            aided.aid(t_s, signed_m, self.reference.reading_std_m)
+            if not self.placement.is_lost:
+                aided.aid(t_s, signed_m, self.reference.reading_std_m)
             return
-        self._compared.push((t_s, heave_m, velocity_mps, signed_m))
-        if settled_s >= TUNING.learn_after_s and not self._remark:
+        if settled_s >= TUNING.learn_after_s and not self._is_doubted:
             self.correction.learn(t_s, signed_m - observer_m, self.reference.constant_m, observer_m, raw_m)
 
     # --- lead and gain -----------------------------------------------------------------------------------------------
@@ -200,8 +248,14 @@ class LaserLearning:
         if float(np.minimum(np.diff(rows[:, 0]), TUNING.longest_pause_s).sum()) < self._params.min_laser_s:
             return
         is_first = self.lead.updates == 0
-        shown = lead.compare(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3], observer.omega_radps)
-        is_learned = self.lead.update(shown, observer.design_lead_s, has_true_gain=observer.has_true_gain)
+        signed_m = self.placement.heaves_m(rows[:, 3], rows[:, 4], rows[:, 5])
+        shown = lead.compare(rows[:, 0], rows[:, 1], rows[:, 2], signed_m, observer.omega_radps)
+        is_learned = self.lead.update(
+            shown,
+            observer.design_lead_s,
+            has_true_gain=observer.has_true_gain,
+            may_learn=not self.placement.is_open(t_s),
+        )
         if is_learned:
             self.reference.rebase(self._output_t_s)
         was_doubted, self._remark = bool(self._remark), self._doubt(shown, rows[:, 1], observer)

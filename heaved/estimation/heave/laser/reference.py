@@ -1,7 +1,8 @@
-"""The laser as heave reference: sign, constant, gate, and what it says about the error of the published heave.
+"""The laser as heave reference: constant, gate, and what it says about the error of the published heave.
 
-A gauge reads ``constant + sign * heave``. The constant (mounting height, tide, target) is unknown and slow; heave has
-no mean, so the constant is the mean of (signed reading - heave estimate) over the recent past.
+A reading is a heave and a constant, once its sign, the lever arm and the tilt of the beam are taken out of it
+(:mod:`heaved.estimation.heave.laser.placement`). The constant (mounting height, tide, target) is unknown and slow;
+heave has no mean, so the constant is the mean of (signed reading - heave estimate) over the recent past.
 """
 
 from __future__ import annotations
@@ -14,21 +15,35 @@ import msgspec
 
 from heaved.estimation.common import bounds
 from heaved.estimation.heave.laser.error_scale import PublishedScale
+from heaved.estimation.heave.laser.geometry import DOWN, Geometry, Vector
+
+Length = Annotated[float, msgspec.Meta(ge=-500, le=500)]
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """``[laser]``: how the gauge's reading becomes a heave reference: ``sign * reading`` less a slow constant."""
+    """``[laser]``: how the gauge's reading becomes a heave reference: its place taken out, less a slow constant."""
 
     role: Literal["reference", "aiding"] = "reference"
     """"reference": lead, gain and network are learned from it; "aiding": it is a measurement in the sea observer."""
     sign: Literal[1, -1] = 1
     """+1: the reading grows as the ship heaves up."""
+    forward_m: Length = 0.0
+    """Where the gauge is, from the IMU; of one that stands on something fixed: where its beam meets the ship."""
+    port_m: Length = 0.0
+    up_m: Length = 0.0
+    beam: Vector = DOWN
+    """Where its beam points, in vessel axes x forward, y port, z up; of any length."""
     max_age_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 0.5
     """Older than this, the reference is stale: not published, not learned from."""
     noise_std_m: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.002
     """Standard deviation of one reading, from the maker's data sheet."""
     constant_time_s: Annotated[float, msgspec.Meta(gt=0, le=36000)] = 60.0
     """Time constant with which the unknown constant is followed, in seconds of laser."""
+
+    @property
+    def geometry(self) -> Geometry:
+        """Where the gauge is."""
+        return Geometry(forward_m=self.forward_m, port_m=self.port_m, up_m=self.up_m, beam=self.beam, sign=self.sign)
 
 
 class Tuning(msgspec.Struct, frozen=True, kw_only=True):
@@ -128,16 +143,13 @@ class Reference:
         """The constant in the signed readings; nan before it is known."""
         return self._constant_m if self.is_known else nan
 
-    def signed(self, laser_m: float) -> float:
-        """The reading with the sign of heave, constant included (m)."""
-        return self._params.sign * laser_m
+    def step(self, t_s: float, signed_m: float, estimate_m: float, modelled_std_m: float) -> Reading:
+        """Compare a reading, as heave and a constant, with the published heave at its own time.
 
-    def step(self, t_s: float, laser_m: float, estimate_m: float, modelled_std_m: float) -> Reading:
-        """Compare a reading with the published heave at its own time.
-
-        modelled_std_m: standard deviation that the observer's model gives for that heave (nan: not known yet).
+        modelled_std_m: standard deviation that the observer's model gives for that heave (nan: not known yet, or the
+        reading is not to judge it).
         """
-        residual_m = self.signed(laser_m) - estimate_m
+        residual_m = signed_m - estimate_m
         if self._seconds == 0.0:
             self._constant_m = residual_m
         deviation_m = residual_m - self._constant_m
@@ -161,7 +173,7 @@ class Reference:
         self._constant_m += weight * deviation_m
         memory = min(1.0, dt / min(0.5 * self._seconds, TUNING.error_time_s))
         self._mean_square += memory * (deviation_m**2 - self._mean_square)
-        self.value_m, self.value_t_s = self.signed(laser_m) - self._constant_m, t_s
+        self.value_m, self.value_t_s = signed_m - self._constant_m, t_s
         if isfinite(modelled_std_m) and modelled_std_m > 0.0 and self.is_proven:
             may_judge = self._seconds >= TUNING.proven_s
             self.scale.step(t_s, dt, deviation_m, modelled_std_m, may_judge=may_judge)
@@ -176,6 +188,19 @@ class Reference:
     def rebase(self, t_s: float) -> None:
         """The heave that the readings are compared with is made otherwise after ``t_s``: it leaps, not the laser."""
         self._rebased_s = t_s
+
+    def move(self, t_s: float, by_m: float, *, is_elsewhere: bool) -> None:
+        """The gauge is taken to be at another place after ``t_s``: readings are ``by_m`` more in the mean.
+
+        is_elsewhere: and not just a little off, so that what they said of the error of the heave is void.
+        """
+        self.rebase(t_s)
+        self._constant_m += by_m
+        if not is_elsewhere:
+            return
+        self._mean_square = 0.0
+        self._seconds = min(self._seconds, TUNING.constant_min_s)
+        self.scale = PublishedScale(self._params.noise_std_m)
 
     def _has_leapt(self, t_s: float, since_s: float, residual_m: float) -> bool:
         """Whether the readings have leapt away from the target that they were on, and not come back.

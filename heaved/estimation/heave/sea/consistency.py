@@ -18,6 +18,7 @@ from heaved.estimation.common.ring import History
 from heaved.samples import DelayedHeave, SeaState, vibration_in_words
 
 if TYPE_CHECKING:
+    from heaved.estimation.heave.sea.filter import SeaFilter
     from heaved.estimation.heave.sea.model import SeaSystem
 
 
@@ -69,6 +70,14 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """More of it for each hour of its age,"""
     most_doubt: float = 3.0
     """and where it is old, or of unknown age."""
+    bias_serves_s: float = 3600.0
+    """For so long the bias of before is worth more than nothing: in an hour a sensor cools down, or is another one."""
+    bias_repeats_mps2: float = 3e-3
+    """Standard deviation by which the bias of a sensor is another after it was not heard for a while."""
+    bias_agrees: float = 3.0
+    """Deviations that the bias which the trial finds by itself may be off that of before."""
+    apart: float = 0.5
+    """Share of the difference of the two heaves that counts as uncertainty until it is known."""
 
 
 TUNING: Final = Tuning()
@@ -202,10 +211,16 @@ class Trial:
         is_told: whether anything may be said from the model.
         is_another: whether the sea has turned out to be another one.
         factor: by which errors are larger than the model says.
+        known: beside the filter that knows nothing of the bias the one that begins with the bias of before, which is
+            ahead of it if that is still so; once it serves, the other one. None: there is none any more.
+        apart_m: standard deviation of the heave for what the two differ by, while there are two.
     """
 
-    def __init__(self, system: SeaSystem, age_s: float) -> None:
+    def __init__(self, system: SeaSystem, age_s: float, known: SeaFilter | None = None) -> None:
         """``age_s``: of the model; nan: not known."""
+        self.known = known
+        self.apart_m = 0.0
+        self._is_known_serving = False
         self._acceleration2 = float(system.H[:-1] @ system.stationary[:-1, :-1] @ system.H[:-1])
         self._acceleration2 += 2.0 * system.model.noise_psd
         self._doubt = (
@@ -238,3 +253,28 @@ class Trial:
         self.is_told = True
         self.is_another = max(spread, surprise) > TUNING.largest
         self.factor = self._doubt * sqrt(max(spread, surprise, 1.0))
+
+    def weigh(self, serving: SeaFilter, other: SeaFilter) -> bool:
+        """Let the filter serve that knows the bias of before, as long as the other one, which learns it for itself,
+        comes to the same; whether that is so. A sensor may have been replaced meanwhile.
+        """
+        if not self._is_known_serving:
+            self._is_known_serving = True
+            self._exchange(serving, other)
+        apart = serving.x - other.x
+        apart_mps2 = abs(float(apart[-1]))
+        own_std_mps2 = sqrt(float(other.covariance[-1, -1]))
+        is_agreed = apart_mps2 <= TUNING.bias_agrees * own_std_mps2
+        # What the two differ by may be due to either, until it is known.
+        self.apart_m = TUNING.apart * abs(float(serving.system.heave.dot(apart)))
+        if not is_agreed:
+            self._exchange(serving, other)
+        if not is_agreed or own_std_mps2 < TUNING.bias_repeats_mps2:
+            self.known, self.apart_m = None, 0.0
+        return is_agreed
+
+    @staticmethod
+    def _exchange(one: SeaFilter, other: SeaFilter) -> None:
+        kept = one.state()
+        one.restore(other.state())
+        other.restore(kept)

@@ -56,8 +56,9 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     quiet: float = 1.0
     """Share of the sensor's own noise that is left of a burst when it is over."""
     burst_s: float = 16.0
-    """Noise that lasts longer is no burst: what shakes the sensor has changed. From then on the record of it counts,
-    and the next fit, which is made at once, learns it."""
+    """Noise that lasts longer may be none: what shakes the sensor has changed. From then on the record of it counts,
+    and the next fit, which is made at once, learns it. If no fit does, as of stamps that are wrong for a while, it was
+    a burst all the same: the record of it is spoilt when it is over."""
     smooth: float = 0.9
     """Most that neighbouring innovations of a burst are alike: noise that is smooth is heavier than its variance
     says."""
@@ -151,6 +152,8 @@ class DisturbanceDetector:
         self._keep(f.innovation / sqrt(f.innovation_variance))
         if f.burst_variance > 0.0:
             self._in_burst(f, t_s)
+            if not f.burst_variance > 0.0 and t_s - self._burst_s >= TUNING.burst_s and self.step_s is None:
+                self.spoilt_s = self._burst_s, t_s
         elif count := self._suspects(f):
             self._judge(f, count)
         self.is_burst = f.burst_variance > 0.0 and t_s - self._burst_s < TUNING.burst_s

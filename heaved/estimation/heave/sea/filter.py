@@ -73,6 +73,20 @@ class State(NamedTuple):
     withheld: int
     burst_variance: float
     gauge: tuple[Array, Array, Array] | None
+    rate: BiasRate | None
+
+
+class BiasRate(NamedTuple):
+    """At which the bias goes on: one more state of the filter, while there is a drift. Never written to."""
+
+    value: float
+    """m/s3"""
+    V: float
+    """Its variance."""
+    c: Array
+    """(n,) its covariance with the state of the sea."""
+    walk_psd: float
+    """Its own walk: variance per second."""
 
 
 class GaugeError:
@@ -126,6 +140,7 @@ class SeaFilter:
         withheld: samples on end, up to the last one, that the gate has kept out.
         burst_variance: of noise beside that of the model, for now, (m/s2)2.
         surprise: variance of averaged innovations over that of the model, in the last seconds; 1 when it is right.
+        rate: at which the bias goes on; None: it wanders only.
     """
 
     def __init__(self, system: SeaSystem, steady: Steady, t_s: float, x: Array, P: Array | None) -> None:
@@ -146,6 +161,7 @@ class SeaFilter:
         self.withheld = 0
         self.burst_variance = self.innovation = 0.0
         self.gauge: GaugeError | None = None
+        self.rate: BiasRate | None = None
 
     def laser_innovation(self, row: Array, laser_m: float) -> tuple[float, float]:
         """Of a reading of the laser, with the sign of heave: its difference from what is expected, and the variance of
@@ -205,6 +221,10 @@ class SeaFilter:
             delta = dt - steps * steady.dt_s
             if abs(delta) <= TUNING.exact_delta_s:
                 x = F.dot(x)
+            elif self.P is not None:
+                # What is still open must turn as the state does: a hundredth of it is more than is left soon after.
+                F = self._move(steps, delta)
+                x = F.dot(x)
             else:
                 x = self._moved(x if steps == 1 else self._steps[steps - 2][0].dot(x), delta)
         else:
@@ -215,6 +235,8 @@ class SeaFilter:
         P = self.P if is_usual and self.P is None else _symmetric(F.dot(self.covariance).dot(F.T) + Q)
         if self.gauge is not None:
             self.gauge.c = F.dot(self.gauge.c)
+        if self.rate is not None and P is not None:
+            x, P = self._drifted(self.rate, F, x, P, dt)
         self.t_s = t_s
         predicted_m = float(self.system.heave.dot(x))
         y = a_mps2 - float(H.dot(x))
@@ -230,6 +252,8 @@ class SeaFilter:
             # It lasts, so it is true, and what was thought to be known is not.
             self.withheld = 0
             P = self.system.stationary
+            if self.rate is not None:
+                self.rate = self.rate._replace(c=np.zeros(len(H)))
             PH = P.dot(H)
             S = float(H.dot(PH)) + R
         if P is None or PH is None:
@@ -241,6 +265,11 @@ class SeaFilter:
                 self.gauge.value = self.gauge.value + cross * (y / S)
                 self.gauge.c = self.gauge.c - np.outer(PH, cross) / S
                 self.gauge.V = self.gauge.V - np.outer(cross, cross) / S
+            if (rate := self.rate) is not None:
+                seen = float(H.dot(rate.c))
+                self.rate = rate._replace(
+                    value=rate.value + seen * (y / S), V=rate.V - seen * seen / S, c=rate.c - PH * (seen / S)
+                )
             self._settle()
         return predicted_m, y
 
@@ -255,7 +284,7 @@ class SeaFilter:
         kept = None if gauge is None else (gauge.value, gauge.V, gauge.c)
         return State(
             self.t_s, self.x, self.P, self.rejected, self.surprise, self._drift, self._seen, self.withheld,
-            self.burst_variance, kept,
+            self.burst_variance, kept, self.rate,
         )  # fmt: skip
 
     def restore(self, state: State) -> None:
@@ -264,10 +293,18 @@ class SeaFilter:
         self._drift, self._seen, self.withheld, self.burst_variance = state[5:9]
         if self.gauge is not None and state.gauge is not None:
             self.gauge.value, self.gauge.V, self.gauge.c = state.gauge
+        self.rate = state.rate
 
     def open_bias(self) -> None:
         """Nothing is known of the accelerometer's bias any more; of the waves as much as ever."""
         self.P = self.system.opened(self.covariance, bias=True)
+
+    def open_rate(self, mean: Array, covariance: Array, walk: float) -> None:
+        """The bias drifts: what the state lacks (n), and the rate (m/s3) as the last element, are of this ``mean``
+        (n + 1,) and ``covariance`` (n + 1, n + 1). ``walk``: of the rate, m/s3 per root second.
+        """
+        self.x, self.P = self.x + mean[:-1], self.covariance + covariance[:-1, :-1]
+        self.rate = BiasRate(float(mean[-1]), float(covariance[-1, -1]), covariance[:-1, -1].copy(), walk**2)
 
     def open_resonances(self) -> None:
         """Something has struck the hull: what rings may ring otherwise than it did."""
@@ -290,6 +327,25 @@ class SeaFilter:
         terms = self._taylor.dot(x).reshape(TUNING.nudge_terms, len(x))
         return np.asarray(np.dot([delta_s**i for i in range(TUNING.nudge_terms)], terms))
 
+    def _move(self, steps: int, delta_s: float) -> Array:
+        """The same as a matrix (n, n), of ``steps`` usual intervals and ``delta_s``."""
+        n = len(self.x)
+        powers = [delta_s**i for i in range(TUNING.nudge_terms)]
+        one = np.tensordot(powers, self._taylor.reshape(TUNING.nudge_terms, n, n), axes=1)
+        return np.asarray(one if steps == 1 else one.dot(self._steps[steps - 2][0]))
+
+    def _drifted(self, rate: BiasRate, F: Array, x: Array, P: Array, dt: float) -> tuple[Array, Array]:
+        """State and covariance ``dt`` later, the drift of the bias added."""
+        x = x.copy()
+        x[-1] += rate.value * dt
+        c = F.dot(rate.c)
+        P[-1] += dt * c
+        P[:, -1] += dt * c
+        P[-1, -1] += dt * dt * rate.V
+        c[-1] += dt * rate.V
+        self.rate = rate._replace(V=rate.V + rate.walk_psd * dt, c=c)
+        return x, P
+
     def _is_outlier(self, y: float, S: float) -> bool:
         variance = max(S, self._seen)
         self._seen += TUNING.gate_memory * (min(y * y, TUNING.opening**2 * variance) - self._seen)
@@ -310,8 +366,8 @@ class SeaFilter:
 
     def _settle(self) -> None:
         assert self.P is not None
-        if self.gauge is not None:
-            return  # The laser knows more than the steady filter will ever.
+        if self.gauge is not None or self.rate is not None:
+            return  # The laser knows more than the steady filter will ever, and of a drift less is known.
         if float(np.max(np.abs(np.diag(self.P) / self._steady_variances - 1.0))) < TUNING.steady:
             self.P = None
 

@@ -45,6 +45,9 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """The shortest waves that move a small craft."""
     above_waves: float = 0.15
     """Share of the power that may lie above while it is still waves."""
+    stays: float = 2.0
+    """What was waves at the last look is until it is this much further from them: heave that is counted in one look and
+    not in the next jumps by as much."""
     pooled: float = 0.01
     """Ordinates nearer together than this share of their frequency are pooled."""
     widths: tuple[int, ...] = (1, 3, 8, 20, 50, 120)
@@ -97,7 +100,8 @@ def resonances(above: Above, waves: SeaModel | None, noise_psd: float) -> tuple[
         cost, theta = more, better
     found = scored.resonances(theta, np.gradient(f))
     found.sort(key=lambda one: -one.variance)
-    return _told_apart(tuple(found), above.dt_s), float(np.exp(theta[0]))
+    were_waves = waves is not None and any(one.is_heave for one in waves.resonances)
+    return _told_apart(tuple(found), above.dt_s, TUNING.stays if were_waves else 1.0), float(np.exp(theta[0]))
 
 
 def _pooled(above: Above) -> tuple[Array, Array, Array, Array]:
@@ -122,16 +126,16 @@ def groups(f_hz: Array, share: float) -> tuple[NDArray[np.intp], NDArray[np.intp
     return first, np.diff(first, append=len(f_hz))
 
 
-def _told_apart(found: tuple[Resonance, ...], dt_s: float) -> tuple[Resonance, ...]:
-    """With short waves marked."""
+def _told_apart(found: tuple[Resonance, ...], dt_s: float, slack: float) -> tuple[Resonance, ...]:
+    """With short waves marked; ``slack``: by how much further they may be from what counts as such."""
     f = np.linspace(0.0, 0.5 / dt_s, 1000)[1:]
     power = np.sum([one.spectrum(f, dt_s) for one in found], axis=0) if found else np.zeros_like(f)
     are_waves, whole = f < TUNING.shortest_waves_hz, float(np.sum(power))
     inside = power[are_waves]
-    if float(np.sum(inside)) < (1.0 - TUNING.above_waves) * whole or not whole > 0.0:
+    if float(np.sum(inside)) < (1.0 - slack * TUNING.above_waves) * whole or not whole > 0.0:
         return found
     width_hz = float(np.sum(inside)) ** 2 / float(np.sum(inside**2)) * (f[1] - f[0])
-    if width_hz < TUNING.broad * float(np.average(f[are_waves], weights=inside)):
+    if slack * width_hz < TUNING.broad * float(np.average(f[are_waves], weights=inside)):
         return found
     return tuple([msgspec.structs.replace(one, is_heave=one.frequency_hz < TUNING.shortest_waves_hz) for one in found])
 

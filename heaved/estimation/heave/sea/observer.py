@@ -38,8 +38,10 @@ from heaved.estimation.heave.sea.blows import BlowDetector
 from heaved.estimation.heave.sea.consistency import TUNING as TRUST
 from heaved.estimation.heave.sea.consistency import Consistency, Trial
 from heaved.estimation.heave.sea.disturbances import DisturbanceDetector
-from heaved.estimation.heave.sea.drift import DriftDetector
-from heaved.estimation.heave.sea.filter import GaugeError, SeaFilter
+from heaved.estimation.heave.sea.drift import TUNING as DRIFT
+from heaved.estimation.heave.sea.drift import DriftDetector, walk_of
+from heaved.estimation.heave.sea.filter import BiasRate, GaugeError, SeaFilter
+from heaved.estimation.heave.sea.mistakes import Mistakes
 from heaved.estimation.heave.sea.model import SeaModel, SeaSystem, Steady, heave_std
 from heaved.estimation.heave.sea.output import BumplessTransfer, SeaHeave
 from heaved.estimation.heave.sea.record import SeaRecord
@@ -64,6 +66,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
 
 
 TUNING: Final = Tuning()
+DRIFTS: Final = "the level of the accelerometer drifts, as that of a sensor that warms up"
 
 
 class SeaObserver:
@@ -96,6 +99,7 @@ class SeaObserver:
         self._trial: Trial | None = None
         self._down_sampler = DownSampler()
         self._disturbance: tuple[Array, Array] | None = None
+        self._mistakes = Mistakes()
         self._start_over()
 
     def _start_over(self) -> None:
@@ -103,6 +107,7 @@ class SeaObserver:
         self.t_s = nan
         self.acceleration_mps2 = nan
         self._bias_mps2 = nan
+        self._is_warm = False
         self._down_sampler = DownSampler(self._down_sampler.period_s)
         self._record.clear()
         self._looked_s = nan
@@ -114,12 +119,15 @@ class SeaObserver:
         self._ripening: deque[DelayedHeave] = deque()
         """Delayed heave of a past with holes, not yet as old as it shall be."""
         self._drift: DriftDetector | None = None
+        self._drifted_s = nan
+        """When the rate of its drift was last one."""
         self._blows = BlowDetector()
         self._straddling = 0
         """Means, with this one, that are in part of before a blow."""
         self._disturbances = DisturbanceDetector()
         self._unaided_disturbances = DisturbanceDetector()
         self._aiding.reset()
+        self._mistakes.clear()
         if self._heave is not None:
             kept = self._heave.filter
             self._install(kept.system, kept.steady, nan, np.zeros(len(kept.x)), kept.system.stationary.copy())
@@ -148,7 +156,7 @@ class SeaObserver:
         predicted_m, innovation = self._filter(heave.filter, *mean)
         if self._is_sound(heave.filter):
             if self._drift is not None:
-                self._drift.step(mean[0], self._record)
+                self._follow_drift(heave, self._drift, mean[0], missed_s)
             if self._smoother is not None:
                 self._smooth(heave, self._smoother, mean[0], missed_s, predicted_m, innovation)
             self._moved(heave)
@@ -156,8 +164,9 @@ class SeaObserver:
     def _begin(self, t_s: float) -> None:
         """After a gap in which the past was lost, and at the very first sample."""
         if (gap_s := t_s - self.t_s) > self._params.max_gap_s:
+            before = self.saved()
             self._reset("gap")
-            self._try(gap_s)
+            self._try(before, gap_s)
         if not isfinite(self.t_s):
             self._record.start(t_s)
 
@@ -195,6 +204,31 @@ class SeaObserver:
         disturbances.rest(f)
         return f.step(t_s, a_mps2)
 
+    def _follow_drift(self, heave: SeaHeave, drift: DriftDetector, t_s: float, missed_s: float) -> None:
+        """Whether the bias goes on in one direction, and the rate of that has to be a state; or is none any more."""
+        f = heave.filter
+        if f.rate is not None:
+            if abs(f.rate.value) > DRIFT.none_within * sqrt(f.rate.V):
+                self._drifted_s = t_s
+            elif t_s - self._drifted_s > DRIFT.none_for_s:
+                f.rate = None
+                self._record.end_drift(t_s)
+                self._disturbances.restart()
+            return
+        if self._disturbances.step_s is not None:
+            drift.restart()
+        for _ in range(min(round(missed_s / f.steady.dt_s), DRIFT.most_missed)):
+            drift.push(0.0)
+        drift.push(f.innovation / sqrt(f.innovation_variance) if heave.is_converged and not f.withheld else 0.0)
+        is_one = self._consistency.is_model_known and not self._aiding.is_active and drift.look(t_s)
+        if is_one and not self._disturbances.is_burst:
+            mean, covariance = drift.mixture()
+            f.open_rate(mean, covariance, walk_of(float(mean[-1])))
+            self._drifted_s = t_s
+            self._record.begin_drift(t_s - drift.began_s - DRIFT.sooner_s)
+            self._disturbances.restart()
+            drift.restart()
+
     def _keep_what_is_of_the_sea(self, t_s: float, a_mps2: float, *, is_rejected: bool) -> None:
         """What the filter's step has shown of this mean and of those before it, for the fits."""
         found, record = self._disturbances, self._record
@@ -227,18 +261,33 @@ class SeaObserver:
         self._reset(reason)
         return False
 
-    def _try(self, age_s: float) -> None:
+    def _try(self, saved: SavedObserver, age_s: float) -> None:
         """A model that is in use was not fitted to what comes now: it serves when it is found to suit."""
-        self._trial = None if self._heave is None else Trial(self._heave.filter.system, age_s)
+        if self._heave is None:
+            self._trial = None
+            return
+        f, known = self._heave.filter, None
+        if saved.bias_mps2 is not None and age_s <= TRUST.bias_serves_s:
+            walked = f.system.model.bias_walk_psd * age_s
+            x, P = np.zeros(len(f.x)), f.system.stationary.copy()
+            x[-1], P[-1, -1] = saved.bias_mps2, saved.bias_std_mps2**2 + walked + TRUST.bias_repeats_mps2**2
+            known = SeaFilter(f.system, f.steady, nan, x, P)
+        self._trial = Trial(f.system, age_s, known)
 
     def _step_on_trial(self, heave: SeaHeave, trial: Trial, t_s: float, a_mps2: float) -> None:
         """While it is not known yet whether the model is of this sea, it judges nothing."""
         self._record.push(t_s, a_mps2)
-        f = heave.filter
+        f, known = heave.filter, trial.known
+        if known is not None:
+            known.t_s = known.t_s if isfinite(known.t_s) else f.t_s
+            known.step(t_s, a_mps2)
         f.step(t_s, a_mps2)
         trial.step(t_s, a_mps2, f.innovation / sqrt(f.innovation_variance))
+        if trial.is_told and known is not None:
+            self._is_warm = trial.weigh(f, known)
         if trial.is_another:
             self._heave = self._trial = None
+            self._is_warm = False
             self.resets["another sea"] += 1
         elif self._is_sound(f):
             self._moved(heave)
@@ -257,8 +306,9 @@ class SeaObserver:
             smoother.push(t_s - i * dt, nan, 0.0)
         # The weights are those of the steady filter: what an unsure one predicted has no place among them.
         smoother.push(t_s, predicted_m if heave.is_converged else nan, innovation)
-        said_m = float(heave.filter.system.heave.dot(heave.filter.x)) + heave.transfer.at(t_s)[0]
-        self._consistency.divergence.say(t_s, said_m, heave.state_std_m)
+        left_m = heave.transfer.at(t_s)[0]
+        said_m = float(heave.filter.system.heave.dot(heave.filter.x)) + left_m
+        self._consistency.divergence.say(t_s, said_m, hypot(heave.state_std_m, left_m))
         delayed = smoother.value()
         while self._ripening and self._ripening[0].t_s <= t_s - self._params.delay_s:
             ripe = self._ripening.popleft()
@@ -307,10 +357,20 @@ class SeaObserver:
     def _moved(self, heave: SeaHeave) -> None:
         """The state has changed: what follows from it."""
         self._bias_mps2 = float(heave.filter.x[-1])
+        if heave.mistaken_m2 and self._mistakes.are_over(self.t_s):
+            heave.mistaken_m2 = 0.0
         heave.moved()
         self._consistency.step(heave.filter.surprise, heave.is_recovering, self.sea)
-        factor = max(self._consistency.factor, 1.0 if self._drift is None else self._drift.factor)
-        heave.scale = TUNING.overconfidence * (factor if self._trial is None else max(factor, self._trial.factor))
+        factor = self._consistency.factor
+        if heave.filter.rate is not None:
+            factor = max(factor, DRIFT.changes)
+        elif self._drift is not None and self._drift.doubt_m > 0.0:
+            factor = hypot(factor, self._drift.doubt_m / heave.state_std_m)
+        if (trial := self._trial) is not None:
+            factor = max(factor, trial.factor)
+            if trial.apart_m > 0.0:
+                factor = hypot(factor, trial.apart_m / heave.state_std_m)
+        heave.scale = TUNING.overconfidence * factor
 
     @property
     def is_settled(self) -> bool:
@@ -327,12 +387,19 @@ class SeaObserver:
     def amend(self, t_s: Array, more_mps2: Array) -> None:
         """The past at ``t_s`` (n,) was measured too little by ``more_mps2`` (n,): it is looked at anew, soon."""
         self._record.amend(t_s, more_mps2)
+        self._mistakes.amend(t_s, more_mps2)
 
     def disturb(self, f_hz: Array, psd: Array) -> None:
         """What comes, and what came, has noise that no spectrum of it shows (:meth:`SeaHeave.disturb`)."""
         self._disturbance = f_hz, psd
         if self._heave is not None:
             self._heave.disturb(f_hz, psd)
+
+    def mistake(self, t_s: float, shapes: tuple[float, float], covariance: Array) -> None:
+        """What :meth:`disturb` says on average, at its moment (:mod:`heaved.estimation.heave.sea.mistakes`)."""
+        self._mistakes.push(t_s, shapes, covariance)
+        if self._heave is not None:
+            self._heave.mistaken_m2 = self._mistakes.square_m2(self._heave.answer)
 
     def _reset(self, reason: str) -> None:
         self.resets[reason] += 1
@@ -343,7 +410,8 @@ class SeaObserver:
     def due(self) -> SeaWindow | None:
         """The past, when it is time for another look at it; each is given out once."""
         # What a burst is will be known soon, and a filter that does not know of it is of no use.
-        is_changing = self._consistency.is_changing or (self._drift is not None and self._drift.is_drifting)
+        is_in_burst = self._heave is not None and self._heave.filter.burst_variance > 0.0
+        is_changing = self._consistency.is_changing or is_in_burst
         if self._disturbances.is_burst or not self._record.is_due(self.t_s, is_changing=is_changing):
             return None
         p = self._params
@@ -364,6 +432,7 @@ class SeaObserver:
             cuts_s=self._record.cuts_s,
             spoilt_s=self._record.spoilt_s,
             blows_s=self._record.blows_s,
+            drifts_s=self._record.drifts_s,
         )
 
     def accept(self, fit: SeaFit) -> Verdict:
@@ -376,6 +445,13 @@ class SeaObserver:
             # Readings are withheld that the next ones will judge: another filter would not know of them.
             self._record.ask_again()
             return Verdict.REJECTED
+        if self._heave is not None and self._heave.filter.rate is not None and fit.rate is None:
+            # It was looked at before the drift was found.
+            self._record.ask_again()
+            return Verdict.REJECTED
+        if self._heave is not None and self._heave.filter.burst_variance > 0.0 and fit.newest > TRUST.changed:
+            # Noise has begun that the new model does not know of, while the old one's filter does.
+            return Verdict.REJECTED
         system = SeaSystem(fit.model)
         n = len(system.H)
         steady = system.steady_of(fit.dt_s, np.frombuffer(fit.steady_covariance).reshape(n, n))
@@ -383,16 +459,23 @@ class SeaObserver:
         self._trial = None
         aided = None if old is None else old.filter.gauge
         P = np.frombuffer(fit.P).reshape(n, n).copy() if fit.P else None
+        rate = None
+        if fit.rate is not None and old is not None and old.filter.rate is not None:
+            walk_psd = walk_of(fit.rate[0]) ** 2
+            rate = BiasRate(*fit.rate, np.frombuffer(fit.rate_covariance), walk_psd)
         heave = self._install(system, steady, fit.t_s, np.frombuffer(fit.x).copy(), P)
+        heave.filter.rate = rate
         if aided is not None:
             # What the laser taught is in the old model's state; its constant stays, and brings the new state back.
             heave.filter.gauge = GaugeError(aided.value, aided.V, n)
             heave.filter.P = heave.filter.covariance.copy()
             unaided_P = None if P is None else P.copy()
             self._aiding.renew(SeaFilter(system, steady, fit.t_s, np.frombuffer(fit.x).copy(), unaided_P))
+        self._mistakes.known_until(fit.t_s)
         self._disturbances.restart()
         self._unaided_disturbances.restart()
-        self._drift = DriftDetector(fit.model, fit.dt_s)
+        self._drift = DriftDetector(system, steady, self._drift)
+        self._drift.fill(np.nan_to_num(np.frombuffer(fit.innovation)) / sqrt(steady.S))
         self._candidates, self._looked_s = fit.candidates, fit.t_s
         self._consistency.fitted(fit.whiteness, fit.waves, heave.steady_std_m, heave.sea_std_m, fit.waves_seen)
         self.refreshes += 1
@@ -436,6 +519,8 @@ class SeaObserver:
                         f.open_resonances()
                 # The weights of the smoother are those without the laser.
                 smoother.push(t_s, *[f.step(t_s, a_mps2) for f in filters][-1])
+                if self._drift is not None and heave.filter.rate is None:
+                    self._drift.push(heave.filter.innovation / sqrt(heave.filter.innovation_variance))
         if cuts:
             for f in filters:
                 f.open_bias()
@@ -482,7 +567,9 @@ class SeaObserver:
 
     def unshifted(self) -> Motion:
         """What the laser is compared with: nothing learned taken out."""
-        return UNKNOWN if self._heave is None or not self._is_told else self._heave.unshifted(self.t_s)
+        if self._heave is None or not self._is_told:
+            return UNKNOWN
+        return self._heave.unshifted(self.t_s, self._aiding.unaided)
 
     @property
     def _is_told(self) -> bool:
@@ -525,8 +612,10 @@ class SeaObserver:
         """Seconds of record since the start or the last reset; nan before the first sample."""
         return self.t_s - self._record.started_s
 
-    needed_s: Final = TRUST.needed_s
-    """Seconds of record from which it counts as settled."""
+    @property
+    def needed_s(self) -> float:
+        """Seconds of record from which it counts as settled: fewer with the model and the bias of before."""
+        return TRUST.told_s if self._is_warm else TRUST.needed_s
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -536,7 +625,8 @@ class SeaObserver:
     @property
     def notes(self) -> tuple[str, ...]:
         """What people should know, and no reason to trust the output less."""
-        return self._consistency.notes
+        is_drifting = self._heave is not None and self._heave.filter.rate is not None
+        return (*self._consistency.notes, DRIFTS) if is_drifting else self._consistency.notes
 
     @property
     def rejected(self) -> int:
@@ -551,8 +641,15 @@ class SeaObserver:
         return None if self._heave is None else self._heave.filter.system.model
 
     def saved(self) -> SavedObserver:
-        """The model in use, for a restart to begin with."""
-        return SavedObserver(sea=self.model)
+        """The model in use and the bias that was found with it, for a restart to begin with."""
+        heave = self._heave
+        if heave is None or self._trial is not None or not heave.is_converged or heave.filter.rate is not None:
+            return SavedObserver(sea=self.model)  # A bias that goes on drifting will be another.
+        return SavedObserver(
+            sea=self.model,
+            bias_mps2=float(heave.filter.x[-1]),
+            bias_std_mps2=sqrt(max(float(heave.filter.covariance[-1, -1]), 0.0)),
+        )
 
     def restore(self, saved: SavedObserver, age_s: float = nan, /) -> None:
         """Begin with the model of an earlier run, ``age_s`` old; call before the first sample.
@@ -571,4 +668,4 @@ class SeaObserver:
         if steady is None:
             raise ValueError("the filter of the saved sea does not converge")
         self._install(system, steady, nan, np.zeros(len(system.H)), system.stationary.copy())
-        self._try(age_s)
+        self._try(saved, age_s)

@@ -9,6 +9,7 @@ step. A sample then costs the series at its own age. For any other moment all of
 
 from __future__ import annotations
 
+from functools import cached_property
 from math import exp, hypot, inf, isfinite, log, nan, sqrt
 from typing import TYPE_CHECKING, Final
 
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from heaved.estimation.heave.observer import UNKNOWN, Motion, foretold, nothing_foretold
 from heaved.estimation.heave.sea import batch_filter
+from heaved.estimation.heave.sea.mistakes import TUNING as MISTAKES
 from heaved.estimation.heave.sea.propagate import ORDER, Propagation, along
 
 if TYPE_CHECKING:
@@ -44,7 +46,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """It is over when less than that is left."""
     response_s: float = 400.0
     """Of the filter's answer to an impulse: nothing is left of it then."""
-    recovering: float = 0.1
+    recovering: float = 0.2
     """Share of the heave that its error is more than while the filter finds its way back after a gap."""
 
 
@@ -128,6 +130,7 @@ class SeaHeave:
         self._steady_by_age: dict[int, Stds] = {}
         self._learned_s = nan
         self._disturbed_m2 = 0.0
+        self._mistaken_m2 = 0.0
         self._response: tuple[Array, Array] = (np.empty(0), np.empty(0))
         self.moved()
 
@@ -156,6 +159,29 @@ class SeaHeave:
         self._disturbed_m2 = float((f_hz[1] - f_hz[0]) * psd @ self._response[1])
         self._steady_by_age, self._by_age = {}, {}
 
+    @cached_property
+    def answer(self) -> Array:
+        """(n,) heave that the steady filter makes of an acceleration of 1 m/s2 that lasted for a row, so many rows ago
+        (:mod:`heaved.estimation.heave.sea.mistakes`).
+        """
+        within, starts = _impulse(self.filter)
+        dt_s, row_s = self.filter.steady.dt_s, MISTAKES.row_s
+        until = np.append(0.0, np.cumsum(np.array(starts) @ np.array(within).T))
+        return np.diff(np.interp(np.arange(0.0, MISTAKES.reach_s, row_s), dt_s * np.arange(len(until)), until))
+
+    @property
+    def mistaken_m2(self) -> float:
+        """Mean square of what errors of the acceleration, whose shape is known, make of the heave now."""
+        return self._mistaken_m2
+
+    @mistaken_m2.setter
+    def mistaken_m2(self, square_m2: float) -> None:
+        # A laser that aids takes it out.
+        square_m2 = square_m2 if self.filter.gauge is None else 0.0
+        if square_m2 != self._mistaken_m2:
+            self._mistaken_m2 = square_m2
+            self._steady_by_age, self._by_age = {}, {}
+
     # --- heave -------------------------------------------------------------------------------------------------------
 
     def at(self, t_s: float, shift_s: float) -> Motion:
@@ -175,8 +201,12 @@ class SeaHeave:
             motion = Motion(motion.heave_m + heave_m, motion.velocity_mps + velocity_mps)
         return motion
 
-    def unshifted(self, t_s: float) -> Motion:
-        """What the laser is compared with: nothing learned taken out, nothing left of another model."""
+    def unshifted(self, t_s: float, unaided: SeaFilter | None = None) -> Motion:
+        """What the laser is compared with: nothing learned taken out, nothing left of another model. ``unaided``: the
+        filter of the same model that no laser aids, if that is another one.
+        """
+        if unaided is not None:
+            return along(self._plain_row.dot(unaided.x).tolist(), t_s - unaided.t_s)
         if not self._unshifted:
             self._unshifted = self._plain_row.dot(self.filter.x).tolist()
         return along(self._unshifted, t_s - self.filter.t_s)
@@ -240,7 +270,8 @@ class SeaHeave:
             stds_m = self._propagation.between(self._steady_stds, taus)
         else:
             stds_m = self._propagation.stds_at(self.filter.published_covariance, taus)
-        return [sqrt(std_m * std_m + self._disturbed_m2) for std_m in stds_m] if self._disturbed_m2 else stds_m
+        more_m2 = max(self._disturbed_m2, self._mistaken_m2)
+        return [sqrt(std_m * std_m + more_m2) for std_m in stds_m] if more_m2 else stds_m
 
     @property
     def disturbed_m(self) -> float:
@@ -275,6 +306,15 @@ def _power_response(f: SeaFilter, f_hz: Array) -> Array:
     """(n,) |heave|^2 that the steady filter makes of an acceleration of 1 m/s2 at each frequency: the transform of its
     answer to an impulse, heave L^k K with L = (I - K H) F, taken in two stages, within blocks and of them.
     """
+    within, starts = _impulse(f)
+    turns = -2j * np.pi * f.steady.dt_s * f_hz
+    each = np.exp(np.outer(turns, np.arange(len(within)))) @ np.array(within)
+    each *= np.exp(np.outer(turns, IMPULSE_BLOCK * np.arange(len(starts)))) @ np.array(starts)
+    return np.asarray(np.abs(each.sum(axis=1)) ** 2)
+
+
+def _impulse(f: SeaFilter) -> tuple[list[Array], list[Array]]:
+    """The answer of the steady filter to an impulse: of the products of each of the second with each of the first."""
     steady, system = f.steady, f.system
     loop = steady.F - np.outer(steady.K, system.H @ steady.F)
     within, starts = [steady.K], [system.heave]
@@ -283,10 +323,7 @@ def _power_response(f: SeaFilter, f_hz: Array) -> Array:
     block = np.linalg.matrix_power(loop, IMPULSE_BLOCK)
     for _ in range(round(TUNING.response_s / steady.dt_s / IMPULSE_BLOCK)):
         starts.append(starts[-1] @ block)
-    turns = -2j * np.pi * steady.dt_s * f_hz
-    each = np.exp(np.outer(turns, np.arange(len(within)))) @ np.array(within)
-    each *= np.exp(np.outer(turns, IMPULSE_BLOCK * np.arange(len(starts)))) @ np.array(starts)
-    return np.asarray(np.abs(each.sum(axis=1)) ** 2)
+    return within, starts
 
 
 def _std(row: Array, P: Array) -> float:

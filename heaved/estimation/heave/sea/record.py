@@ -6,7 +6,7 @@ The samples here are those of the filter, means of some of the sensor's.
 from __future__ import annotations
 
 import itertools
-from math import nan
+from math import inf, nan
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -80,6 +80,7 @@ class SeaRecord:
         self._cuts: list[tuple[float, float]] = []
         self._spoilt: list[tuple[float, float]] = []
         self._blows: list[float] = []
+        self._drifts: list[tuple[float, float]] = []
         self._number += 1
         self._awaited = -1
 
@@ -107,6 +108,26 @@ class SeaRecord:
     def cut(self, from_s: float, to_s: float) -> None:
         """From ``to_s`` on it is measured otherwise than before (another level, another tilt); between, as neither."""
         self._cuts = [cut for cut in self._cuts if cut[1] > to_s - self._length_s] + [(from_s, to_s)]
+        self.end_drift(from_s)
+
+    def begin_drift(self, from_s: float) -> None:
+        """The level goes on in one direction from ``from_s`` on."""
+        first_s = self._cuts[-1][1] if self._cuts else -inf
+        kept = [drift for drift in self._drifts if drift[1] > from_s - self._length_s]
+        # What begins anew before the last one had ended is one drift.
+        joined = [drift for drift in kept if drift[1] > from_s and drift[0] >= first_s]
+        from_s = min([max(from_s, first_s), *(drift[0] for drift in joined)])
+        self._drifts = [*(drift for drift in kept if drift not in joined), (from_s, inf)]
+
+    def end_drift(self, to_s: float) -> None:
+        """The last drift is over, if it was not."""
+        if self._drifts and self._drifts[-1][1] == inf:
+            self._drifts[-1] = self._drifts[-1][0], to_s
+
+    @property
+    def drifts_s(self) -> tuple[tuple[float, float], ...]:
+        """From when until when the level has gone on in one direction; until inf while it does."""
+        return tuple(self._drifts)
 
     @property
     def cuts_s(self) -> tuple[tuple[float, float], ...]:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.common import down_sampler
-from heaved.estimation.heave.sea import batch_filter, gap_bridge, noise, whittle_fit
+from heaved.estimation.heave.sea import batch_filter, drift_removal, gap_bridge, noise, whittle_fit
 from heaved.estimation.heave.sea.filter import SeaFilter
 from heaved.estimation.heave.sea.model import SeaModel, SeaSystem, Steady
 from heaved.estimation.heave.sea.record import EvenRecord, even, stretches_of
@@ -52,7 +52,9 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     whiteness_s: float = 2.0
     """Innovations are averaged over this: engines and slams cancel, what a wrong sea leaves stays."""
     whiteness_over_s: float = 60.0
-    """The newest so many seconds of them are held against the model."""
+    """The newest so many seconds of them are held against the model,"""
+    newest_s: float = 10.0
+    """and the very newest."""
     min_record_s: float = 20.0
     """Shorter records are not looked at: they hold two waves or three."""
     min_stretch_s: float = 30.0
@@ -146,6 +148,8 @@ class SeaWindow(msgspec.Struct, frozen=True, kw_only=True, tag="sea"):
     """Spans (s) that are not of the sea."""
     blows_s: tuple[float, ...] = ()
     """First moments (s) after something struck the hull."""
+    drifts_s: tuple[tuple[float, float], ...] = ()
+    """Spans (s) in which the level goes on in one direction; until inf: it does still."""
 
 
 class SeaFit(msgspec.Struct, frozen=True, kw_only=True):
@@ -168,6 +172,10 @@ class SeaFit(msgspec.Struct, frozen=True, kw_only=True):
     """(n,) filtered state."""
     P: bytes = b""
     """(n, n) its covariance; empty: the steady one."""
+    rate: tuple[float, float] | None = None
+    """At which the bias goes on at the end, m/s3, and the variance of that; None: it does not."""
+    rate_covariance: bytes = b""
+    """(n,) of the rate with the state."""
     steady_covariance: bytes = b""
     """(n, n) of the steady filter, before a sample is taken in."""
     predicted_m: bytes = b""
@@ -179,6 +187,8 @@ class SeaFit(msgspec.Struct, frozen=True, kw_only=True):
     recent past has holes, and the smoother's weights are not those of its filter."""
     whiteness: float = 1.0
     """Variance of the averaged innovations over the last minute, over what the model has for it; 1 when it is right."""
+    newest: float = 1.0
+    """The same over the last ten seconds: noise that has begun then, and is not in the model."""
     waves_seen: float = 0.0
     """How many of the longest waves the record of that model holds."""
     waves: float = 0.0
@@ -207,6 +217,9 @@ def _look(window: SeaWindow, record: EvenRecord) -> SeaFit:
     Raises:
         LinAlgError: no model can be made of the record.
     """
+    drifted = _drifted(window, record)
+    if drifted is not None:
+        record = msgspec.structs.replace(record, a_mps2=record.a_mps2 - drifted.a_mps2)
     whole = _bridged(window, record, is_drawn=True)
     recent = record.last(round(min(window.windows_s) / record.dt_s))
     drawn = whole.last(len(recent.is_known)).is_known & ~gap_bridge.closed(
@@ -233,6 +246,7 @@ def _look(window: SeaWindow, record: EvenRecord) -> SeaFit:
         return SeaFit(number=window.number, message=ran)
     best, system, steady, done = ran
     used = msgspec.structs.replace(best, steady_dt_s=record.dt_s, steady_covariance=steady.P.tobytes())
+    x, P, rate, rate_covariance = _with_drift(drifted, system, steady, done)
     return SeaFit(
         number=window.number,
         candidates=(*fitted[:chosen], used, *fitted[chosen + 1 :]),
@@ -242,16 +256,46 @@ def _look(window: SeaWindow, record: EvenRecord) -> SeaFit:
         sea=sea_state(best.model, share),
         t_s=record.end_s,
         dt_s=record.dt_s,
-        x=done.x.tobytes(),
-        P=b"" if done.P is None else done.P.tobytes(),
+        x=x.tobytes(),
+        P=b"" if P is None else P.tobytes(),
+        rate=rate,
+        rate_covariance=rate_covariance.tobytes(),
         steady_covariance=steady.P.tobytes(),
         predicted_m=done.predicted_m[-kept:].tobytes(),
         innovation=done.innovation[-kept:].tobytes(),
-        delayed=_delayed(window, system, steady, recent, settle).tobytes(),
+        delayed=_delayed(window, system, steady, recent, settle, is_drifting=rate is not None).tobytes(),
         whiteness=whiteness(done.innovation, steady),
+        newest=whiteness(done.innovation, steady, TUNING.newest_s),
         waves_seen=seconds[chosen] / longest_period_s(best.model),
         waves=waves,
     )
+
+
+def _drifted(window: SeaWindow, record: EvenRecord) -> drift_removal.Level | None:
+    """How the bias has drifted, as the model in use has it; None: it has not."""
+    if not window.drifts_s or not window.candidates:
+        return None
+    best = max(window.candidates, key=lambda one: (one.steady_dt_s > 0.0, one.score))
+    system = SeaSystem(best.model)
+    steady = _steady(system, best, record.dt_s)
+    return None if steady is None else drift_removal.level(record, system, steady, window.drifts_s)
+
+
+def _with_drift(
+    drifted: drift_removal.Level | None, system: SeaSystem, steady: Steady, done: batch_filter.Run
+) -> tuple[Array, Array | None, tuple[float, float] | None, Array]:
+    """State and covariance at the end, with the drift that was taken out of the record; the rate, if it goes on, its
+    variance, and its covariance with the state.
+    """
+    if drifted is None:
+        return done.x, done.P, None, np.empty(0)
+    x = done.x.copy()
+    x[-1] += drifted.a_mps2[-1]
+    if not drifted.is_going_on:
+        return x, done.P, None, np.empty(0)
+    P = steady.P - np.outer(steady.K, steady.K) * steady.S if done.P is None else done.P
+    missing = drifted.missing(system, steady)
+    return x, P + missing[:-1, :-1], (float(drifted.rates_mps3[-1]), float(missing[-1, -1])), missing[:-1, -1]
 
 
 def _has_many_holes(record: EvenRecord) -> bool:
@@ -332,12 +376,14 @@ def _run(
     return done, excess if np.mean(recent.is_known[-judged:]) < TUNING.noise_known else 1.0
 
 
-def _delayed(window: SeaWindow, system: SeaSystem, steady: Steady, recent: EvenRecord, settle: int) -> Array:
+def _delayed(
+    window: SeaWindow, system: SeaSystem, steady: Steady, recent: EvenRecord, settle: int, *, is_drifting: bool
+) -> Array:
     """What :attr:`SeaFit.delayed` holds."""
     count = round(window.delay_s / recent.dt_s)
     known = recent.is_known
     is_whole = known[-count:].all() and not any(at > len(known) - count for at in (*recent.cuts, *recent.blows))
-    if is_whole or not known[:-count].any():
+    if (is_whole and not is_drifting) or not known[:-count].any():
         return np.empty((0, 3))
     last = int(np.flatnonzero(known[:-count])[-1])
     before = EvenRecord(
@@ -540,12 +586,10 @@ def unbroken(record: EvenRecord, count: int) -> list[Array]:
     return [newest.a_mps2[first:end] for first, end, is_known in stretches_of(newest) if is_known]
 
 
-def whiteness(innovation: Array, steady: Steady) -> float:
-    """Variance of averaged innovations, in the last minute, over that of the model: 1 when it fits."""
+def whiteness(innovation: Array, steady: Steady, over_s: float = TUNING.whiteness_over_s) -> float:
+    """Variance of averaged innovations, in the last ``over_s``, over that of the model: 1 when it fits."""
     each = max(1, round(TUNING.whiteness_s / steady.dt_s))
-    count = min(
-        round(TUNING.whiteness_over_s / TUNING.whiteness_s), int(np.count_nonzero(np.isfinite(innovation))) // each
-    )
+    count = min(round(over_s / TUNING.whiteness_s), int(np.count_nonzero(np.isfinite(innovation))) // each)
     if count < 1:
         return 1.0
     means = innovation[-count * each :].reshape(count, each).mean(axis=1)

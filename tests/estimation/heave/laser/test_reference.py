@@ -30,7 +30,7 @@ class Gauge:
     def read(self, t: float, constant_m: float, modelled_std_m: float = 0.002, off_m: float = 0.0) -> Reading:
         reading = self.sign * (heave(t) + constant_m) + 0.002 * self.rng.standard_normal() + off_m
         estimate = heave(t) + self.error_m * np.sqrt(2.0) * float(np.sin(2 * pi * t / 5.1))
-        return self.reference.step(t, reading, estimate, modelled_std_m)
+        return self.reference.step(t, self.sign * reading, estimate, modelled_std_m)
 
     def run(self, start: float, end: float, constant_m: float, modelled_std_m: float = 0.002) -> list[Reading]:
         return [self.read(t, constant_m, modelled_std_m) for t in np.arange(start, end, 1.0 / RATE_HZ).tolist()]

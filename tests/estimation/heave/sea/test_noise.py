@@ -81,9 +81,10 @@ def acceleration(added: Array, sea: str = "S6") -> Array:
     return np.asarray(seaway(sea, 2, attitude=False).motion(T).heave_acceleration_mps2 + white + added)
 
 
-def found(a: Array) -> tuple[tuple[Resonance, ...], float]:
+def found(a: Array, before: tuple[Resonance, ...] = ()) -> tuple[tuple[Resonance, ...], float]:
+    """``before``: what shook the sensor at the last look."""
     sp = whittle_fit.spectrum(a, RATE_HZ)
-    waves = whittle_fit.fit([sp], 7, 3, 9e-10)[0].model
+    waves = msgspec.structs.replace(whittle_fit.fit([sp], 7, 3, 9e-10)[0].model, resonances=before)
     return resonances(sp.above, waves, sp.noise_psd)
 
 
@@ -145,6 +146,15 @@ def test_content_right_above_the_waves_is_heave() -> None:
     shaking, _ = found(acceleration(band(1.0, 2.5, 0.3)))
     assert sum(one.variance for one in shaking if one.is_heave) == pytest.approx(0.09, rel=0.3)
     assert vibration(msgspec.structs.replace(model(), resonances=shaking)) == ()
+
+
+def test_what_was_heave_stays_heave_while_it_may_be() -> None:
+    """With a fifth of it above the waves it may be either: it does not change from one look to the next."""
+    a = acceleration(band(1.0, 2.5, 0.3) + band(3.2, 4.5, 0.15))
+    assert not any(one.is_heave for one in found(a)[0])
+    assert any(one.is_heave for one in found(a, (SHORT_WAVES,))[0])
+    line = acceleration(0.3 * np.sin(2 * np.pi * 3.1 * T))
+    assert not any(one.is_heave for one in found(line, (SHORT_WAVES,))[0])
 
 
 @pytest.mark.parametrize("sea", ["S4", "S6", "SL"])

@@ -302,6 +302,30 @@ def test_a_restart_gives_heave_in_ten_seconds_and_knows_how_little_it_knows() ->
     assert rms(error[2000:]) < 0.05 * sigma
 
 
+@pytest.mark.parametrize("changed_mps2", [0.0, 0.02, -0.05])
+def test_the_bias_of_before_brings_the_heave_back_unless_the_sensor_is_another(changed_mps2: float) -> None:
+    before, t, truth, a = warm()
+    saved = before.saved()
+    assert saved.bias_mps2 is not None
+    for start in (3000, 3170, 3330):
+        restored, without = SeaObserver(SMALL, ()), SeaObserver(SMALL, ())
+        restored.restore(saved, 60.0)
+        without.restore(SavedObserver(sea=saved.sea), 60.0)
+        worst = 0.0
+        for i in range(start, start + 800):
+            restored.step(float(t[i]), float(a[i]) + changed_mps2)
+            without.step(float(t[i]), float(a[i]) + changed_mps2)
+            std_m = restored.error_std_m(0.0)
+            if isfinite(std_m):
+                worst = max(worst, abs(restored.at(0.0).heave_m - truth[i]) / std_m)
+            if i == start + 210 and changed_mps2 == 0.0:
+                assert restored.settled_s >= restored.needed_s
+                assert std_m < 0.9 * without.error_std_m(0.0)
+        if changed_mps2 == -0.05:
+            assert restored.needed_s == without.needed_s
+        assert worst < 4.0
+
+
 def test_a_model_of_another_configuration_is_refused() -> None:
     observer = SeaObserver(SMALL, ())
     with pytest.raises(ValueError, match="does not fit"):

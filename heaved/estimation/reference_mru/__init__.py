@@ -1,0 +1,1 @@
+"""An existing motion reference unit beside ours."""
