@@ -299,6 +299,18 @@ def test_a_machine_that_does_not_keep_up_polls_at_no_other_rate(seed: int) -> No
     assert np.sqrt(np.mean(error**2)) < 0.02 * np.sqrt(0.5)
 
 
+@pytest.mark.parametrize("share", [0.6, 0.75])
+def test_samples_that_get_lost_are_no_other_rate(share: float) -> None:
+    t = np.arange(7500) / 100.0
+    t = t[(np.random.default_rng(3).random(len(t)) > share) | (t < 50.0)]
+    predictor = DirectPredictor(1)
+    predicted = predict(predictor, t, np.sin(TURN * t / 8)[:, None])[:, 2, 0]
+    assert predictor.restarts == 0
+    error = (predicted - np.sin(TURN * (t + 0.15) / 8))[t > 50.0]
+    assert np.isfinite(error).all()
+    assert np.sqrt(np.mean(error**2)) < 0.02 * np.sqrt(0.5)
+
+
 def test_samples_that_come_at_random_after_a_while_are_another_rate() -> None:
     rng = np.random.default_rng(1)
     t = np.concatenate([np.arange(0.0, 20.0, 0.01), 20.0 + np.cumsum(rng.exponential(0.02, 2500))])
