@@ -142,21 +142,8 @@ class Placement:
         """
         geometry = self.geometry
         if tilt is None:
-            return nan if self.needs_tilt else geometry.sign * reading_m
+            return nan if needs_tilt(geometry) else geometry.sign * reading_m
         return float(geometry.heave_m(reading_m, tilt.roll_rad, tilt.pitch_rad))
-
-    def heaves_m(self, reading_m: Array, roll_rad: Array, pitch_rad: Array) -> Array:
-        """The same of many (n,), with nan for angles that are not known."""
-        known = np.isfinite(roll_rad)
-        level = self.geometry.sign * reading_m if not self.needs_tilt else np.full(len(reading_m), nan)
-        return np.where(known, self.geometry.heave_m(reading_m, roll_rad, pitch_rad), level)
-
-    @property
-    def needs_tilt(self) -> bool:
-        """Whether a reading says nothing of the heave without roll and pitch."""
-        forward, port = self.geometry.leans
-        at_m = hypot(self.geometry.forward_m, self.geometry.port_m)
-        return at_m > TUNING.lever_m or hypot(forward, port) > 0.0
 
     # --- where it is -------------------------------------------------------------------------------------------------
 
@@ -316,6 +303,18 @@ class Placement:
             across = f"{abs(port):.1f} m to {'port' if port > 0.0 else 'starboard'}"
             return f"laser: {hypot(forward, port):.1f} m from where it is configured ({ahead}, {across})"
         return ""
+
+
+def needs_tilt(geometry: Geometry) -> bool:
+    """Whether a reading says nothing of the heave without roll and pitch."""
+    forward, port = geometry.leans
+    return hypot(geometry.forward_m, geometry.port_m) > TUNING.lever_m or hypot(forward, port) > 0.0
+
+
+def heaves_m(geometry: Geometry, reading_m: Array, roll_rad: Array, pitch_rad: Array) -> Array:
+    """:meth:`Placement.heave_m` of many readings (n,), with nan for angles that are not known."""
+    level_m = np.full(len(reading_m), nan) if needs_tilt(geometry) else geometry.sign * reading_m
+    return np.where(np.isfinite(roll_rad), geometry.heave_m(reading_m, roll_rad, pitch_rad), level_m)
 
 
 def _within(std_m: float) -> float:
