@@ -254,6 +254,7 @@ class LaserLearning:
             observer.design_lead_s,
             has_true_gain=observer.has_true_gain,
             may_learn=not self.placement.is_open(t_s),
+            unsure=self.placement.unsure,
         )
         if is_learned:
             self.reference.rebase(self._output_t_s)

@@ -107,6 +107,7 @@ class Placement:
         is_off: whether they show it at another place than the configured one.
         is_known: whether they say well enough where it is.
         unknown_m: RMS of what they are moved by for all that is not known of it; nan before roll and pitch are.
+        unsure: twice the share of the heave that is not known of lever arms, in phase with it for as long as it lasts.
         changes: times that :attr:`geometry` has changed.
     """
 
@@ -127,7 +128,7 @@ class Placement:
         self._target = 0.0
         self._delayed: DelayedHeave | None = None
         self._push_s = -inf
-        self.unknown_m = nan
+        self.unknown_m, self.unsure = nan, 0.0
         self._tilt_std_rad = (0.0, 0.0)
         self._first_std_rad = 0.0
         """As they were known when the rows begin."""
@@ -222,6 +223,7 @@ class Placement:
         if self.is_known and not is_known:
             return  # There are few readings, or little sea: it was known better.
         self.unknown_m, self.is_known = hypot(placed_m, leaned_m), is_known
+        self.unsure = 2.0 * hypot(leaned_m, placed_m if is_elsewhere else 0.0) / max(heave_m, self._noise_std_m)
         self.is_off = is_elsewhere or (self.is_off and not is_known)
         if found is None:
             return
