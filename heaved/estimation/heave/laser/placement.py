@@ -84,6 +84,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
 TUNING: Final = Tuning()
 LEAST_STD_M: Final = 1e-3
 """No place is known better."""
+LEAST_ALONE: Final = 1e-6
+"""To divide by."""
 
 
 class LaserPlace(msgspec.Struct, frozen=True, kw_only=True):
@@ -212,10 +214,12 @@ class Placement:
     def _take(self, found: GeometryFit | None, rows: Array, heave_m: float, roll: float, pitch: float) -> None:
         """Decide what is known of the place; ``heave_m``, ``roll``, ``pitch``: standard deviations of the motion."""
         ahead_m, across_m = (inf, inf) if found is None else (found.foot_forward_std_m, found.foot_port_std_m)
-        at = self.configured.foot_m(0.0) if found is None else (found.foot_forward_m, found.foot_port_m)
+        is_elsewhere = found is not None and self._is_elsewhere(found, rows)
+        at = self.configured.foot_m(0.0)
+        if found is not None and is_elsewhere:
+            at = found.foot_forward_m, found.foot_port_m
         placed_m = hypot(_within(ahead_m) * pitch, _within(across_m) * roll)
         leaned_m = hypot(at[0] * self._tilt_std_rad[1], at[1] * self._tilt_std_rad[0])
-        is_elsewhere = found is not None and self._is_elsewhere(found, rows)
         as_configured, elsewhere, leaned = TUNING.known
         is_known = placed_m < max(self._noise_std_m, (elsewhere if is_elsewhere else as_configured) * heave_m)
         is_known = is_known and leaned_m < max(self._noise_std_m, leaned * heave_m)
@@ -237,14 +241,22 @@ class Placement:
 
     def _is_elsewhere(self, found: GeometryFit, rows: Array) -> bool:
         """Whether the gauge is not where it is configured."""
-        heave_m, velocity_mps, roll, pitch = np.maximum(np.std(rows[:, 2:6], axis=0), 1e-9).tolist()
+        heave_m, velocity_mps = np.maximum(np.std(rows[:, 2:4], axis=0), LEAST_STD_M).tolist()
         of_heave, of_scale, at_once = TUNING.like_heave
         share = of_heave + of_scale * hypot(found.scale - 1.0, found.late_s * velocity_mps / heave_m)
         share += at_once if self._delayed is None else 0.0
         forward, port = found.off_m(self.configured)
         off = max(
-            _errors(forward, found.foot_forward_std_m, max(TUNING.least_m, share * heave_m / pitch)),
-            _errors(port, found.foot_port_std_m, max(TUNING.least_m, share * heave_m / roll)),
+            _errors(
+                forward,
+                found.foot_forward_std_m,
+                max(TUNING.least_m, share * heave_m / max(found.foot_forward_alone, LEAST_ALONE)),
+            ),
+            _errors(
+                port,
+                found.foot_port_std_m,
+                max(TUNING.least_m, share * heave_m / max(found.foot_port_alone, LEAST_ALONE)),
+            ),
         )
         return off > (TUNING.back if self.is_off else TUNING.surely)
 
