@@ -165,6 +165,10 @@ class GeometryFit(msgspec.Struct, frozen=True, kw_only=True):
     foot_port_m: float
     foot_forward_std_m: float
     foot_port_std_m: float
+    foot_forward_alone: float
+    """RMS, in metres of heave per metre, of what moving the foot does that scale, lag and the others do not: in regular
+    waves next to nothing. Errors that go with the waves are off by their RMS over this."""
+    foot_port_alone: float
     forward_std_m: float
     """Of the gauge, with nothing known of its beam."""
     port_std_m: float
@@ -287,6 +291,8 @@ def _of(
         foot_port_m=value[PORT],
         foot_forward_std_m=found.std(FORWARD),
         foot_port_std_m=found.std(PORT),
+        foot_forward_alone=float(found.alone[FORWARD]),
+        foot_port_alone=float(found.alone[PORT]),
         forward_std_m=found.std_of(forward),
         port_std_m=found.std_of(port),
         up_std_m=found.std(UP),
@@ -407,6 +413,8 @@ class _Found(msgspec.Struct, frozen=True, eq=False):
     value: Array
     covariance: Array
     """(9, 9); inf on the diagonal: nothing is known of it."""
+    alone: Array
+    """(9,) RMS of the derivative of the heave by each of them that is not like the others."""
     residual_m: Array
     residual_rms_m: float
     independent: float
@@ -450,9 +458,11 @@ def _found(rows: _Rows, start: Geometry, value: Array, unknowns: tuple[int, ...]
     if independent < len(solved) + TUNING.least_left:
         return None
     unseen = independent / (independent - len(solved))
+    covariance, alone = _covariance(slopes, gamma)
     return _Found(
         value,
-        unseen * _covariance(slopes, gamma),
+        unseen * covariance,
+        alone / sqrt(n),
         residual,
         sqrt(float(gamma[0]) * unseen),
         independent,
@@ -477,10 +487,12 @@ def _correlated(series: Array, lags: int) -> Array:
     return found
 
 
-def _covariance(slopes: Array, gamma: Array) -> Array:
-    """Of least squares on ``slopes`` (n, 9) with errors of autocovariance ``gamma``: (X'X)^-1 X'GX (X'X)^-1."""
+def _covariance(slopes: Array, gamma: Array) -> tuple[Array, Array]:
+    """Of least squares on ``slopes`` (n, 9) with errors of autocovariance ``gamma``: (X'X)^-1 X'GX (X'X)^-1; and the
+    norm of what each of the slopes has that the others have not, (9,).
+    """
     n, lags = len(slopes), len(gamma)
-    covariance = np.full((9, 9), inf)
+    covariance, alone = np.full((9, 9), inf), np.zeros(9)
     sizes = np.linalg.norm(slopes, axis=0)
     told = np.flatnonzero(sizes > 1e-9 * n)
     X = slopes[:, told] / sizes[told]
@@ -491,11 +503,12 @@ def _covariance(slopes: Array, gamma: Array) -> Array:
     spread = np.fft.irfft(np.fft.rfft(X, long, axis=0) * np.fft.rfft(kernel)[:, None], long, axis=0)[:n]
     normal = X.T @ X
     if np.linalg.cond(normal) > 1e14:
-        return covariance
+        return covariance, alone
     inverse = np.linalg.solve(normal, np.eye(len(told)))
     found = inverse @ (X.T @ spread) @ inverse
     # No surer than if each average were independent of the next.
     short = np.maximum(gamma[0] * np.diag(inverse) - np.diag(found), 0.0) * (np.diag(found) <= 0.0)
     found[np.diag_indices_from(found)] += short
     covariance[np.ix_(told, told)] = found / np.outer(sizes[told], sizes[told])
-    return covariance
+    alone[told] = sizes[told] / np.sqrt(np.diag(inverse))
+    return covariance, alone

@@ -179,12 +179,14 @@ class LeadTracker:
         *,
         has_true_gain: bool = False,
         may_learn: bool = True,
+        unsure: float = 0.0,
     ) -> bool:
         """Take a comparison of the unshifted observer; False when it is not good enough to learn from.
 
         has_true_gain: the observer's amplitude is that of its sensor, so that a gain which the laser shows is the
         sensor's. (The harmonic observer has a gain of its own.) may_learn: whether it is known where the laser is; a
-        laser that shows something else than the heave is refused all the same.
+        laser that shows something else than the heave is refused all the same. unsure: share of the heave that the
+        laser's place may make of its own, steadily: what differs by no more from what is known is nothing to learn.
         """
         p = self._params
         self.last, self.refused = comparison, ""
@@ -195,13 +197,15 @@ class LeadTracker:
             return False
         measured = comparison.beyond(design_lead_s)
         weight = max(self._weight, 1.0 / (1.0 + self.updates))
-        self.learned_s += weight * (measured - self.learned_s)
+        if unsure == 0.0 or abs(measured - self.learned_s) * comparison.omega_radps > unsure:
+            self.learned_s += weight * (measured - self.learned_s)
         self.learned_std_s += weight * (comparison.lead_std_s - self.learned_std_s)
         self.updates += 1
         if has_true_gain and comparison.coherence > TUNING.gain_coherence and p.gain_limit > 0.0:
             shown = min(max(comparison.gain, 1.0 - p.gain_limit), 1.0 + p.gain_limit)
             weight = max(self._weight, 1.0 / (1.0 + self._gains))
-            self.gain += weight * (shown - self.gain)
+            if unsure == 0.0 or abs(shown - self.gain) > unsure:
+                self.gain += weight * (shown - self.gain)
             self.gain_std += weight * (comparison.gain_std - self.gain_std)
             self._gains += 1
         return True

@@ -19,7 +19,7 @@ from heaved.estimation.heave.laser import correction, lead, reference
 from heaved.estimation.heave.laser.correction import ResidualCorrection
 from heaved.estimation.heave.laser.error_scale import DelayedScale
 from heaved.estimation.heave.laser.lead import LeadTracker
-from heaved.estimation.heave.laser.placement import Placement
+from heaved.estimation.heave.laser.placement import Placement, heaves_m
 from heaved.estimation.heave.laser.reference import Reference
 from heaved.estimation.heave.laser.tilts import Tilts
 from heaved.samples import Fault, LaserSample
@@ -90,12 +90,10 @@ class LaserLearning:
         self.fault = Fault.NONE
         self._stuck = StuckDetector(must_live=True)
         self._waiting: deque[LaserSample] = deque(maxlen=TUNING.most_waiting)
-        self._compared = RingBuffer(int(comparison.window_s * max_rate_hz), 7)
-        """Time of a reading, the unshifted observer's heave and velocity then, the reading, roll and pitch or nan, and
-        the reading as heave, as it was taken then.
-        """
-        self._places = 0
-        """Of the gauge, until now."""
+        self._compared = RingBuffer(int(comparison.window_s * max_rate_hz), 6)
+        """Time of a reading, the unshifted observer's heave and velocity then, the reading, roll and pitch or nan."""
+        self._geometry = self.placement.geometry
+        """Of the gauge, as its readings have been taken until now."""
         self._is_tilt_missing = False
         self._output_t_s = nan
         self._read_t_s = self._used_t_s = -inf
@@ -148,7 +146,7 @@ class LaserLearning:
         self.placement.trust(self.tilts.std_rad)
         self.placement.push_delayed(observer.delayed)
         self.placement.look(t_s)
-        if self.placement.changes != self._places:
+        if self.placement.geometry is not self._geometry:
             self._move()
         if (aided := self._aided(observer)) is not None:
             self._remark = aided.aiding_remark(t_s)
@@ -184,9 +182,10 @@ class LaserLearning:
 
     def _move(self) -> None:
         """The gauge is taken to be elsewhere: its readings are others, as far back as they are kept."""
-        self._places = self.placement.changes
-        rows = self._compared.last(len(self._compared))
-        more_m = self.placement.heaves_m(rows[:, 3], rows[:, 4], rows[:, 5]) - rows[:, 6]
+        before, now = self._geometry, self.placement.geometry
+        self._geometry = now
+        rows = self._compared.last(len(self._compared))[:, 3:]
+        more_m = heaves_m(now, *rows.T) - heaves_m(before, *rows.T)
         known_m = more_m[np.isfinite(more_m)]
         by_m, spread_m = (float(np.mean(known_m)), float(np.std(known_m))) if len(known_m) else (0.0, 0.0)
         is_elsewhere = spread_m > TUNING.elsewhere * self.reference.reading_std_m
@@ -230,7 +229,7 @@ class LaserLearning:
         if verdict is not reference.Reading.ACCEPTED:
             return
         self.placement.push(t_s, sample.laser_m, heave_m, velocity_mps, tilt)
-        self._compared.push((t_s, heave_m, velocity_mps, sample.laser_m, *(tilt or UNTOLD), signed_m))
+        self._compared.push((t_s, heave_m, velocity_mps, sample.laser_m, *(tilt or UNTOLD)))
         if self.reference.is_known and self.reference.is_proven and not self._is_doubted:
             self.delayed.push(t_s, self.reference.value_m)
         if aided is not None:
@@ -248,13 +247,14 @@ class LaserLearning:
         if float(np.minimum(np.diff(rows[:, 0]), TUNING.longest_pause_s).sum()) < self._params.min_laser_s:
             return
         is_first = self.lead.updates == 0
-        signed_m = self.placement.heaves_m(rows[:, 3], rows[:, 4], rows[:, 5])
+        signed_m = heaves_m(self.placement.geometry, *rows[:, 3:].T)
         shown = lead.compare(rows[:, 0], rows[:, 1], rows[:, 2], signed_m, observer.omega_radps)
         is_learned = self.lead.update(
             shown,
             observer.design_lead_s,
             has_true_gain=observer.has_true_gain,
             may_learn=not self.placement.is_open(t_s),
+            unsure=self.placement.unsure,
         )
         if is_learned:
             self.reference.rebase(self._output_t_s)

@@ -84,6 +84,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
 TUNING: Final = Tuning()
 LEAST_STD_M: Final = 1e-3
 """No place is known better."""
+LEAST_ALONE: Final = 1e-6
+"""To divide by."""
 
 
 class LaserPlace(msgspec.Struct, frozen=True, kw_only=True):
@@ -107,6 +109,7 @@ class Placement:
         is_off: whether they show it at another place than the configured one.
         is_known: whether they say well enough where it is.
         unknown_m: RMS of what they are moved by for all that is not known of it; nan before roll and pitch are.
+        unsure: twice the share of the heave that is not known of lever arms, in phase with it for as long as it lasts.
         changes: times that :attr:`geometry` has changed.
     """
 
@@ -127,7 +130,7 @@ class Placement:
         self._target = 0.0
         self._delayed: DelayedHeave | None = None
         self._push_s = -inf
-        self.unknown_m = nan
+        self.unknown_m, self.unsure = nan, 0.0
         self._tilt_std_rad = (0.0, 0.0)
         self._first_std_rad = 0.0
         """As they were known when the rows begin."""
@@ -142,21 +145,8 @@ class Placement:
         """
         geometry = self.geometry
         if tilt is None:
-            return nan if self.needs_tilt else geometry.sign * reading_m
+            return nan if needs_tilt(geometry) else geometry.sign * reading_m
         return float(geometry.heave_m(reading_m, tilt.roll_rad, tilt.pitch_rad))
-
-    def heaves_m(self, reading_m: Array, roll_rad: Array, pitch_rad: Array) -> Array:
-        """The same of many (n,), with nan for angles that are not known."""
-        known = np.isfinite(roll_rad)
-        level = self.geometry.sign * reading_m if not self.needs_tilt else np.full(len(reading_m), nan)
-        return np.where(known, self.geometry.heave_m(reading_m, roll_rad, pitch_rad), level)
-
-    @property
-    def needs_tilt(self) -> bool:
-        """Whether a reading says nothing of the heave without roll and pitch."""
-        forward, port = self.geometry.leans
-        at_m = hypot(self.geometry.forward_m, self.geometry.port_m)
-        return at_m > TUNING.lever_m or hypot(forward, port) > 0.0
 
     # --- where it is -------------------------------------------------------------------------------------------------
 
@@ -224,10 +214,12 @@ class Placement:
     def _take(self, found: GeometryFit | None, rows: Array, heave_m: float, roll: float, pitch: float) -> None:
         """Decide what is known of the place; ``heave_m``, ``roll``, ``pitch``: standard deviations of the motion."""
         ahead_m, across_m = (inf, inf) if found is None else (found.foot_forward_std_m, found.foot_port_std_m)
-        at = self.configured.foot_m(0.0) if found is None else (found.foot_forward_m, found.foot_port_m)
+        is_elsewhere = found is not None and self._is_elsewhere(found, rows)
+        at = self.configured.foot_m(0.0)
+        if found is not None and is_elsewhere:
+            at = found.foot_forward_m, found.foot_port_m
         placed_m = hypot(_within(ahead_m) * pitch, _within(across_m) * roll)
         leaned_m = hypot(at[0] * self._tilt_std_rad[1], at[1] * self._tilt_std_rad[0])
-        is_elsewhere = found is not None and self._is_elsewhere(found, rows)
         as_configured, elsewhere, leaned = TUNING.known
         is_known = placed_m < max(self._noise_std_m, (elsewhere if is_elsewhere else as_configured) * heave_m)
         is_known = is_known and leaned_m < max(self._noise_std_m, leaned * heave_m)
@@ -235,6 +227,7 @@ class Placement:
         if self.is_known and not is_known:
             return  # There are few readings, or little sea: it was known better.
         self.unknown_m, self.is_known = hypot(placed_m, leaned_m), is_known
+        self.unsure = 2.0 * hypot(leaned_m, placed_m if is_elsewhere else 0.0) / max(heave_m, self._noise_std_m)
         self.is_off = is_elsewhere or (self.is_off and not is_known)
         if found is None:
             return
@@ -248,14 +241,22 @@ class Placement:
 
     def _is_elsewhere(self, found: GeometryFit, rows: Array) -> bool:
         """Whether the gauge is not where it is configured."""
-        heave_m, velocity_mps, roll, pitch = np.maximum(np.std(rows[:, 2:6], axis=0), 1e-9).tolist()
+        heave_m, velocity_mps = np.maximum(np.std(rows[:, 2:4], axis=0), LEAST_STD_M).tolist()
         of_heave, of_scale, at_once = TUNING.like_heave
         share = of_heave + of_scale * hypot(found.scale - 1.0, found.late_s * velocity_mps / heave_m)
         share += at_once if self._delayed is None else 0.0
         forward, port = found.off_m(self.configured)
         off = max(
-            _errors(forward, found.foot_forward_std_m, max(TUNING.least_m, share * heave_m / pitch)),
-            _errors(port, found.foot_port_std_m, max(TUNING.least_m, share * heave_m / roll)),
+            _errors(
+                forward,
+                found.foot_forward_std_m,
+                max(TUNING.least_m, share * heave_m / max(found.foot_forward_alone, LEAST_ALONE)),
+            ),
+            _errors(
+                port,
+                found.foot_port_std_m,
+                max(TUNING.least_m, share * heave_m / max(found.foot_port_alone, LEAST_ALONE)),
+            ),
         )
         return off > (TUNING.back if self.is_off else TUNING.surely)
 
@@ -316,6 +317,18 @@ class Placement:
             across = f"{abs(port):.1f} m to {'port' if port > 0.0 else 'starboard'}"
             return f"laser: {hypot(forward, port):.1f} m from where it is configured ({ahead}, {across})"
         return ""
+
+
+def needs_tilt(geometry: Geometry) -> bool:
+    """Whether a reading says nothing of the heave without roll and pitch."""
+    forward, port = geometry.leans
+    return hypot(geometry.forward_m, geometry.port_m) > TUNING.lever_m or hypot(forward, port) > 0.0
+
+
+def heaves_m(geometry: Geometry, reading_m: Array, roll_rad: Array, pitch_rad: Array) -> Array:
+    """:meth:`Placement.heave_m` of many readings (n,), with nan for angles that are not known."""
+    level_m = np.full(len(reading_m), nan) if needs_tilt(geometry) else geometry.sign * reading_m
+    return np.where(np.isfinite(roll_rad), geometry.heave_m(reading_m, roll_rad, pitch_rad), level_m)
 
 
 def _within(std_m: float) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from heaved.estimation.heave.laser.geometry import Geometry
-from heaved.estimation.heave.laser.placement import Placement
+from heaved.estimation.heave.laser.placement import Placement, heaves_m
 from heaved.estimation.heave.laser.tilts import Tilt
 from heaved.samples import DelayedHeave
 from heaved.simulate.gauge import AT_THE_IMU, Gauge
@@ -131,7 +131,7 @@ def test_readings_that_are_not_above_zero_are_no_distances() -> None:
 def test_many_readings_at_once_are_as_each() -> None:
     placement = Placement(Geometry(forward_m=4.0), NOISE_M)
     reading, roll, pitch = np.array([12.0, 12.5, 11.0]), np.array([0.1, math.nan, 0.0]), np.array([0.0, math.nan, 0.1])
-    found = placement.heaves_m(reading, roll, pitch)
+    found = heaves_m(placement.geometry, reading, roll, pitch)
     assert math.isnan(found[1])
     for i in (0, 2):
         assert found[i] == placement.heave_m(float(reading[i]), Tilt(float(roll[i]), float(pitch[i])))
