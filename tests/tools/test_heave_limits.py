@@ -7,7 +7,7 @@ from functools import cache, partial
 import numpy as np
 import pytest
 from evidence import scenarios
-from evidence.limits import causal_heave_limit, noncausal_heave_limit
+from evidence.limits import causal_heave_limit, drift_limit, noncausal_heave_limit
 from scipy.linalg import solve_toeplitz
 from scipy.signal import fftconvolve
 
@@ -110,3 +110,33 @@ def test_the_noise_of_a_sensor_is_what_its_records_have() -> None:
         band = (f >= low) & (f < high)
         found = np.mean(periodogram[band]) / np.mean(expected[band] * undone[band])
         assert found == pytest.approx(1.0, abs=4.0 / np.sqrt(np.sum(band)))
+
+
+def added_when_the_beginning_is_known(sea: str, rate_mps3: float) -> float:
+    """Integral of the mean square error that a drift adds, m2 s, for whoever knows its beginning: the conditional
+    variance of heave, with the ramp as one more column of unknown size in the covariance of the last 120 s of samples.
+    """
+    f, heave = grid(sea)
+    omega, weight = 2 * np.pi * f, np.full(f.size, f[1])
+    weight[[0, -1]] /= 2
+    count = round(120.0 * RATE_HZ)
+    waves = np.cos(np.outer(np.arange(count) / RATE_HZ, omega))
+    measured = waves @ (omega**4 * heave * weight)
+    measured[0] += NOISE_PSD * RATE_HZ / 2
+    wanted = waves @ (-(omega**2) * heave * weight)
+    best = solve_toeplitz(measured, wanted)
+    total = 0.0
+    for seconds in range(2, 100, 3):
+        ramp = np.maximum(seconds - np.arange(count) / RATE_HZ, 0.0)  # newest first
+        seen = float(ramp @ best)
+        total += 3.0 * seen**2 / (rate_mps3**-2 + float(ramp @ solve_toeplitz(measured, ramp)))
+    return total
+
+
+@pytest.mark.parametrize("sea", ["S4", "S6"])
+def test_a_drift_costs_more_when_nobody_knows_when_it_began(sea: str) -> None:
+    rate = 0.05 / 180.0
+    found, known = drift_limit(*grid(sea), NOISE_PSD, rate), added_when_the_beginning_is_known(sea, rate)
+    assert known < found.added_m2s < 8.0 * known
+    assert 0.0 < found.lies_s < 10.0
+    assert drift_limit(*grid(sea), NOISE_PSD, 1e-3 * rate).lies_s < 0.05

@@ -142,8 +142,12 @@ def test_every_disturbance_is_asked_about_and_nothing_twice() -> None:
         ("slams", {"ratio_to_limit": 0.6, "states": {}}, []),
         ("slams", {"published": 0.9}, ["silent 10 %"]),
         ("slams", {"coverage": 0.999}, ["covered 100 %"]),
-        ("warm-up", {"ratio_to_limit": 9.0}, []),
-        ("warm-up", {"share_of_sigma": 0.025, "lies": 1e-3}, ["error 2.5 %", "lies 1.0 ‰"]),
+        ("turn", {"ratio_to_limit": 9.0}, []),
+        ("turn", {"share_of_sigma": 0.025, "lies": 1e-3}, ["error 2.5 %", "lies 1.0 ‰"]),
+        ("warm-up", {"ratio_to_limit": 1.4, "share_of_sigma": 0.019}, []),
+        ("warm-up", {"ratio_to_limit": 1.4, "share_of_sigma": 0.021}, ["error 1.40 × the limit"]),
+        ("warm-up", {"lies": 2e-3, "limit_lies": 3e-3}, []),
+        ("warm-up", {"lies": 4e-3, "limit_lies": 3e-3}, ["lies 4.0 ‰"]),
     ],
 )
 def test_what_is_missed_is_said(what: str, changes: dict[str, object], expected: list[str]) -> None:

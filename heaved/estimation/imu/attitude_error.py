@@ -106,7 +106,7 @@ class AttitudeError:
         self._belief = attitude_fit.told(late_s)
         self.lean_per_s, self.late_s = self._belief.null
         self.covariance: Array = 0.5 * np.diag(np.square(self._belief.spread))
-        self._if_any: Array = np.array(self._belief.spread)
+        self._if_any: Array = np.hypot(self._belief.null, self._belief.spread)
         """Of the two, where they are not nothing: whoever wants the angles has one sensor, not the average of those
         that lean and those that do not."""
         self.noise: Noise | None = None

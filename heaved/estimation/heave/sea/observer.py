@@ -207,16 +207,18 @@ class SeaObserver:
     def _follow_drift(self, heave: SeaHeave, drift: DriftDetector, t_s: float, missed_s: float) -> None:
         """Whether the bias goes on in one direction, and the rate of that has to be a state; or is none any more."""
         f = heave.filter
+        if self._disturbances.step_s is not None:
+            # The record is cut there: what drifts on is another drift.
+            f.rate = None
+            drift.restart()
         if f.rate is not None:
-            if abs(f.rate.value) > DRIFT.none_within * sqrt(f.rate.V):
+            if f.gauge is None and abs(f.rate.value) > DRIFT.none_within * sqrt(f.rate.V):
                 self._drifted_s = t_s
-            elif t_s - self._drifted_s > DRIFT.none_for_s:
-                f.rate = None
+            elif f.gauge is not None or t_s - self._drifted_s > DRIFT.none_for_s:
+                f.rate = None  # A laser that aids holds the bias by itself.
                 self._record.end_drift(t_s)
                 self._disturbances.restart()
             return
-        if self._disturbances.step_s is not None:
-            drift.restart()
         for _ in range(min(round(missed_s / f.steady.dt_s), DRIFT.most_missed)):
             drift.push(0.0)
         drift.push(f.innovation / sqrt(f.innovation_variance) if heave.is_converged and not f.withheld else 0.0)
@@ -383,6 +385,7 @@ class SeaObserver:
             self._record.cut(self.t_s, self.t_s + TUNING.cut_s)
             if self._heave is not None:
                 self._heave.filter.open_bias()
+                self._heave.filter.rate = None
 
     def amend(self, t_s: Array, more_mps2: Array) -> None:
         """The past at ``t_s`` (n,) was measured too little by ``more_mps2`` (n,): it is looked at anew, soon."""
@@ -460,7 +463,7 @@ class SeaObserver:
         aided = None if old is None else old.filter.gauge
         P = np.frombuffer(fit.P).reshape(n, n).copy() if fit.P else None
         rate = None
-        if fit.rate is not None and old is not None and old.filter.rate is not None:
+        if fit.rate is not None and old is not None and old.filter.rate is not None and aided is None:
             walk_psd = walk_of(fit.rate[0]) ** 2
             rate = BiasRate(*fit.rate, np.frombuffer(fit.rate_covariance), walk_psd)
         heave = self._install(system, steady, fit.t_s, np.frombuffer(fit.x).copy(), P)

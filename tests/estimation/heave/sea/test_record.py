@@ -142,3 +142,23 @@ def test_a_clock_that_drifts_is_followed() -> None:
     made = even(t, signal(t))
     assert made.dt_s == pytest.approx(DT_S * 1.001, rel=1e-6)
     assert np.max(np.abs(made.a_mps2 - signal(grid_of(made)))) < 1e-4
+
+
+def test_a_drift_lasts_until_it_ends_or_the_level_is_another_one() -> None:
+    record = SeaRecord(300.0, 40.0, 20.0)
+    record.end_drift(5.0)
+    assert not record.drifts_s
+    record.begin_drift(100.0)
+    assert list(record.drifts_s) == [(100.0, np.inf)]
+    record.end_drift(160.0)
+    record.begin_drift(150.0)  # It had not ended, after all.
+    assert list(record.drifts_s) == [(100.0, np.inf)]
+    record.cut(200.0, 201.0)
+    assert list(record.drifts_s) == [(100.0, 200.0)]
+    record.begin_drift(190.0)  # What was before the step has nothing to do with what comes after.
+    assert list(record.drifts_s) == [(100.0, 200.0), (201.0, np.inf)]
+    record.end_drift(230.0)
+    record.begin_drift(520.0)
+    assert list(record.drifts_s) == [(201.0, 230.0), (520.0, np.inf)]
+    record.clear()
+    assert not record.drifts_s

@@ -133,6 +133,17 @@ def test_stamps_that_are_wrong_for_half_a_minute_on_a_hull_that_shakes_are_owned
     assert np.mean(run.std_m[run.t_s > 380.0]) < 0.06 * run.sigma_m
 
 
+def test_a_knock_while_a_sensor_warms_up_leaves_no_drift_behind() -> None:
+    """A step of the level ends what is known of the drift: what goes on after it is found anew, and fits go on."""
+    run = ran("S6", 20.0, added=lambda t: 2.8e-4 * np.clip(t - 320.0, 0.0, 120.0) + 0.3 * (t > 370.0))
+    assert run.observer.steps == 1
+    later = run.t_s >= 375.0
+    assert np.max(np.abs(run.error_m / run.std_m)[later]) < 6.0
+    assert np.sqrt(np.mean(run.error_m[run.t_s > 410.0] ** 2)) < 0.05 * run.sigma_m
+    assert run.observer.sea is not None
+    assert run.observer.sea.t_s > DURATION_S - 70.0
+
+
 @pytest.mark.parametrize(("sea", "seed"), [("S4", 3), ("SL", 3)])
 def test_a_poor_sensor_is_known_for_one(sea: str, seed: int) -> None:
     made = record(seaway(sea, seed, attitude=False), DURATION_S, sensor="C", laser="off", seed=seed)
