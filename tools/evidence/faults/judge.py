@@ -61,9 +61,9 @@ ATTITUDE_LIE_RAD: Final = radians(1.0)
 LAST_S: Final = 60.0
 WHOLE_FROM_S: Final = 120.0
 """What goes wrong from the first sample on, and all the time, is compared with the honest record from here on. Its
-error is another draw of what is as large: by minutes the ratio scatters by a seventh (S6, one row in 200 lost), over ten
-of them by a twentieth. What is over long before the last minute has the same error as the honest record there, and is
-compared by it alone."""
+error is another draw of what is as large: by minutes the ratio scatters by a seventh (S6, one row in 200 lost), over
+ten of them by a twentieth. What is over long before the last minute has the same error as the honest record there, and
+is compared by it alone."""
 HOLDS_S: Final = 20.0
 """A state counts as there again when it holds for so long: what is still valid before it is found out does not."""
 ENCODED_EVERY: Final = 10
