@@ -58,6 +58,8 @@ DISASTERS: dict[str, dict[Record, float | None]] = {
 """On which records, and by when the heave is to be valid again there, s after the end (of what is there from the first
 sample: after that); None: not asked here."""
 ROWS = [(name, record) for name, records in DISASTERS.items() for record in records]
+USABLE_AS_IT_IS = (("az_alone", ROUGH), ("az_alone", SHORT))
+"""Never more than degraded; which means that it may be used, with its deviation."""
 BY_CHANCE = 2
 ROWS_OF_AN_INSTANT = {"bursts": 4}
 
@@ -76,3 +78,10 @@ def test_nothing_that_is_published_is_wrong_and_the_heave_is_back_in_time(name: 
     assert found.largest_rock_deg < record.largest_deg
     if (within_s := DISASTERS[name][record]) is not None:
         assert found.valid_after_s <= within_s
+
+
+@pytest.mark.parametrize(("name", "record"), USABLE_AS_IT_IS, ids=[f"{n}, {r.sea}" for n, r in USABLE_AS_IT_IS])
+def test_what_is_degraded_is_right_within_its_deviation_too(name: str, record: Record) -> None:
+    found = run(Task(name=name, sea=record.sea, rate_hz=record.rate_hz, seed=record.seed, plan=PLAN))
+    assert found.off["heave"] + found.lies["heave"] <= BY_CHANCE
+    assert found.off["forecast"] + found.lies["forecast"] <= BY_CHANCE

@@ -57,6 +57,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """and so much time."""
     memory_s: float = 60.0
     """Of the share of lost samples."""
+    outage_s: float = 20.0
+    """Without any for so long there were none to be lost: once it is over, it says nothing of the line."""
     whole: float = 0.1
     """Intervals are whole numbers of the usual one when that is, in the mean, how far off they are."""
 
@@ -197,6 +199,8 @@ class Arrivals:
     def step(self, t_s: float) -> None:
         """A sample at ``t_s``, later than the last one."""
         stamps = self._stamps
+        if stamps and t_s - stamps[-1] > TUNING.outage_s:
+            stamps.clear()
         stamps.append(t_s)
         if t_s - stamps[0] >= TUNING.window_s and len(stamps) >= TUNING.first:
             self._judge(np.array(stamps))

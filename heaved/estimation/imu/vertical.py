@@ -11,6 +11,7 @@ from math import cos, inf, isfinite, nan
 from typing import TYPE_CHECKING, Final
 
 import msgspec
+import numpy as np
 
 from heaved.estimation.common.ring import History
 from heaved.estimation.common.sample_rate import Arrivals
@@ -45,11 +46,22 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Of that RMS."""
     tilt_seen_s: float = 20.0
     """Without an attitude, and with no memory of one, so much of a record shows how large it is."""
+    leans: float = 1.5
+    """Ships lean by so much of the slope of the waves, in a beam sea near their own period by more."""
+    tilt_said_s: float = 10.0
+    """So often it is said what noise that is."""
+    tilt_band_hz: float = 0.1
+    """Width of the spectrum of what leans, most: half of the power of its square is below that, falling in a straight
+    line (the spectrum of the square of a Gaussian of a rectangular one), the other half about twice its frequency."""
     tilt_lingers: float = 3.0
     """What tilt has done to the heave is gone after so many times as long as it was in the acceleration."""
 
 
 TUNING: Final = Tuning()
+TILT_HZ: Final = np.linspace(0.05, 0.95, 19) * TUNING.tilt_band_hz
+"""Where that is said,"""
+TILT_SHAPE: Final = (1.0 - TILT_HZ / TUNING.tilt_band_hz) / TUNING.tilt_band_hz
+"""and its density for a mean square of 1."""
 
 
 class VerticalAcceleration(msgspec.Struct, frozen=True, gc=False):
@@ -97,6 +109,7 @@ class Vertical:
         self._lingers_until_s = -inf
         self._tilt_square = 0.0
         """Mean square of what the tilt makes of the vertical acceleration."""
+        self._tilt_said_s = -inf
         self._across = _TiltAcross()
         self._level_bias = LevelBias()
         self._attitude_error = AttitudeError(attitude_late_s)
@@ -122,14 +135,14 @@ class Vertical:
         ax, ay, az = sample.ax_mps2, sample.ay_mps2, sample.az_mps2
         has_tilt = t_s - self._propagator.latest.t_s <= TUNING.attitude_hold_s and isfinite(ax + ay)
         if not has_tilt:
-            self._across.step(t_s, ax, ay)
+            self._across.step(t_s, ax, ay, az)
         is_of_another_kind = self._is_of_another_kind(t_s, has_tilt)
         if self.withheld:
             return None
         self.arrivals.step(t_s)
         if not self._tilt_removed:
             self._t_s = t_s
-            return VerticalAcceleration(t_s, az - GRAVITY_MPS2, is_of_another_kind)
+            return VerticalAcceleration(t_s, az - GRAVITY_MPS2, is_of_another_kind, noise=self._noise_of_tilt(t_s))
         lag_s = lag_s if lag_s >= TUNING.lag_s else 0.0
         roll, pitch = self._attitude_of_acceleration(t_s - lag_s)
         level_bias, propagator, error = self._level_bias, self._propagator, self._attitude_error
@@ -173,6 +186,13 @@ class Vertical:
         if self._across.seconds(t_s) >= TUNING.tilt_seen_s and not t_s - self._tilted_s < TUNING.tilt_memory_s:
             return self._across.square
         return self._tilt_square
+
+    def _noise_of_tilt(self, t_s: float) -> Noise | None:
+        """What a tilt that is not removed makes of the acceleration, when it is time to say so."""
+        if t_s - self._tilt_said_s < TUNING.tilt_said_s:
+            return None
+        self._tilt_said_s = t_s
+        return Noise(TILT_HZ, self._tilt_now_square(t_s) * TILT_SHAPE)
 
     def _note_tilt(self, t_s: float, tilt_mps2: float) -> None:
         """Keep what the tilt makes of the vertical acceleration."""
@@ -234,6 +254,10 @@ class _TiltAcross:
     across the mast. A tilt of the angle a shows g sin(a) there and takes g (1 - cos(a)) off the mast, which is the
     square of the former over 2 g; it is the variation of that which is taken for waves.
 
+    Where nothing is measured across, the vessel is held to lean by the slope of the waves, as ships do that are not
+    much longer than these: in deep water the surface has the slope of its vertical acceleration over g (Airy), so that
+    what is seen along the mast stands for what would be across.
+
     Attributes:
         square: its variance, (m/s2)2.
     """
@@ -241,24 +265,32 @@ class _TiltAcross:
     def __init__(self) -> None:
         self.square = 0.0
         self._mean = 0.0
+        self._upright = GRAVITY_MPS2
+        """Mean of what is measured along the mast."""
         self._t_s = self._since_s = nan
 
     def seconds(self, t_s: float) -> float:
         """For how long it has been seen without a pause."""
         return self._t_s - self._since_s if t_s - self._t_s <= TUNING.attitude_hold_s else 0.0
 
-    def step(self, t_s: float, x_mps2: float, y_mps2: float) -> None:
+    def step(self, t_s: float, x_mps2: float, y_mps2: float, z_mps2: float) -> None:
         """Take a sample; nan: there is none."""
-        if not isfinite(x_mps2 + y_mps2):
-            return
-        part = (x_mps2 * x_mps2 + y_mps2 * y_mps2) / (2.0 * GRAVITY_MPS2)
+        across_square = x_mps2 * x_mps2 + y_mps2 * y_mps2
+        if not isfinite(across_square):
+            if not isfinite(z_mps2):
+                return
+            across_square = (TUNING.leans * (z_mps2 - self._upright)) ** 2
+        part = across_square / (2.0 * GRAVITY_MPS2)
         elapsed_s = t_s - self._t_s
         self._t_s = t_s
         if not elapsed_s <= TUNING.attitude_hold_s:
             self._since_s, self._mean, self.square = t_s, part, 0.0
+            self._upright = z_mps2 if isfinite(z_mps2) else GRAVITY_MPS2
             return
         # At first the mean of what there is, later a fading one.
         share = elapsed_s / min(max(t_s - self._since_s, elapsed_s), TUNING.tilt_memory_s)
+        if isfinite(z_mps2):
+            self._upright += share * (z_mps2 - self._upright)
         off = part - self._mean
         self._mean += share * off
         self.square += share * (off * off - self.square)

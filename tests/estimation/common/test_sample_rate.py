@@ -113,3 +113,12 @@ def test_a_clock_follows_one_that_drifts() -> None:
         clock.advance(1)
         clock.correct(0.1001 * k - clock.tick_s)
     assert clock.period_s == pytest.approx(0.1001, rel=1e-6)
+
+
+def test_an_outage_that_is_over_is_no_share_of_lost_samples() -> None:
+    """A minute without samples, between two of a line that loses none."""
+    arrivals = Arrivals()
+    for k in range(2000):
+        arrivals.step(0.05 * k + (60.0 if k >= 1000 else 0.0))
+        assert arrivals.missing < 0.01
+    assert arrivals.period_s == pytest.approx(0.05)
