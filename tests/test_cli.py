@@ -321,6 +321,9 @@ def test_a_recording_of_a_daemon_is_replayed_and_exported(tmp_path: Path, capsys
     lines = capsys.readouterr().out.splitlines()
     assert (lines[0], len(lines)) == ("t_s,time,heave_m", 301)
     assert main(["export", str(tmp_path / "nowhere"), "-o", str(tmp_path / "out.csv")]) == 1
+    assert "there is no such file or directory" in capsys.readouterr().err
+    (tmp_path / "some.csv").write_text("t_s,az_mps2\n")
+    assert main(["export", str(tmp_path / "some.csv"), "-o", str(tmp_path / "out.csv")]) == 1
     assert "made by heaved replay" in capsys.readouterr().err
     (tmp_path / "empty").mkdir()
     for command in (["replay", str(tmp_path / "empty")], ["export", str(tmp_path / "empty"), "-o", "x.csv"]):
