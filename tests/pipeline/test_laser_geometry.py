@@ -68,8 +68,6 @@ def test_a_laser_that_is_elsewhere_is_named_and_never_makes_the_heave_worse(role
     assert place.ahead_m == pytest.approx(8.0 + 12.0 * math.tan(math.radians(1.0)), abs=0.5)
     assert place.port_m == pytest.approx(0.0, abs=0.2)
     assert all(is_named(frame) for frame in frames if frame.t_s > 150.0)
-    # Nothing of it is learned or published before it is known where it is.
-    assert all(frame.quality.laser is LaserState.STALE for frame in frames if 125.0 < frame.t_s < 130.0)
     assert error_m(frames, 60.0) < 1.05 * error_m(alone, 60.0)
     assert abs(pipe.laser.lead.learned_s) < 0.01
     assert frames[-1].quality.laser is LaserState.VALID

@@ -43,9 +43,10 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Standard errors by which the place must be another one,"""
     back: float = 1.5
     """and below which it is the configured one again."""
-    least_m: float = 0.1
-    """Nor is it another one that is no further off than hands measure,"""
-    like_heave: tuple[float, float, float] = (0.004, 0.1, 0.05)
+    least_m: tuple[float, float] = (0.1, 1.0)
+    """Nor is it another one that is no further off than hands measure, and so many metres times what scale and phase of
+    the heave are off by: a sensor that is no better is crooked, too,"""
+    like_heave: tuple[float, float, float] = (0.004, 0.3, 0.05)
     """or moves the reading by no more than such a share of the heave: what the delayed heave is off by goes with roll
     and pitch as the heave does; and that share of how far its scale and its phase are off, which then differ from wave
     to wave; and more, where there is a heave in real time alone."""
@@ -243,19 +244,21 @@ class Placement:
         """Whether the gauge is not where it is configured."""
         heave_m, velocity_mps = np.maximum(np.std(rows[:, 2:4], axis=0), LEAST_STD_M).tolist()
         of_heave, of_scale, at_once = TUNING.like_heave
-        share = of_heave + of_scale * hypot(found.scale - 1.0, found.late_s * velocity_mps / heave_m)
+        crooked = hypot(found.scale - 1.0, found.late_s * velocity_mps / heave_m)
+        least_m = TUNING.least_m[0] + TUNING.least_m[1] * crooked
+        share = of_heave + of_scale * crooked
         share += at_once if self._delayed is None else 0.0
         forward, port = found.off_m(self.configured)
         off = max(
             _errors(
                 forward,
                 found.foot_forward_std_m,
-                max(TUNING.least_m, share * heave_m / max(found.foot_forward_alone, LEAST_ALONE)),
+                max(least_m, share * heave_m / max(found.foot_forward_alone, LEAST_ALONE)),
             ),
             _errors(
                 port,
                 found.foot_port_std_m,
-                max(TUNING.least_m, share * heave_m / max(found.foot_port_alone, LEAST_ALONE)),
+                max(least_m, share * heave_m / max(found.foot_port_alone, LEAST_ALONE)),
             ),
         )
         return off > (TUNING.back if self.is_off else TUNING.surely)
