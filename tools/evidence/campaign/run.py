@@ -1,0 +1,322 @@
+"""A campaign: lives of the daemon, each with its faults, and the table of what came of them."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import random
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import msgspec
+
+from evidence.campaign import deviations, episodes
+from evidence.campaign.episodes import Episode
+from evidence.campaign.judge import Judge, Kept, Score, recorded
+from evidence.campaign.rig import QUICK, QUICK_TIMEOUT_S, Rig, can_mount, new_truth
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+SETTLES_S: Final = 180.0
+"""A daemon that has learned nothing yet is valid within this."""
+RECOVERS_S: Final = 1.0
+"""Fresh readings are published so soon after their device is back."""
+PATIENCE_S: Final = 15.0
+"""Waited for, for a recovery that is late."""
+VALID_PATIENCE_S: Final = 4.0
+"""Waited for valid heave before the next episode."""
+LOADED_S: Final = 0.5
+"""Granted beside all times, to a machine that has other things to do."""
+
+
+class Settings(msgspec.Struct, frozen=True):
+    """What to do."""
+
+    seed: int = 1
+    minutes: float = 20.0
+    sea: str = "S4"
+    only: tuple[str, ...] = ()
+    """Words; only episodes and lives that have one of them in their names."""
+    quick: tuple[str, ...] = tuple(QUICK)
+    with_page: bool = True
+    own_disk: bool = True
+    is_warm: bool = False
+    """The state of an earlier run is in the folder."""
+
+
+class Life(msgspec.Struct, frozen=True):
+    """One part of a campaign."""
+
+    name: str
+    share: float
+    """Of the time."""
+    serial: bool
+    offered: Callable[[Rig], list[Episode]]
+    kills: bool = False
+
+
+LIVES: Final = (
+    Life("IMU on TCP", 0.45, False, episodes.usual),
+    Life("IMU on a serial line", 0.3, True, episodes.usual),
+    Life("disk and descriptors", 0.15, False, episodes.costly),
+    Life("daemon killed", 0.1, False, episodes.usual, kills=True),
+)
+
+
+class LifeResult(msgspec.Struct, frozen=True, kw_only=True):
+    """What one part of a campaign has shown of the daemon as a whole."""
+
+    name: str
+    took_s: float
+    settled_s: float
+    exit_code: int
+    uses: list[tuple[float, float, int, int]]
+    """Seconds, MB, descriptors, threads."""
+    kept: list[Kept]
+    remarks: list[str]
+    lines: int
+    dropped: int
+
+
+class Found(msgspec.Struct, frozen=True, kw_only=True):
+    """What a campaign has found."""
+
+    scores: dict[str, Score]
+    lives: list[LifeResult]
+    failures: list[str]
+    took_s: float
+    events: int
+
+
+class Campaign:
+    """Runs lives of the daemon one after the other in one folder."""
+
+    def __init__(self, settings: Settings, folder: Path, say: Callable[[str], None] = lambda _text: None) -> None:
+        self._settings, self._folder, self._say = settings, folder, say
+        self._chance = random.Random(settings.seed)  # noqa: S311  # Seeded.
+        truth, self._begin_s = new_truth(settings.sea, settings.seed, 600.0 + 60.0 * settings.minutes)
+        self.truth = truth
+        self.judge = Judge(truth)
+        self.failures: list[str] = []
+        self._is_warm = settings.is_warm
+
+    async def run(self, lives: Sequence[Life] = LIVES) -> Found:
+        """All of them."""
+        started_s = time.monotonic()
+        only = self._settings.only
+        chosen = [life for life in lives if not only or any(word in life.name for word in only)] or list(lives)
+        whole = sum(life.share for life in chosen)
+        done = [await self._life(life, 60.0 * self._settings.minutes * life.share / whole) for life in chosen]
+        scores = {name: score for name, score in sorted(self.judge.scores.items()) if name != "none" or score.wrong}
+        for name, score in scores.items():
+            self.failures += [f"{name}: {what}" for what in (*score.not_survived[:3], *score.wrong[:3])]
+        return Found(
+            scores=scores, lives=done, failures=self.failures, took_s=time.monotonic() - started_s,
+            events=sum(score.events for score in scores.values()),
+        )  # fmt: skip
+
+    async def _life(self, life: Life, seconds: float) -> LifeResult:
+        own_disk = self._settings.own_disk and can_mount() and life.offered is episodes.costly
+        rig = Rig(
+            self._folder, self.truth, self.judge, self._chance, self._begin_s, serial=life.serial,
+            quick=self._settings.quick, with_page=self._settings.with_page, own_disk=own_disk,
+        )  # fmt: skip
+        self.judge.now = "none"
+        started_s, lines, dropped = time.monotonic(), self._lines(), self.judge.dropped
+        try:
+            await rig.open()
+            settled_s = await self.judge.valid_after(time.monotonic(), SETTLES_S)
+            self._say(f"{life.name}: valid after {settled_s:.1f} s")
+            if settled_s == inf:
+                self.failures.append(f"{life.name}: the heave was not valid within {SETTLES_S:g} s")
+            for slave in rig.quick:
+                # The readings of one of them are held against its clock.
+                values = () if slave.name == "crane" else deviations.VALUES
+                slave.behave(*deviations.BYTES, *values, share=0.9, most=3)
+            if life.kills:
+                await self._kill(rig, time.monotonic() + seconds)
+            else:
+                await self._episodes(rig, life, time.monotonic() + seconds)
+            for slave in rig.quick:
+                slave.behave()
+            rig.daemon.measure()
+            uses = [(use.t_s - started_s, use.rss_mb, use.descriptors, use.threads) for use in rig.daemon.uses]
+        finally:
+            code = await rig.close()
+        if code != 0:
+            self.failures.append(f"{life.name}: the daemon ended with exit code {code}")
+        self.failures += [f"{life.name}: {what}" for what in rig.daemon.ended]
+        kept, remarks = await asyncio.to_thread(recorded, rig.disk / "recordings", self._begin_s, 2.0 * QUICK_TIMEOUT_S)
+        self._check(life, kept)
+        result = LifeResult(
+            name=life.name, took_s=time.monotonic() - started_s, settled_s=settled_s, exit_code=code, uses=uses,
+            kept=kept, remarks=remarks, lines=self._lines() - lines, dropped=self.judge.dropped - dropped,
+        )  # fmt: skip
+        rig.release()
+        self._put_away(rig)
+        return result
+
+    def _put_away(self, rig: Rig) -> None:
+        """Each life has a recording of its own; the state stays, so that the next one starts warm."""
+        if (rig.disk / "recordings").is_dir():
+            (rig.disk / "recordings").rename(self._folder / f"recordings-{time.monotonic_ns()}")
+
+    def _lines(self) -> int:
+        return sum(score.lines for score in self.judge.scores.values())
+
+    def _check(self, life: Life, kept: Sequence[Kept]) -> None:
+        for run in kept:
+            if run.missing and life.offered is not episodes.costly:
+                self.failures.append(f"{life.name}: {run.missing} of {run.rows} rows are missing within the recording")
+            if run.wrong_readings:
+                self.failures.append(
+                    f"{life.name}: {run.wrong_readings} of {run.clock_readings} readings are not of their moment "
+                    f"({run.example})"
+                )
+
+    # ---- episodes ----------------------------------------------------------------------------------------------------
+
+    async def _episodes(self, rig: Rig, life: Life, until_s: float) -> None:
+        offered, only = life.offered(rig), self._settings.only
+        chosen = [one for one in offered if not only or any(word in one.name for word in only)] or offered
+        todo: list[Episode] = []
+        measured_s = 0.0
+        while time.monotonic() < until_s:
+            # Each as often as the others, in an order of chance.
+            todo = todo or self._chance.sample(chosen, len(chosen))
+            await self._episode(rig, todo.pop())
+            if rig.daemon.note_death(self.judge.now):
+                self.judge.scores[self.judge.now].not_survived.append("the daemon has ended")
+                await rig.daemon.start()
+            if time.monotonic() - measured_s > 5.0:
+                rig.daemon.measure()
+                measured_s = time.monotonic()
+
+    async def _episode(self, rig: Rig, episode: Episode) -> None:
+        judge = self.judge
+        judge.now = episode.name
+        score = judge.scores[episode.name]
+        score.episodes += 1
+        score.events += await episode.run(rig)
+        back_s = time.monotonic()
+        recovery_s = await judge.good_after(back_s, PATIENCE_S)
+        score.recovery_s = max(score.recovery_s, recovery_s)
+        if recovery_s > RECOVERS_S + LOADED_S:
+            last = judge.last
+            said = "; ".join(last.quality.reasons) if last is not None else "nothing"
+            score.not_survived.append(f"no fresh readings for {recovery_s:.2f} s after it was over ({said})")
+        if rig.page_has_ended:
+            score.not_survived.append("the page has ended")
+        score.valid_again_s = max(score.valid_again_s, await judge.valid_after(back_s, VALID_PATIENCE_S))
+        await asyncio.sleep(self._chance.uniform(0.0, 0.3))
+
+    # ---- kills -------------------------------------------------------------------------------------------------------
+
+    async def _kill(self, rig: Rig, until_s: float) -> None:
+        judge = self.judge
+        judge.now = name = "daemon killed"
+        score = judge.scores[name]
+        while time.monotonic() < until_s:
+            # The state is saved once a second and the recording written all the time: kills fall into both.
+            await asyncio.sleep(self._chance.uniform(1.0, 4.0))
+            await rig.daemon.kill()
+            score.events += 1
+            score.episodes += 1
+            killed_s = time.monotonic()
+            self._look_at_state(rig, score)
+            await rig.daemon.start()
+            listens_s = time.monotonic()
+            recovery_s = await judge.good_after(listens_s, PATIENCE_S)
+            score.recovery_s = max(score.recovery_s, recovery_s)
+            if recovery_s > RECOVERS_S + LOADED_S:
+                score.not_survived.append(f"no fresh readings for {recovery_s:.2f} s after it listened")
+            self._say(f"killed: listening after {listens_s - killed_s:.1f} s, readings {recovery_s:.2f} s later")
+            if self._chance.random() < 0.3:
+                score.valid_again_s = max(score.valid_again_s, await judge.valid_after(killed_s, 30.0))
+
+    def _look_at_state(self, rig: Rig, score: Score) -> None:
+        """Whatever the moment: an old state or a new one, whole."""
+        path = rig.disk / "state" / "state.json"
+        with suppress(FileNotFoundError):
+            try:
+                json.loads(path.read_bytes())
+            except ValueError as error:
+                score.not_survived.append(f"the state is torn: {error}")
+
+
+# ---- what came of it -------------------------------------------------------------------------------------------------
+
+
+def table(found: Found) -> str:
+    """As Markdown."""
+    rows = [
+        "| fault | events | episodes | survived | worst recovery, s | valid again, s | worst heave error, std | m | "
+        "roll, pitch, deg | valid lines |",
+        "|---|--:|--:|---|--:|--:|--:|--:|--:|--:|",
+    ]
+    for name, s in found.scores.items():
+        survived = "yes" if not s.not_survived and not s.wrong else f"**no** ({len(s.not_survived)}, {len(s.wrong)})"
+        figures = [f"{s.recovery_s:.2f}", _seconds(s.valid_again_s)] if s.episodes else ["", ""]
+        figures += [f"{s.worst_stds:.2f}", f"{s.worst_m:.3f}", f"{s.worst_angle_deg:.2f}"] if s.valid else [""] * 3
+        rows.append(
+            f"| {name} | {s.events} | {s.episodes} | {survived} | {' | '.join(figures)} | {s.valid}/{s.lines} |"
+        )
+    lines = [
+        f"{found.events} fault events in {found.took_s / 60.0:.1f} minutes "
+        f"({found.events / max(found.took_s, 1e-9):.0f} a second).",
+        "",
+        *rows,
+        "",
+    ]
+    for life in found.lives:
+        lines.append(
+            f"* {life.name}: {life.took_s:.0f} s, {life.lines} lines, valid after {life.settled_s:.0f} s. "
+            f"{_growth(life)}"
+        )
+        for run in life.kept:
+            polls = ", ".join(f"{name} {count}" for name, count in sorted(run.polls.items()))
+            lines.append(
+                f"  * recording: {run.rows} rows in {run.last_s - run.first_s:.0f} s, {run.missing} missing ({polls}); "
+                f"{run.clock_readings} clock readings, {run.wrong_readings} wrong, at most {run.latest_ms:.1f} ms off"
+            ) if len(life.kept) < 4 else None
+        if len(life.kept) >= 4:
+            lines.append(
+                f"  * {len(life.kept)} recordings, {sum(run.rows for run in life.kept)} rows, "
+                f"{sum(run.missing for run in life.kept)} missing within them, "
+                f"{sum(run.wrong_readings for run in life.kept)} of "
+                f"{sum(run.clock_readings for run in life.kept)} clock readings wrong"
+            )
+    lines += ["", *(f"* **failed**: {what}" for what in found.failures)]
+    return "\n".join(lines)
+
+
+def _seconds(value: float) -> str:
+    return f"> {VALID_PATIENCE_S:g}" if value == inf else f"{value:.2f}"
+
+
+def _growth(life: LifeResult) -> str:
+    """Memory, descriptors and threads from the first third to the last."""
+    uses = life.uses
+    if len(uses) < 6:
+        return ""
+    third = len(uses) // 3
+    early, late = uses[third], uses[-1]
+    highest = max(use[1] for use in uses)
+    return (
+        f"Memory {early[1]:.1f} MB after {early[0]:.0f} s, {late[1]:.1f} MB at the end (highest {highest:.1f}); "
+        f"descriptors {early[2]}, {late[2]}; threads {early[3]}, {late[3]}."
+    )
+
+
+def campaign(settings: Settings, say: Callable[[str], None], folder: Path | None = None) -> Found:
+    """Run one, in a folder of its own unless one is given."""
+    if folder is not None:
+        return asyncio.run(Campaign(settings, folder, say).run())
+    with tempfile.TemporaryDirectory(prefix="heaved-campaign-") as made:
+        return asyncio.run(Campaign(settings, Path(made), say).run())
