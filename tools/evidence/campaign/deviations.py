@@ -111,7 +111,8 @@ def wrong_function(asked: Asked, registers: list[int], sent: Sent, chance: rando
 
 
 def wrong_transaction(asked: Asked, registers: list[int], sent: Sent, chance: random.Random, _timeout_s: float) -> Sent:
-    number = (asked.transaction + chance.choice((-2, -1, 1, 7, 4711))) % 65536
+    """Never one that is still to come: where the slave is behind, that would be the right one."""
+    number = (asked.transaction + -chance.choice((1, 2, 7, 4711))) % 65536
     return [(_after_s(sent), asked.frame(asked.read(registers), transaction=number))]
 
 
@@ -121,11 +122,11 @@ def wrong_count(asked: Asked, registers: list[int], sent: Sent, chance: random.R
 
 
 def broken_crc(asked: Asked, _registers: list[int], sent: Sent, chance: random.Random, _timeout_s: float) -> Sent:
-    """A bit or two of a serial frame; of a TCP frame, which has no checksum of its own, of its header."""
+    """A bit or two of a serial frame; of a TCP frame, which has no checksum of its own, of protocol and length."""
     whole = bytearray(_whole(sent))
     if whole:
-        bits = 8 * (6 if asked.is_tcp else len(whole))
-        for bit in chance.sample(range(min(bits, 8 * len(whole))), chance.choice((1, 2))):
+        bits = range(16, 48) if asked.is_tcp else range(8 * len(whole))
+        for bit in chance.sample(bits, chance.choice((1, 2))):
             whole[bit // 8] ^= 1 << bit % 8
     return [(_after_s(sent), bytes(whole))]
 
@@ -148,22 +149,36 @@ def noise(_asked: Asked, _registers: list[int], sent: Sent, chance: random.Rando
 
 
 BYTES: Final = {
-    "silent": silent,
-    "late": late,
-    "truncated": truncated,
-    "in pieces": in_pieces,
-    "duplicated": duplicated,
+    "exception": exception,
     "wrong id": wrong_id,
     "wrong function": wrong_function,
     "wrong transaction": wrong_transaction,
     "wrong count": wrong_count,
     "CRC or header broken": broken_crc,
-    "exception": exception,
+    "duplicated": duplicated,
     "echo": echo,
     "noise": noise,
+    "truncated": truncated,
+    "in pieces": in_pieces,
+    "late": late,
+    "silent": silent,
 }
-"""Of the bytes. "wrong transaction" is of TCP alone."""
+"""Of the bytes, in the order in which they are put upon each other: what is cut off stands at the end, so that nothing
+is put into the readings of a TCP frame, which has no checksum."""
+_FRAMES: Final = ("exception", "wrong id", "wrong function", "wrong transaction", "wrong count")
+"""Another frame in place of the answer: one at a time."""
 FOR_TCP_ALONE: Final = ("wrong transaction",)
+BREAK_TCP: Final = ("CRC or header broken", "noise", "truncated", "in pieces", "silent")
+"""After which a TCP connection is made anew, which takes a quarter of a second."""
+
+
+def together(kinds: Sequence[str]) -> list[str]:
+    """Those of ``kinds`` that can be seen in one answer, in order."""
+    if "silent" in kinds:
+        return ["silent"]
+    frames = [kind for kind in kinds if kind in _FRAMES][:1]
+    values = [] if "exception" in frames else [kind for kind in kinds if kind in VALUES]
+    return values + [kind for kind in BYTES if kind in frames or (kind in kinds and kind not in _FRAMES)]
 
 
 # ---- of the values ---------------------------------------------------------------------------------------------------

@@ -48,6 +48,7 @@ def answers(device: str, kinds: Sequence[str], number: int = 1) -> Callable[[Rig
         slave = rig.slaves[device]
         chosen = rig.chance.sample(list(kinds), min(number, len(kinds)))
         slave.behave(*chosen, share=rig.chance.choice(SHARES), most=number)
+        rig.trace(f"  {slave}")
         await asyncio.sleep(lasts_s(rig, 2.5))
         slave.behave()
         return 0
@@ -207,8 +208,13 @@ async def disk_full(rig: Rig) -> int:
 
 
 async def disk_read_only(rig: Rig) -> int:
-    """As a file system that has found an error makes itself; one with open files refuses, then nothing is done."""
-    done = await asyncio.to_thread(rig.remount, writable=False)
+    """As a file system that has found an error makes itself. One with open files refuses: the recorder goes before."""
+    rig.daemon.kill_child("recorder")
+    done = False
+    for _ in range(40):
+        if done := await asyncio.to_thread(rig.remount, writable=False):
+            break
+        await asyncio.sleep(0.02)
     await asyncio.sleep(lasts_s(rig, 3.0))
     await asyncio.to_thread(rig.remount, writable=True)
     return int(done)

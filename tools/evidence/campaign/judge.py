@@ -26,10 +26,14 @@ if TYPE_CHECKING:
     from heaved.recorder.layout import Header
 
 MOST_STDS: Final = 4.0
+CLOCK_STEP_S: Final = 2e-3
+"""Of what the slaves' clocks say, and of the stamps in the recording."""
 BEYOND_M: Final = 30.0
 """No vessel heaves so far."""
 ANGLE_LIMIT_DEG: Final = 1.0
 """Roll and pitch now have no published standard deviation: that of an honest reading is 0.02 degrees here."""
+_NO_SAMPLES: Final = frozenset({"no samples"} | {fault.value for fault in Fault})
+"""What the daemon says of an IMU that has given nothing for a second."""
 _PREFIX: Final = b'{"class":"MOTION"'
 
 
@@ -54,7 +58,10 @@ class Line(msgspec.Struct):
     @property
     def is_of_a_sample(self) -> bool:
         """Whether fresh readings of the IMU are behind it."""
-        return not any(reason.startswith("imu: ") for reason in self.quality.reasons)
+        return not any(
+            reason.startswith("imu: ") and (reason.endswith(", extrapolated") or reason[5:] in _NO_SAMPLES)
+            for reason in self.quality.reasons
+        )
 
     @property
     def is_valid(self) -> bool:
@@ -86,8 +93,10 @@ class Judge:
         last: the newest line.
     """
 
-    def __init__(self, truth: Truth) -> None:
-        self._truth = truth
+    def __init__(self, truth: Truth, trace: Callable[[str], None] = lambda _text: None) -> None:
+        """``trace``: told of each change of state and reasons."""
+        self._truth, self.trace = truth, trace
+        self._said: tuple[object, ...] = ()
         self.scores: defaultdict[str, Score] = defaultdict(Score)
         self.now = "none"
         self.last: Line | None = None
@@ -121,6 +130,9 @@ class Judge:
         self.last = line
         if line.is_of_a_sample:
             self.last_good_s = max(self.last_good_s, line.mono_s)
+        if (said := (line.quality.heave, line.quality.laser, line.quality.reasons)) != self._said:
+            self._said = said
+            self.trace(f"  {line.mono_s:.3f} {line.quality.heave}: {'; '.join(line.quality.reasons)}")
         true = self._truth.at(line.mono_s)
         heave_m = abs(line.heave_m - true.heave_m)
         if isfinite(line.heave_m) and abs(line.heave_m) > BEYOND_M:
@@ -191,7 +203,8 @@ class Kept(msgspec.Struct, frozen=True):
 def recorded(directory: Path, begin_s: float, slack_s: float) -> tuple[list[Kept], list[str]]:
     """Each run in ``directory``, and what the reader has to remark.
 
-    ``begin_s``: when the clocks of the slaves were at zero; ``slack_s``: a reading may be so much off its moment.
+    ``begin_s``: when the clocks of the slaves were at zero; ``slack_s``: a reading may be so much younger than its
+    moment, never older.
     """
     try:
         found = open_recorded(directory, "samples")
@@ -217,7 +230,7 @@ def recorded(directory: Path, begin_s: float, slack_s: float) -> tuple[list[Kept
                     told_s = begin_s + 0.1 * sample.line_out_m  # 1 cm is 1 ms.
                     off_s = told_s - sample.t_s
                     latest_s = max(latest_s, abs(off_s))
-                    if not -1e-3 - slack_s <= off_s <= slack_s:
+                    if not -CLOCK_STEP_S <= off_s <= slack_s:  # Never of before it was asked for.
                         wrong += 1
                         example = f"{off_s * 1e3:.0f} ms off at {sample.t_s:.3f} s"
         missing = max(seqs) - min(seqs) + 1 - len(set(seqs)) if seqs else 0

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import time
+from math import inf
 from typing import TYPE_CHECKING, Final
 
 from evidence.campaign.process import DaemonProcess, free_port
@@ -23,8 +24,8 @@ if TYPE_CHECKING:
     from evidence.campaign.judge import Judge
 
 IMU_TIMEOUT_S: Final = 0.05
-QUICK_TIMEOUT_S: Final = 0.005
-QUICK_HZ: Final = 500.0
+QUICK_TIMEOUT_S: Final = 0.004
+QUICK_HZ: Final = 1000.0
 QUICK_SERIAL_HZ: Final = 100.0
 DISK_MB: Final = 256
 _CLOCK_PROFILE: Final = """[device.profile]
@@ -81,6 +82,10 @@ class Rig:
     def _count(self, kind: str) -> None:
         self.judge.scores[f"answer: {kind}"].events += 1
 
+    def trace(self, text: str) -> None:
+        """For whoever looks into what went wrong."""
+        self.judge.trace(text)
+
     @property
     def imu(self) -> TcpSlave | SerialSlave:
         """Its link."""
@@ -98,8 +103,14 @@ class Rig:
             RuntimeError, OSError: something does not start.
         """
         self.disk.mkdir(exist_ok=True)
-        if self.has_disk and not _mount("-t", "tmpfs", "-o", f"size={DISK_MB}m", "heaved-campaign", str(self.disk)):
-            self.has_disk = False
+        if self.has_disk:
+            # What was learned so far goes with us, so that the daemon starts warm.
+            state = self.disk / "state" / "state.json"
+            learned = state.read_bytes() if state.exists() else b""
+            self.has_disk = _mount("-t", "tmpfs", "-o", f"size={DISK_MB}m", "heaved-campaign", str(self.disk))
+            state.parent.mkdir(exist_ok=True)
+            if learned:
+                state.write_bytes(learned)
         for link in self.links.values():
             await link.open()
         (self.folder / "heaved.toml").write_text(self._configuration(), encoding="utf-8")
@@ -132,6 +143,25 @@ class Rig:
         """The disk is not wanted any more."""
         if self.has_disk:
             _run("umount", str(self.disk))
+
+    async def records(self, since_s: float, patience_s: float) -> bool:
+        """Wait until the daemon that runs has begun to record: a file of after ``since_s``, UTC."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(patience_s):
+                while not any(  # noqa: ASYNC110  # Files have no event.
+                    self._begun(path) >= since_s for path in (self.disk / "recordings").glob("*.arrows")
+                ):
+                    await asyncio.sleep(0.05)
+                return True
+        return False
+
+    @staticmethod
+    def _begun(path: Path) -> float:
+        try:
+            found = path.stat()
+        except OSError:
+            return -inf
+        return found.st_mtime if found.st_size else -inf
 
     @property
     def page_has_ended(self) -> bool:

@@ -9,7 +9,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from math import inf
+from math import inf, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -18,21 +18,26 @@ import msgspec
 from evidence.campaign import deviations, episodes
 from evidence.campaign.episodes import Episode
 from evidence.campaign.judge import Judge, Kept, Score, recorded
-from evidence.campaign.rig import QUICK, QUICK_TIMEOUT_S, Rig, can_mount, new_truth
+from evidence.campaign.rig import QUICK, Rig, can_mount, new_truth
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-SETTLES_S: Final = 180.0
-"""A daemon that has learned nothing yet is valid within this."""
 RECOVERS_S: Final = 1.0
 """Fresh readings are published so soon after their device is back."""
 PATIENCE_S: Final = 15.0
 """Waited for, for a recovery that is late."""
 VALID_PATIENCE_S: Final = 4.0
 """Waited for valid heave before the next episode."""
+BREAKING: Final = ("craft", "heave_sensor")
+"""Of the slaves that only answer."""
 LOADED_S: Final = 0.5
 """Granted beside all times, to a machine that has other things to do."""
+RECORDER_STARTS_S: Final = 30.0
+TAIL_S: Final = 1.0 + 2.0 * LOADED_S
+"""The last second may be missing from a recording."""
+SLAVE_HELD_UP_S: Final = 0.1
+"""So much later than it was asked may a reading be, since the slaves share that machine."""
 
 
 class Settings(msgspec.Struct, frozen=True):
@@ -46,8 +51,8 @@ class Settings(msgspec.Struct, frozen=True):
     quick: tuple[str, ...] = tuple(QUICK)
     with_page: bool = True
     own_disk: bool = True
-    is_warm: bool = False
-    """The state of an earlier run is in the folder."""
+    settles_s: float = 180.0
+    """A daemon that has learned nothing yet is valid within this; 0: valid heave is not waited for."""
 
 
 class Life(msgspec.Struct, frozen=True):
@@ -79,6 +84,8 @@ class LifeResult(msgspec.Struct, frozen=True, kw_only=True):
     uses: list[tuple[float, float, int, int]]
     """Seconds, MB, descriptors, threads."""
     kept: list[Kept]
+    tail_s: float
+    """The most that is not in a recording of what was before the daemon's end."""
     remarks: list[str]
     lines: int
     dropped: int
@@ -102,16 +109,19 @@ class Campaign:
         self._chance = random.Random(settings.seed)  # noqa: S311  # Seeded.
         truth, self._begin_s = new_truth(settings.sea, settings.seed, 600.0 + 60.0 * settings.minutes)
         self.truth = truth
-        self.judge = Judge(truth)
+        self._trace = (folder / "trace").open("w", encoding="utf-8", buffering=1)
+        self.judge = Judge(truth, lambda text: print(text, file=self._trace))
         self.failures: list[str] = []
-        self._is_warm = settings.is_warm
 
     async def run(self, lives: Sequence[Life] = LIVES) -> Found:
         """All of them."""
-        started_s = time.monotonic()
         only = self._settings.only
         chosen = [life for life in lives if not only or any(word in life.name for word in only)] or list(lives)
-        whole = sum(life.share for life in chosen)
+        with self._trace:
+            return await self._lives(chosen)
+
+    async def _lives(self, chosen: Sequence[Life]) -> Found:
+        started_s, whole = time.monotonic(), sum(life.share for life in chosen)
         done = [await self._life(life, 60.0 * self._settings.minutes * life.share / whole) for life in chosen]
         scores = {name: score for name, score in sorted(self.judge.scores.items()) if name != "none" or score.wrong}
         for name, score in scores.items():
@@ -128,19 +138,21 @@ class Campaign:
             quick=self._settings.quick, with_page=self._settings.with_page, own_disk=own_disk,
         )  # fmt: skip
         self.judge.now = "none"
+        ends_s: list[float] = []
         started_s, lines, dropped = time.monotonic(), self._lines(), self.judge.dropped
         try:
             await rig.open()
-            settled_s = await self.judge.valid_after(time.monotonic(), SETTLES_S)
-            self._say(f"{life.name}: valid after {settled_s:.1f} s")
-            if settled_s == inf:
-                self.failures.append(f"{life.name}: the heave was not valid within {SETTLES_S:g} s")
+            began_s = time.time()
+            settled_s = await self._settled(life.name)
+            await rig.records(began_s - RECORDER_STARTS_S, RECORDER_STARTS_S)
             for slave in rig.quick:
-                # The readings of one of them are held against its clock.
+                # Of one of them all readings are held against its clock; another breaks its connection again and again.
                 values = () if slave.name == "crane" else deviations.VALUES
-                slave.behave(*deviations.BYTES, *values, share=0.9, most=3)
+                breaks = slave.name in BREAKING
+                kinds = [one for one in deviations.BYTES if breaks or one not in deviations.BREAK_TCP]
+                slave.behave(*kinds, *values, share=0.95, most=4)
             if life.kills:
-                await self._kill(rig, time.monotonic() + seconds)
+                await self._kill(rig, time.monotonic() + seconds, ends_s)
             else:
                 await self._episodes(rig, life, time.monotonic() + seconds)
             for slave in rig.quick:
@@ -148,19 +160,32 @@ class Campaign:
             rig.daemon.measure()
             uses = [(use.t_s - started_s, use.rss_mb, use.descriptors, use.threads) for use in rig.daemon.uses]
         finally:
+            ends_s.append(time.monotonic())
             code = await rig.close()
         if code != 0:
             self.failures.append(f"{life.name}: the daemon ended with exit code {code}")
         self.failures += [f"{life.name}: {what}" for what in rig.daemon.ended]
-        kept, remarks = await asyncio.to_thread(recorded, rig.disk / "recordings", self._begin_s, 2.0 * QUICK_TIMEOUT_S)
-        self._check(life, kept)
+        kept, remarks = await asyncio.to_thread(recorded, rig.disk / "recordings", self._begin_s, SLAVE_HELD_UP_S)
+        tail_s = max((_tail_s(run, ends_s) for run in kept), default=nan)
+        self._check(life, kept, remarks, tail_s)
         result = LifeResult(
             name=life.name, took_s=time.monotonic() - started_s, settled_s=settled_s, exit_code=code, uses=uses,
-            kept=kept, remarks=remarks, lines=self._lines() - lines, dropped=self.judge.dropped - dropped,
+            kept=kept, tail_s=tail_s, remarks=remarks, lines=self._lines() - lines,
+            dropped=self.judge.dropped - dropped,
         )  # fmt: skip
         rig.release()
         self._put_away(rig)
         return result
+
+    async def _settled(self, name: str) -> float:
+        patience_s = self._settings.settles_s
+        if not patience_s:
+            return nan
+        settled_s = await self.judge.valid_after(time.monotonic(), patience_s)
+        self._say(f"{name}: valid after {settled_s:.1f} s")
+        if settled_s == inf:
+            self.failures.append(f"{name}: the heave was not valid within {patience_s:g} s")
+        return settled_s
 
     def _put_away(self, rig: Rig) -> None:
         """Each life has a recording of its own; the state stays, so that the next one starts warm."""
@@ -170,7 +195,11 @@ class Campaign:
     def _lines(self) -> int:
         return sum(score.lines for score in self.judge.scores.values())
 
-    def _check(self, life: Life, kept: Sequence[Kept]) -> None:
+    def _check(self, life: Life, kept: Sequence[Kept], remarks: Sequence[str], tail_s: float) -> None:
+        if not kept:
+            self.failures.append(f"{life.name}: nothing is recorded: {'; '.join(remarks)}")
+        if tail_s > TAIL_S:
+            self.failures.append(f"{life.name}: the last {tail_s:.1f} s before an end are not in the recording")
         for run in kept:
             if run.missing and life.offered is not episodes.costly:
                 self.failures.append(f"{life.name}: {run.missing} of {run.rows} rows are missing within the recording")
@@ -203,7 +232,9 @@ class Campaign:
         judge.now = episode.name
         score = judge.scores[episode.name]
         score.episodes += 1
+        judge.trace(f"{time.monotonic():.3f} {episode.name}")
         score.events += await episode.run(rig)
+        judge.trace(f"{time.monotonic():.3f} is over")
         back_s = time.monotonic()
         recovery_s = await judge.good_after(back_s, PATIENCE_S)
         score.recovery_s = max(score.recovery_s, recovery_s)
@@ -213,22 +244,24 @@ class Campaign:
             score.not_survived.append(f"no fresh readings for {recovery_s:.2f} s after it was over ({said})")
         if rig.page_has_ended:
             score.not_survived.append("the page has ended")
-        score.valid_again_s = max(score.valid_again_s, await judge.valid_after(back_s, VALID_PATIENCE_S))
+        if self._settings.settles_s:
+            score.valid_again_s = max(score.valid_again_s, await judge.valid_after(back_s, VALID_PATIENCE_S))
         await asyncio.sleep(self._chance.uniform(0.0, 0.3))
 
     # ---- kills -------------------------------------------------------------------------------------------------------
 
-    async def _kill(self, rig: Rig, until_s: float) -> None:
+    async def _kill(self, rig: Rig, until_s: float, ends_s: list[float]) -> None:
         judge = self.judge
         judge.now = name = "daemon killed"
         score = judge.scores[name]
         while time.monotonic() < until_s:
             # The state is saved once a second and the recording written all the time: kills fall into both.
-            await asyncio.sleep(self._chance.uniform(1.0, 4.0))
+            await asyncio.sleep(self._chance.uniform(0.0, 3.0))
             await rig.daemon.kill()
+            ends_s.append(time.monotonic())
             score.events += 1
             score.episodes += 1
-            killed_s = time.monotonic()
+            killed_s, killed_utc_s = time.monotonic(), time.time()
             self._look_at_state(rig, score)
             await rig.daemon.start()
             listens_s = time.monotonic()
@@ -237,7 +270,8 @@ class Campaign:
             if recovery_s > RECOVERS_S + LOADED_S:
                 score.not_survived.append(f"no fresh readings for {recovery_s:.2f} s after it listened")
             self._say(f"killed: listening after {listens_s - killed_s:.1f} s, readings {recovery_s:.2f} s later")
-            if self._chance.random() < 0.3:
+            await rig.records(killed_utc_s + 0.5, RECORDER_STARTS_S)
+            if self._chance.random() < 0.2:
                 score.valid_again_s = max(score.valid_again_s, await judge.valid_after(killed_s, 30.0))
 
     def _look_at_state(self, rig: Rig, score: Score) -> None:
@@ -248,6 +282,11 @@ class Campaign:
                 json.loads(path.read_bytes())
             except ValueError as error:
                 score.not_survived.append(f"the state is torn: {error}")
+
+
+def _tail_s(run: Kept, ends_s: Sequence[float]) -> float:
+    """How much is missing at the end of a run."""
+    return min((end_s - run.last_s for end_s in ends_s if end_s > run.last_s), default=0.0)
 
 
 # ---- what came of it -------------------------------------------------------------------------------------------------
@@ -283,12 +322,14 @@ def table(found: Found) -> str:
             polls = ", ".join(f"{name} {count}" for name, count in sorted(run.polls.items()))
             lines.append(
                 f"  * recording: {run.rows} rows in {run.last_s - run.first_s:.0f} s, {run.missing} missing ({polls}); "
+                f"the last {life.tail_s:.2f} s before the end are not in it; "
                 f"{run.clock_readings} clock readings, {run.wrong_readings} wrong, at most {run.latest_ms:.1f} ms off"
             ) if len(life.kept) < 4 else None
         if len(life.kept) >= 4:
             lines.append(
                 f"  * {len(life.kept)} recordings, {sum(run.rows for run in life.kept)} rows, "
-                f"{sum(run.missing for run in life.kept)} missing within them, "
+                f"{sum(run.missing for run in life.kept)} missing within them, at most the last {life.tail_s:.2f} s "
+                "before an end; "
                 f"{sum(run.wrong_readings for run in life.kept)} of "
                 f"{sum(run.clock_readings for run in life.kept)} clock readings wrong"
             )

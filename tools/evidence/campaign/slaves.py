@@ -60,6 +60,9 @@ class Slave:
         self.kinds, self.share, self.most = kinds, share, most
         self._values.thawed()
 
+    def __str__(self) -> str:
+        return f"{self.name}: {', '.join(self.kinds)}; {self.share:g} of the answers"
+
     def answer(self, asked: Asked, now_s: float) -> Sent:
         """What goes out on a read request."""
         self.requests += 1
@@ -87,7 +90,7 @@ class Slave:
         if not self.kinds or self._chance.random() >= self.share:
             return []
         number = self._chance.randint(1, min(self.most, len(self.kinds)))
-        return self._chance.sample(self.kinds, number) if number > 1 else [self._chance.choice(self.kinds)]
+        return deviations.together(self._chance.sample(self.kinds, number))
 
 
 class TcpSlave:
