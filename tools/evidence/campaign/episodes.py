@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
     from evidence.campaign.rig import Rig
 
-SHARES: Final = (0.02, 0.2, 0.5, 1.0)
-"""Of the answers that deviate."""
+SHARES: Final = (0.02, 0.1, 0.3, 1.0)
+"""Of the answers that deviate; of a frozen sensor all do."""
 
 
 class Episode(NamedTuple):
@@ -47,7 +47,8 @@ def answers(device: str, kinds: Sequence[str], number: int = 1) -> Callable[[Rig
     async def run(rig: Rig) -> int:
         slave = rig.slaves[device]
         chosen = rig.chance.sample(list(kinds), min(number, len(kinds)))
-        slave.behave(*chosen, share=rig.chance.choice(SHARES), most=number)
+        share = 1.0 if chosen == ["frozen"] else rig.chance.choice(SHARES)
+        slave.behave(*chosen, share=share, most=number)
         rig.trace(f"  {slave}")
         await asyncio.sleep(lasts_s(rig, 2.5))
         slave.behave()
@@ -251,9 +252,11 @@ def usual(rig: Rig) -> list[Episode]:
     """What is done to a daemon that lives through all of it, and loses nothing of its recording."""
     bytes_ = [kind for kind in deviations.BYTES if not (rig.serial and kind in deviations.FOR_TCP_ALONE)]
     found = [Episode(f"answer: {kind}", answers("imu", (kind,))) for kind in (*bytes_, *deviations.VALUES)]
+    # What is frozen is so for all of an episode: it does not go with others, of a share of the answers.
+    values = [kind for kind in deviations.VALUES if kind != "frozen"]
     found += [
-        Episode("answers of the IMU, combined", answers("imu", (*bytes_, *deviations.VALUES), 4)),
-        Episode("answers of the laser, combined", answers("laser", (*deviations.BYTES, *deviations.VALUES), 4)),
+        Episode("answers of the IMU, combined", answers("imu", (*bytes_, *values), 4)),
+        Episode("answers of the laser, combined", answers("laser", (*deviations.BYTES, *values), 4)),
         Episode("IMU silent", mute("imu", 2.0)),
         Episode("laser lost", mute("laser", 3.0)),
         Episode("laser: TCP reset", resets("laser")),
@@ -273,6 +276,20 @@ def usual(rig: Rig) -> list[Episode]:
     found += [Episode(f"clients of {place}", clients(place)) for place in PAYLOADS]
     found.append(Episode("combined", combined))
     return found
+
+
+def old_readings(_rig: Rig) -> list[Episode]:
+    """A gateway that serves its memory now and then, and now and then asks the sensor."""
+
+    async def run(rig: Rig) -> int:
+        slave = rig.slaves["imu"]
+        slave.behave("frozen", share=rig.chance.uniform(0.02, 0.7))
+        rig.trace(f"  {slave}")
+        await asyncio.sleep(lasts_s(rig, 2.5))
+        slave.behave()
+        return 0
+
+    return [Episode("old readings in between", run)]
 
 
 def costly(rig: Rig) -> list[Episode]:

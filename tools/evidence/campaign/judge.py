@@ -19,7 +19,7 @@ from heaved.recorder.read import open_recorded, rows_of
 from heaved.samples import CraneSample, Fault, HeaveState
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from evidence.campaign.truth import Truth
@@ -32,6 +32,8 @@ BEYOND_M: Final = 30.0
 """No vessel heaves so far."""
 ANGLE_LIMIT_DEG: Final = 1.0
 """Roll and pitch now have no published standard deviation: that of an honest reading is 0.02 degrees here."""
+GOES_ON_S: Final = 15.0
+"""What is wrong again within this has not been well between."""
 _NO_SAMPLES: Final = frozenset({"no samples"} | {fault.value for fault in Fault})
 """What the daemon says of an IMU that has given nothing for a second."""
 _PREFIX: Final = b'{"class":"MOTION"'
@@ -105,6 +107,8 @@ class Judge:
         self.last_valid_s = -inf
         """and of the newest valid one."""
         self.dropped = 0
+        self._wrong = "none", -inf
+        """Fault and moment of the last that was wrong."""
         self.connections = 0
         self._changed = asyncio.Event()
         self._decoder = msgspec.json.Decoder(Line)
@@ -125,6 +129,7 @@ class Judge:
 
     def _take(self, line: Line) -> None:
         score = self.scores[self.now]
+        before = len(score.wrong)
         self.dropped += line.dropped
         score.lines += 1
         self.last = line
@@ -152,11 +157,26 @@ class Judge:
                     f"roll and pitch {line.roll_deg:.2f} and {line.pitch_deg:.2f} degrees, where {true.roll_deg:.2f} "
                     f"and {true.pitch_deg:.2f} were true, at {line.mono_s:.2f} s"
                 )
-            score.worst_stds = max(score.worst_stds, stds)
-            score.worst_m = max(score.worst_m, heave_m)
+            if stds <= MOST_STDS or line.mono_s - self._wrong[1] > GOES_ON_S:
+                score.worst_stds = max(score.worst_stds, stds)
+                score.worst_m = max(score.worst_m, heave_m)
+            else:
+                begun = self.scores[self._wrong[0]]
+                begun.worst_stds = max(begun.worst_stds, stds)
+                begun.worst_m = max(begun.worst_m, heave_m)
             if isfinite(angle_deg):
                 score.worst_angle_deg = max(score.worst_angle_deg, angle_deg)
+        if len(score.wrong) > before:
+            self._blame(score, line.mono_s, score.wrong[before:])
         self._changed.set()
+
+    def _blame(self, score: Score, mono_s: float, wrong: Sequence[str]) -> None:
+        """What goes on being wrong is of the fault with which it began."""
+        name, last_s = self._wrong
+        self._wrong = (name if mono_s - last_s < GOES_ON_S else self.now), mono_s
+        if self._wrong[0] != self.now:
+            del score.wrong[-len(wrong) :]
+            self.scores[self._wrong[0]].wrong += wrong
 
     async def good_after(self, since_s: float, patience_s: float) -> float:
         """Seconds from ``since_s`` until a line told of fresh readings of after that; inf: none within the patience."""

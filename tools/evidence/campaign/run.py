@@ -27,7 +27,7 @@ RECOVERS_S: Final = 1.0
 """Fresh readings are published so soon after their device is back."""
 PATIENCE_S: Final = 15.0
 """Waited for, for a recovery that is late."""
-VALID_PATIENCE_S: Final = 4.0
+VALID_PATIENCE_S: Final = 6.0
 """Waited for valid heave before the next episode."""
 BREAKING: Final = ("craft", "heave_sensor")
 """Of the slaves that only answer."""
@@ -71,6 +71,7 @@ LIVES: Final = (
     Life("IMU on a serial line", 0.3, True, episodes.usual),
     Life("disk and descriptors", 0.15, False, episodes.costly),
     Life("daemon killed", 0.1, False, episodes.usual, kills=True),
+    Life("old readings in between", 0.05, False, episodes.old_readings),
 )
 
 
