@@ -292,13 +292,14 @@ def old_readings(_rig: Rig) -> list[Episode]:
     return [Episode("old readings in between", run)]
 
 
-def costly(rig: Rig) -> list[Episode]:
-    """What may cost rows of the recording, which the daemon then says."""
-    found = [
-        Episode("out of descriptors", out_of_descriptors),
-        Episode("no file may grow", file_size_limited),
-        Episode("recorder killed", child_killed("recorder")),
-    ]
+def starved(_rig: Rig) -> list[Episode]:
+    """What the recorder may lose a second by."""
+    return [Episode("out of descriptors", out_of_descriptors), Episode("recorder killed", child_killed("recorder"))]
+
+
+def unwritable(rig: Rig) -> list[Episode]:
+    """What costs rows of the recording until the disk is tried again, which the daemon says."""
+    found = [Episode("no file may grow", file_size_limited)]
     if rig.has_disk:
         found += [Episode("disk full", disk_full), Episode("disk read-only", disk_read_only)]
     return found

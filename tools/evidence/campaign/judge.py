@@ -206,6 +206,8 @@ class Kept(msgspec.Struct, frozen=True):
     rows: int
     missing: int
     """Calls between the first and the last that are not there."""
+    longest_gap_s: float
+    """Between two polls where some are missing between; 0: none are."""
     first_s: float
     last_s: float
     """Moments of the first and the last poll, monotonic."""
@@ -236,13 +238,17 @@ def recorded(directory: Path, begin_s: float, slack_s: float) -> tuple[list[Kept
         readings = wrong = rows = 0
         latest_s, first_s, last_s, example = 0.0, inf, -inf, ""
         seqs: list[int] = []
+        gap_s, before_s = 0.0, inf
         for hour in hours:
             for row in rows_of(hour):
                 rows += 1
+                is_gap = bool(seqs) and row.seq != seqs[-1] + 1
                 seqs.append(row.seq)
                 sample = row.sample
                 if sample is None:
                     continue
+                gap_s = max(gap_s, sample.t_s - before_s) if is_gap else gap_s
+                before_s = sample.t_s
                 counts[type(sample).__name__] += 1
                 first_s, last_s = min(first_s, sample.t_s), max(last_s, sample.t_s)
                 if isinstance(sample, CraneSample) and sample.fault is Fault.NONE and isfinite(sample.line_out_m):
@@ -260,6 +266,7 @@ def recorded(directory: Path, begin_s: float, slack_s: float) -> tuple[list[Kept
                 run=header.run,
                 rows=rows,
                 missing=missing,
+                longest_gap_s=gap_s,
                 first_s=first_s,
                 last_s=last_s,
                 polls=dict(counts),
