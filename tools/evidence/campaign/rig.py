@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from evidence.campaign.judge import Judge
 
 IMU_TIMEOUT_S: Final = 0.05
-QUICK_TIMEOUT_S: Final = 0.004
+QUICK_TIMEOUT_S: Final = 0.003
 QUICK_HZ: Final = 1000.0
 QUICK_SERIAL_HZ: Final = 100.0
 DISK_MB: Final = 256

@@ -33,6 +33,7 @@ class Slave:
         most: deviations of one answer.
         events: deviations injected, by name.
         requests: whole read requests that came.
+        bad_answers: answers that deviated, each in one way or several.
     """
 
     def __init__(
@@ -51,7 +52,7 @@ class Slave:
         self.kinds: tuple[str, ...] = ()
         self.share, self.most = 0.0, 1
         self.events: Counter[str] = Counter()
-        self.requests = 0
+        self.requests = self.bad_answers = 0
         self.is_mute = False
         self._values = deviations.Values()
 
@@ -75,6 +76,7 @@ class Slave:
         # Beside its readings a register holds nothing: some more are asked for after an answer was lost.
         registers = (held + [0] * 125)[offset : offset + asked.number]
         chosen = self._chosen()
+        self.bad_answers += bool(chosen)
         for kind in chosen:
             if kind in deviations.VALUES:
                 registers = self._values.turned(kind, registers, self._chance)
