@@ -75,7 +75,7 @@ class TcpPeer(asyncio.Protocol):
         connection = transport.get_extra_info("socket")
         _set_options(connection)
         self._transport.set_write_buffer_limits(high=0)
-        if connection.getsockname() == connection.getpeername():
+        if _is_to_itself(connection):
             # The system has given our end the very port that is tried, on which nobody listens.
             self.close(explain(self._link, ConnectionRefusedError()))
         elif why := self._admit(self):
@@ -159,6 +159,13 @@ class TcpPeer(asyncio.Protocol):
         self._heard_bytes += len(data)
         if self._heard_bytes > _MOST_HEARD_BYTES:
             self.close(f"{self._link} sends more than a megabyte a second: it is the wrong program, or the wrong port")
+
+
+def _is_to_itself(connection: socket.socket) -> bool:
+    try:
+        return bool(connection.getsockname() == connection.getpeername())
+    except OSError:  # It has gone again already, which the transport is about to find out.
+        return False
 
 
 def _set_options(connection: socket.socket) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
+import struct
 from typing import TYPE_CHECKING
 
 from output_peers import LINE, free_port, heard, kept, make_health, refuse_to_read, until, until_gone
@@ -63,6 +64,26 @@ async def test_every_reader_has_every_telegram_and_one_that_does_not_read_costs_
                 assert await heard(reads, 200) == LINE % count + LINE % 7
             assert stuck.fileno() >= 0
     assert health.connections == 4  # Listening is one.
+
+
+async def test_a_reader_that_has_gone_before_it_is_met_is_no_error() -> None:
+    sender, port = make_sender(make_health())
+    errors: list[dict[str, object]] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _loop, context: errors.append(context))
+    async with kept(sender):
+        await until(lambda: sender._is_listening)
+        for _ in range(10):
+            # The system takes it in our place and gives it up again, all before the loop looks: accept() still has it.
+            gone = socket.create_connection(("127.0.0.1", port))
+            gone.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            gone.close()
+        await until(lambda: sender._health.connections == 11)
+        with await connected(port) as client:
+            await until(lambda: sender.has_reader and len(sender._readers) == 1)
+            sender.send(LINE % 1)
+            assert await heard(client, 100) == LINE % 1
+        await until_gone(sender)
+    assert errors == []
 
 
 async def test_garbage_and_a_closed_side_are_no_reason_to_stop() -> None:

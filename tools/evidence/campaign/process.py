@@ -1,0 +1,182 @@
+"""The daemon's process, looked after as systemd would: started, started again, held up, limited, killed, measured."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import resource
+import signal
+import socket
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+if TYPE_CHECKING:
+    from asyncio.subprocess import Process
+
+STARTS_S: Final = 60.0
+STOPS_S: Final = 20.0
+_CHILDREN: Final = {
+    "recorder": b"heaved.recorder.serve",
+    "fitter": b"heaved.workers.fit_sea",
+    "trainer": b"heaved.workers.train_correction",
+}
+
+
+class Use(NamedTuple):
+    """What the daemon has at one moment; its children not included."""
+
+    t_s: float
+    rss_mb: float
+    descriptors: int
+    threads: int
+
+
+def free_port() -> int:
+    """A TCP port of 127.0.0.1 that nobody has now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+class DaemonProcess:
+    """``python -m heaved run``.
+
+    Attributes:
+        starts: so far.
+        ended: ends that nobody had asked for, in words.
+    """
+
+    def __init__(self, config: Path, log: Path) -> None:
+        self._config, self._log = config, log
+        self._process: Process | None = None
+        self._drain: asyncio.Task[None] | None = None
+        self.starts = 0
+        self.ended: list[str] = []
+        self.uses: list[Use] = []
+
+    @property
+    def pid(self) -> int:
+        """Of the process that runs."""
+        assert self._process is not None
+        return self._process.pid
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it has not ended."""
+        return self._process is not None and self._process.returncode is None
+
+    async def start(self) -> None:
+        """Returns once it listens.
+
+        Raises:
+            RuntimeError: it does not start.
+        """
+        with self._log.open("ab") as errors:
+            self._process = await asyncio.create_subprocess_exec(
+                sys.executable, "-m", "heaved", "run", "--config", str(self._config),
+                stdout=asyncio.subprocess.PIPE, stderr=errors, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+            )  # fmt: skip
+        self.starts += 1
+        stdout = self._process.stdout
+        assert stdout is not None
+        said = b""
+        with contextlib.suppress(TimeoutError):
+            said = await asyncio.wait_for(stdout.readline(), STARTS_S)
+        if not said:
+            raise RuntimeError(f"the daemon does not start; its log is {self._log}")
+        self._drain = asyncio.create_task(_drain(stdout), name="stdout")
+        self.uses.clear()
+
+    async def kill(self) -> None:
+        """SIGKILL, at once."""
+        assert self._process is not None
+        with contextlib.suppress(ProcessLookupError):
+            self._process.kill()
+        await self._process.wait()
+        await self._drained()
+
+    async def stop(self) -> int:
+        """SIGTERM; the exit code."""
+        assert self._process is not None
+        with contextlib.suppress(ProcessLookupError):
+            self._process.send_signal(signal.SIGCONT)
+            self._process.send_signal(signal.SIGTERM)
+        try:
+            code = await asyncio.wait_for(self._process.wait(), STOPS_S)
+        except TimeoutError:
+            await self.kill()
+            code = -signal.SIGKILL
+        await self._drained()
+        return code
+
+    async def _drained(self) -> None:
+        if self._drain is not None:
+            await self._drain
+
+    def note_death(self, during: str) -> bool:
+        """Whether it has ended by itself; noted."""
+        if self.is_running:
+            return False
+        assert self._process is not None
+        self.ended.append(f"{during}: exit code {self._process.returncode}")
+        return True
+
+    # ---- what is done to it ------------------------------------------------------------------------------------------
+
+    def signal(self, number: signal.Signals) -> None:
+        """To the daemon alone."""
+        os.kill(self.pid, number)
+
+    def children(self) -> dict[int, str]:
+        """Its children that are of the product, by process id: what they are."""
+        found = {}
+        with contextlib.suppress(OSError):
+            for task in Path(f"/proc/{self.pid}/task").iterdir():
+                for text in (task / "children").read_text().split():
+                    with contextlib.suppress(OSError):
+                        command = Path(f"/proc/{text}/cmdline").read_bytes()
+                        for name, module in _CHILDREN.items():
+                            if module in command:
+                                found[int(text)] = name
+        return found
+
+    def kill_child(self, name: str) -> int:
+        """SIGKILL to its children of that kind; how many there were."""
+        killed = 0
+        for pid, kind in self.children().items():
+            if kind == name:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+                    killed += 1
+        return killed
+
+    def limit(self, kind: int, soft: int | None) -> None:
+        """A soft limit of the daemon and of its recorder, None: as it was at the start."""
+        for pid in (self.pid, *(pid for pid, name in self.children().items() if name == "recorder")):
+            with contextlib.suppress(ProcessLookupError):
+                hard = resource.prlimit(pid, kind)[1]
+                resource.prlimit(pid, kind, (resource.getrlimit(kind)[0] if soft is None else soft, hard))
+
+    def descriptors(self) -> int:
+        """Open now."""
+        return sum(1 for _ in Path(f"/proc/{self.pid}/fd").iterdir())
+
+    # ---- what it uses ------------------------------------------------------------------------------------------------
+
+    def measure(self) -> None:
+        """Take note of what it uses now."""
+        with contextlib.suppress(OSError):
+            status = dict(
+                line.split(":", 1) for line in Path(f"/proc/{self.pid}/status").read_text().splitlines() if ":" in line
+            )
+            rss_mb = int(status["VmRSS"].split()[0]) / 1024.0
+            self.uses.append(Use(time.monotonic(), rss_mb, self.descriptors(), int(status["Threads"])))
+
+
+async def _drain(stdout: asyncio.StreamReader) -> None:
+    while await stdout.read(4096):
+        pass
