@@ -220,7 +220,7 @@ def _package(base: Path, name: str, version: str, python: tuple[int, int], out: 
             "Suggests: man-db",
         ]
     else:
-        control += [f"Depends: {depends}, heaved (= {version}), libgomp1"]
+        control += [f"Depends: {depends}, heaved (= {version})"]
     control += [f"Description: {DESCRIPTION[name]}"]
     _put(base, "DEBIAN/control", ("\n".join(control) + "\n").encode())
     if name == "heaved":
