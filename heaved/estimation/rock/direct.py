@@ -132,7 +132,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """With less missing than this it was one hole, and what was in it is known from both sides when ..."""
     whole_again_s: float = 0.5
     """... nothing has been missing for so long: then the lags tell more than the filter."""
-    rated_whole_again_s: float = 0.2
+    rated_whole_again_s: float = 0.15
     """The same where rates are given, which the filter does not know of: that many of them are looked at."""
     filled_s: float = 10.0
     """What the filter said of its errors fades within that time, for the lags hold what it has filled them with."""
