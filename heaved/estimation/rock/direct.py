@@ -114,7 +114,9 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """With less missing than this it was one hole, and what was in it is known from both sides when ..."""
     whole_again_s: float = 0.5
     """... nothing has been missing for so long: then the lags tell more than the filter."""
-    rated_whole_again_s: float = 0.2
+    learned_s: float = 120.0
+    """Before, regressions on 40 s of lags are so young that they make much of what little is wrong with these."""
+    rated_whole_again_s: float = 0.15
     """The same where rates are given, which the filter does not know of: that many of them are looked at."""
     filled_s: float = 10.0
     """What the filter said of its errors fades within that time, for the lags hold what it has filled them with."""
@@ -639,7 +641,9 @@ class DirectPredictor:
         elif measured:
             since = row - self._missed_row[c]
             missing_s = self._missing[c] * self._share_left(since) * self._interval_s
-            was_one = since * self._interval_s > self._whole_again_s and missing_s < TUNING.one_hole_s
+            is_whole = since * self._interval_s > self._whole_again_s
+            is_old = self._row_index * self._interval_s > TUNING.learned_s
+            was_one = is_whole and is_old and missing_s < TUNING.one_hole_s
             if was_one or missing_s < self._holes_s[1]:
                 self._left[c] = row, self._spread(c, self._curve_s)
                 self.holed.discard(c)

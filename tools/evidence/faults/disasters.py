@@ -399,7 +399,9 @@ DISASTERS: Final[dict[str, Disaster]] = {
         what="all polls fail for 10 s", deed=blank(IMU, 1.0), lasts_s=10.0, asked=Asked(within_s=20.0)
     ),
     "attitude_gone": Disaster(what="no angles for 60 s", deed=blank(ANGLES, 1.0), lasts_s=60.0),
-    "attitude_gone_150": Disaster(what="no angles for 150 s", deed=blank(ANGLES, 1.0), lasts_s=150.0),
+    "attitude_gone_150": Disaster(
+        what="no angles for 150 s", deed=blank(ANGLES, 1.0), lasts_s=150.0, asked=AS_A_START
+    ),
     "attitude_never": Disaster(what="no angles at all", deed=blank(ANGLES, 1.0), from_start=True, asked=HONEST),
     "az_alone": Disaster(
         what="nothing but the vertical acceleration",
