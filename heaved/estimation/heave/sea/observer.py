@@ -97,6 +97,8 @@ class SeaObserver:
         """Holds the same without the laser, when that is aiding: the smoother's weights are those without it."""
         self._candidates: tuple[Candidate, ...] = ()
         self._trial: Trial | None = None
+        self._before = SavedObserver()
+        """What the trial began with."""
         self._down_sampler = DownSampler()
         self._disturbance: tuple[Array, Array] | None = None
         self._mistakes = Mistakes()
@@ -268,6 +270,7 @@ class SeaObserver:
         if self._heave is None:
             self._trial = None
             return
+        self._before = msgspec.structs.replace(saved, sea=self.model)
         f, known = self._heave.filter, None
         if saved.bias_mps2 is not None and age_s <= TRUST.bias_serves_s:
             walked = f.system.model.bias_walk_psd * age_s
@@ -646,7 +649,9 @@ class SeaObserver:
     def saved(self) -> SavedObserver:
         """The model in use and the bias that was found with it, for a restart to begin with."""
         heave = self._heave
-        if heave is None or self._trial is not None or not heave.is_converged or heave.filter.rate is not None:
+        if self._trial is not None:
+            return self._before
+        if heave is None or not heave.is_converged or heave.filter.rate is not None:
             return SavedObserver(sea=self.model)  # A bias that goes on drifting will be another.
         return SavedObserver(
             sea=self.model,
