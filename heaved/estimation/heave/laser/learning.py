@@ -110,7 +110,11 @@ class LaserLearning:
 
     def std_scale(self, t_s: float) -> float:
         """What the laser says about the observer's standard deviation; nothing where that is made from it."""
-        return 1.0 if self._is_aiding else self.reference.scale.at(t_s)
+        if self._is_aiding:
+            return 1.0
+        scale = self.reference.scale.at(t_s)
+        # What agrees with it is right wherever the gauge is; what does not may be so by the gauge's place.
+        return min(scale, 1.0) if self.placement.is_open(t_s) else scale
 
     def is_fresh(self, t_s: float) -> bool:
         """Whether there is a reading young enough to be published, of a laser that shows the heave."""
@@ -217,9 +221,7 @@ class LaserLearning:
             return
         self._used_t_s = t_s
         aided = self._aided(observer)
-        is_open = self.placement.is_open(t_s)
-        modelled_std_m = nan if is_open else observer.error_std_m(0.0)
-        verdict = self.reference.step(t_s, signed_m, published_m, modelled_std_m)
+        verdict = self.reference.step(t_s, signed_m, published_m, observer.error_std_m(0.0))
         if verdict is reference.Reading.NEW_TARGET:
             self._compared.clear()
             self.placement.retarget()
