@@ -32,7 +32,7 @@ Quantity = Literal[
     "temperature_c", "signal", "device_time_s",
 ]  # fmt: skip
 Role = Literal["imu", "laser", "imu2", "craft", "heave_sensor", "pitch_sensor", "crane", "reference_mru"]
-Name = Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9_.-]{1,64}$")]
+Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]
 
 
 class Field(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
