@@ -417,9 +417,8 @@ def http(data: bytes) -> None:
     if path == "/events":
         return  # Has no end.
     own = is_own_host(host, ("crane",))
-    _hold(
-        not own or host.lower().rstrip(".").startswith("crane") or ":" in host or "." in host or "local" in host, host
-    )
+    plain = host.lower()
+    _hold(not own or plain.startswith(("crane", "localhost")) or ":" in plain or "." in plain, f"{host} is not ours")
     request: Any = SimpleNamespace(method=method, path=path, host=host, headers={"Host": host})
     for server in (_http_server(), _page_server()):
         answering = server._answer(request).__await__()
