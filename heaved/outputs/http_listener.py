@@ -16,7 +16,7 @@ from aiohttp.http_exceptions import HttpProcessingError
 
 from heaved.networks import is_allowed
 from heaved.outputs.listen import Listener
-from heaved.outputs.shares import TOO_MANY, Shares
+from heaved.outputs.shares import TOO_FAST, TOO_MANY, Shares
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -58,7 +58,9 @@ class HttpListener:
         """
         self._networks, self._refusal = networks, refusal
         self._most, self._answer, self._complain = most, answer, complain
-        self._listener = Listener(section, host, port, self._admit)
+        self._listener = Listener(
+            section, host, port, self._admit, lambda _address, message: complain(TOO_FAST, message)
+        )
         self._server: _BoundedServer | None = None
         self._refused: set[_Refusal] = set()
 

@@ -13,6 +13,7 @@ import asyncio
 import errno
 import socket
 import time
+from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, Final, cast
 
@@ -37,7 +38,7 @@ from heaved.outputs.modbus_frames import (
 from heaved.outputs.output import OutputHealth
 from heaved.outputs.register_map import Mode, RegisterMap, RegistersParams
 from heaved.outputs.register_push import RegisterPush
-from heaved.outputs.shares import TOO_MANY, Shares
+from heaved.outputs.shares import TOO_FAST, TOO_MANY, Shares
 from heaved.serial_port import SerialPort
 from heaved.text import printable
 
@@ -153,7 +154,10 @@ class TcpRegisters:
     async def run(self) -> None:
         """Listen, for ever: again when the address could not be had."""
         while True:
-            listener = Listener("registers", self._link.host, self._link.port, lambda peer: _Connection(self, peer))
+            listener = Listener(
+                "registers", self._link.host, self._link.port, lambda peer: _Connection(self, peer),
+                partial(self.complain, TOO_FAST),
+            )  # fmt: skip
             try:
                 self.address = await listener.start()
                 self.health.up()

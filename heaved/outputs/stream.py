@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from functools import partial
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import structlog
@@ -17,7 +18,7 @@ from heaved.networks import checked_networks, is_allowed
 from heaved.outputs import wire
 from heaved.outputs.listen import Listener
 from heaved.outputs.records import ErrorRecord, StatusRecord, VersionRecord
-from heaved.outputs.shares import TOO_MANY, Shares
+from heaved.outputs.shares import TOO_FAST, TOO_MANY, Shares
 from heaved.outputs.subscriber import Subscriber
 from heaved.samples import CraftMotion, DelayedHeave, HullAngles, MotionFrame, MruComparison, SeaState
 
@@ -82,7 +83,9 @@ class Publisher:
         self._metrics = metrics
         self._utc_s = utc_s
         self._networks = checked_networks("stream", host, allow)
-        self._listener = Listener("stream", host, port, lambda address: Subscriber(self, address))
+        self._listener = Listener(
+            "stream", host, port, lambda address: Subscriber(self, address), partial(self.refusal, TOO_FAST)
+        )
         self._max_clients = max_clients
         self._shares = Shares(max_clients)
         self._version = version

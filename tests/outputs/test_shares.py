@@ -22,7 +22,7 @@ from heaved.outputs.output import OutputHealth
 from heaved.outputs.register_map import RegisterMap, RegistersParams
 from heaved.outputs.registers import MAX_CONNECTIONS, TcpRegisters
 from heaved.outputs.senders.tcp_listen import MOST_READERS, TcpListenSender
-from heaved.outputs.shares import TOO_MANY, Shares
+from heaved.outputs.shares import BURST, TOO_FAST, TOO_MANY, Arrivals, Shares
 from heaved.page.server import MOST_VIEWERS, PageServer
 
 if TYPE_CHECKING:
@@ -74,6 +74,23 @@ def test_what_was_given_back_is_forgotten() -> None:
     assert not parts._taken
 
 
+def test_how_fast_one_address_may_connect() -> None:
+    arrivals = Arrivals()
+    assert [arrivals.admits("10.0.0.1", 5.0) for _ in range(60)] == [True] * 40 + [False] * 20
+    assert arrivals.admits("10.0.0.2", 5.0)
+    assert all(arrivals.admits("127.0.0.1", 5.0) for _ in range(1000))
+    # For long: ten a second, however often it is tried.
+    assert 99 <= sum(arrivals.admits("10.0.0.1", 5.0 + 0.01 * k) for k in range(1, 1001)) <= 101
+    assert [arrivals.admits("10.0.0.1", 100.0) for _ in range(41)] == [True] * 40 + [False]
+
+
+def test_of_who_connects_little_is_kept() -> None:
+    arrivals = Arrivals()
+    for number in range(10_000):
+        assert arrivals.admits(f"10.0.{number >> 8}.{number & 255}", 0.0)
+    assert len(arrivals._full_s) == 1024
+
+
 # ---- on each port ----------------------------------------------------------------------------------------------------
 
 
@@ -122,6 +139,22 @@ async def test_the_stream(serve: Serve, reach: Reach) -> None:
     await until(lambda: served.publisher.clients == 4)
     again, _ = await reach(address, HOG)
     assert b"VERSION" in await again.readline()
+
+
+@pytest.mark.usefixtures("loopback_is_elsewhere")
+async def test_who_connects_again_and_again_is_not_let_in_and_others_are(
+    serve: Serve, reach: Reach, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shares, "RATE_HZ", 1e-3)  # On however slow a machine.
+    served = await serve(max_clients=1024)
+    address = (served.host, served.port)
+    with capture_logs() as logs:
+        while not served.counts.errors[TOO_FAST]:
+            await reach(address)
+    assert served.publisher.clients == BURST
+    assert {line["alike"] for line in logs if line["log_level"] == "warning"} == {TOO_FAST}
+    other, _ = await reach(address, OTHER)
+    assert b"VERSION" in await other.readline()
 
 
 @asynccontextmanager

@@ -62,7 +62,10 @@ class TcpListenSender:
     async def run(self) -> None:
         """Listen; as long as that fails, try again."""
         pause_s = FIRST_PAUSE_S
-        listener = Listener(f"output {self._health.name}", self._link.host, self._link.port, self._make_reader)
+        listener = Listener(
+            f"output {self._health.name}", self._link.host, self._link.port, self._make_reader,
+            partial(self._say, "reader of an output refused"),
+        )  # fmt: skip
         try:
             while True:
                 try:
