@@ -20,7 +20,7 @@ TOO_MANY: Final = "too_many_of_one_address"
 BURST: Final = 40
 """So many connections one address may make at once, with a browser that opens six for each of its tabs, ..."""
 RATE_HZ: Final = 10.0
-"""... and so many a second for long. To let one in takes the loop some 0.3 ms."""
+"""... and so many a second for long. To let one in takes the loop some 0.1 ms, and a hundred may come at once."""
 TOO_FAST: Final = "too_fast"
 """Reason under which it is counted."""
 _MOST_KNOWN: Final = 1024

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import struct
 from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -250,6 +252,72 @@ async def test_browsers(reach: Reach) -> None:
     await until(lambda: not server.hub.viewers)
     assert not server._shares._taken
     await server.close()
+
+
+# ---- who has gone again before it is looked at -----------------------------------------------------------------------
+
+
+def come_and_gone(address: tuple[str, int], times: int = 20) -> None:
+    """Connections that are reset while they wait to be let in: the loop does not run meanwhile."""
+    for _ in range(times):
+        with socket.create_connection(address) as one:
+            one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+
+
+def descriptors() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+@asynccontextmanager
+async def nothing_lost() -> AsyncIterator[None]:
+    """No exception that nobody takes, and as many descriptors as before."""
+    faults = list[dict[str, Any]]()
+    loop = asyncio.get_running_loop()
+    loop.set_exception_handler(lambda _loop, context: faults.append(context))
+    before = descriptors()
+    yield
+    await until(lambda: descriptors() <= before)
+    assert not faults
+
+
+@pytest.mark.parametrize("max_clients", [1, 64])
+async def test_the_stream_forgets_them(serve: Serve, reach: Reach, max_clients: int) -> None:
+    """Also where there is no room: they would be told so."""
+    served = await serve(max_clients=max_clients)
+    address = (served.host, served.port)
+    reader, _ = await reach(address)
+    assert b"VERSION" in await reader.readline()
+    async with nothing_lost():
+        come_and_gone(address)
+        last, writer = await reach(address)  # Comes after them.
+        await last.readline()
+        assert max_clients > 1 or served.counts.errors["too_many_clients"] == 21
+        writer.transport.abort()
+    await until(lambda: served.publisher.clients == 1 and not served.publisher._lingering)
+
+
+@pytest.mark.parametrize("is_allowed", [True, False])
+async def test_http_forgets_them(reach: Reach, monkeypatch: pytest.MonkeyPatch, is_allowed: bool) -> None:
+    monkeypatch.setattr(http_listener, "is_allowed", lambda _address, _networks: is_allowed)
+    async with metrics_of(Counter()) as address, nothing_lost():
+        come_and_gone(address)
+        reader, writer = await reach(address)  # Comes after them.
+        writer.write(ASKED)
+        assert (b" 200 " if is_allowed else b" 403 ") in await reader.readline()
+        writer.close()
+
+
+async def test_readers_of_telegrams_are_forgotten() -> None:
+    health = OutputHealth("tss1", "TSS1", "tcp-listen://127.0.0.1:0")
+    sender = TcpListenSender(TcpListenLink("127.0.0.1", free_port()), health)
+    running = asyncio.create_task(sender.run())
+    await until(lambda: health.is_up)
+    async with nothing_lost():
+        come_and_gone(("127.0.0.1", sender._link.port))
+        await until(lambda: health.connections >= MOST_READERS)
+    await until(lambda: not sender._readers)
+    running.cancel()
+    await asyncio.wait([running])
 
 
 # ---- HTTP that gets nowhere ------------------------------------------------------------------------------------------

@@ -75,7 +75,8 @@ class TcpPeer(asyncio.Protocol):
         connection = transport.get_extra_info("socket")
         _set_options(connection)
         self._transport.set_write_buffer_limits(high=0)
-        if connection.getsockname() == connection.getpeername():
+        # Of the transport: a peer that has gone again has none, and asking the system for it is an error.
+        if transport.get_extra_info("sockname") == transport.get_extra_info("peername"):
             # The system has given our end the very port that is tried, on which nobody listens.
             self.close(explain(self._link, ConnectionRefusedError()))
         elif why := self._admit(self):
