@@ -49,6 +49,22 @@ def is_allowed(address: str, networks: Iterable[Network]) -> bool:
     return peer.is_loopback or any(peer in network for network in networks)
 
 
+def neighbourhood(address: str) -> str:
+    """Under what a peer is counted: its address; of IPv6 the network of 64 bits, since a machine may give itself any
+    address of it; of this machine, and of what is no IP address, nothing.
+    """
+    try:
+        peer = ipaddress.ip_address(address)
+    except ValueError:
+        return ""
+    if isinstance(peer, ipaddress.IPv6Address):
+        if peer.ipv4_mapped is not None:
+            peer = peer.ipv4_mapped
+        elif not peer.is_loopback and not peer.is_link_local:  # All that are on a cable have that network.
+            return str(ipaddress.IPv6Network((int(peer), 64), strict=False))
+    return "" if peer.is_loopback else str(peer)
+
+
 def is_loopback_host(host: str) -> bool:
     """Whether listening on ``host`` (an address or a name) stays within this machine."""
     try:

@@ -87,7 +87,7 @@ def test_the_installed_command_finds_its_data_inside_the_package(installed: Path
 
 
 def test_the_scripts_of_the_checkout_can_be_run() -> None:
-    for name in ("tools/test", "tools/demo", "tools/deb", "tools/debian/try.sh", ".ci/run"):
+    for name in ("tools/test", "tools/demo", "tools/deb", "tools/sbom", "tools/debian/try.sh", ".ci/run"):
         path = ROOT / name
         assert path.stat().st_mode & stat.S_IXUSR, f"{name} is not executable"
         assert path.read_text().startswith("#!/usr/bin/env bash\n")

@@ -328,7 +328,10 @@ class Metrics:
         self.frames_dropped = table.results(
             "heaved_frames_dropped_total", "Lines dropped before they were sent.", "slow_client", label="reason"
         )
-        reasons = ("bad_request", "line_too_long", "not_allowed", "stuck", "too_many_clients")
+        reasons = (
+            "bad_request", "line_too_long", "not_allowed", "request_too_slow", "stuck", "too_fast",
+            "too_many_clients", "too_many_of_one_address",
+        )  # fmt: skip
         self.client_errors = table.results(
             "heaved_client_errors_total", "Clients turned away or misunderstood.", *reasons, label="reason"
         )

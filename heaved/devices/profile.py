@@ -34,7 +34,7 @@ Quantity = Literal[
 Role = Literal["imu", "laser", "imu2", "craft", "heave_sensor", "pitch_sensor", "crane", "reference_mru"]
 MountAngle = Annotated[float, msgspec.Meta(ge=-360, le=360)]
 Bias = Annotated[float, msgspec.Meta(ge=-5, le=5)]
-Name = Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9_.-]{1,64}$")]
+Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]
 
 
 class Field(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Final
 
 import structlog
 
+from heaved.outputs.shares import Arrivals
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -40,12 +42,23 @@ class Listener:
     connection that waits, and again a second later, twice as often.)
     """
 
-    def __init__(self, section: str, host: str, port: int, protocol: Callable[[str], asyncio.BaseProtocol]) -> None:
-        """``section`` of the configuration, for messages; ``protocol``: makes what serves a peer, told its address."""
+    def __init__(
+        self,
+        section: str,
+        host: str,
+        port: int,
+        protocol: Callable[[str], asyncio.BaseProtocol],
+        too_fast: Callable[[str, str], object],
+    ) -> None:
+        """``section`` of the configuration, for messages; ``protocol``: makes what serves a peer, told its address;
+        ``too_fast``: told the address of one that connects too often, and that in words.
+        """
         self._section = section
         self._host = host
         self._port = port
         self._protocol = protocol
+        self._arrivals = Arrivals()
+        self._too_fast = too_fast
         self._sockets: list[socket.socket] = []
         self._pauses: dict[socket.socket, asyncio.TimerHandle] = {}
         self._joining: set[asyncio.Task[None]] = set()
@@ -95,7 +108,12 @@ class Listener:
                 connection.close()
                 self._complain("no descriptor to spare")
                 continue
-            self._let_in(connection, str(address[0]))
+            peer = str(address[0])
+            if not self._arrivals.admits(peer, asyncio.get_running_loop().time()):
+                connection.close()
+                self._too_fast(peer, self._arrivals.refusal(peer))
+                continue
+            self._let_in(connection, peer)
 
     def _let_in(self, connection: socket.socket, address: str) -> None:
         connection.setblocking(False)

@@ -54,7 +54,7 @@ _MOST_WAITING: Final = 256
 _SILENT: Final = logging.Logger("mqtt", logging.CRITICAL + 1)
 """For the library, which would say at each attempt what is said once here."""
 
-Topic = Annotated[str, msgspec.Meta(pattern=r"^[^+#$/\x00-\x1f\x7f][^+#\x00-\x1f\x7f]{0,199}\Z")]
+Topic = Annotated[str, msgspec.Meta(pattern=r"^[^+#$/\x00-\x1f\x7f-\x9f][^+#\x00-\x1f\x7f-\x9f]{0,199}\Z")]
 
 
 class MqttParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

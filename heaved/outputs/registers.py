@@ -13,6 +13,7 @@ import asyncio
 import errno
 import socket
 import time
+from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, Final, cast
 
@@ -37,6 +38,7 @@ from heaved.outputs.modbus_frames import (
 from heaved.outputs.output import OutputHealth
 from heaved.outputs.register_map import Mode, RegisterMap, RegistersParams
 from heaved.outputs.register_push import RegisterPush
+from heaved.outputs.shares import TOO_FAST, TOO_MANY, Shares
 from heaved.serial_port import SerialPort
 from heaved.text import printable
 
@@ -143,6 +145,7 @@ class TcpRegisters:
         self._link, self._registers = link, registers
         self._networks = checked_networks("registers", link.host, params.allow)
         self._served: dict[_Connection, None] = {}
+        self._shares = Shares(MAX_CONNECTIONS)
 
     def publish(self, frame: MotionFrame) -> None:
         """The newest frame, for whoever asks."""
@@ -151,7 +154,10 @@ class TcpRegisters:
     async def run(self) -> None:
         """Listen, for ever: again when the address could not be had."""
         while True:
-            listener = Listener("registers", self._link.host, self._link.port, lambda peer: _Connection(self, peer))
+            listener = Listener(
+                "registers", self._link.host, self._link.port, lambda peer: _Connection(self, peer),
+                partial(self.complain, TOO_FAST),
+            )  # fmt: skip
             try:
                 self.address = await listener.start()
                 self.health.up()
@@ -172,9 +178,13 @@ class TcpRegisters:
         if not is_allowed(connection.peer, self._networks):
             self.complain("not_allowed", connection.peer, "is not in a network of [registers] allow")
             return False
+        if not self._shares.take(connection.peer):
+            self.complain(TOO_MANY, connection.peer, self._shares.refusal(connection.peer))
+            return False
         if len(self._served) >= MAX_CONNECTIONS:
             quietest = min(self._served, key=lambda one: one.heard_s)
             if self.clock() - quietest.heard_s < _QUIET_S:
+                self._shares.give_back(connection.peer)
                 self.complain("too_many_clients", connection.peer, f"{MAX_CONNECTIONS} connections are open")
                 return False
             quietest.abort()
@@ -183,7 +193,9 @@ class TcpRegisters:
 
     def forget(self, connection: _Connection) -> None:
         """It is served no more."""
-        self._served.pop(connection, None)
+        if connection in self._served:
+            del self._served[connection]
+            self._shares.give_back(connection.peer)
 
     def complain(self, reason: str, peer: str, detail: str) -> None:
         """Somebody is not served."""

@@ -7,6 +7,8 @@ from typing import Final, Literal, get_args
 
 import msgspec
 
+from heaved.text import printable
+
 MAX_REQUEST_BYTES: Final = 512
 """Longest line that a client may send, its line end included."""
 
@@ -63,7 +65,7 @@ def _parse_subscription(text: bytes) -> Subscription | BadRequest:
     try:
         wanted = _subscription_decoder.decode(text)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        return BadRequest(f"?WATCH: {error}; classes are {', '.join(STREAM_CLASSES)}; {ACCEPTED}")
+        return BadRequest(f"?WATCH: {printable(str(error))}; classes are {', '.join(STREAM_CLASSES)}; {ACCEPTED}")
     if wanted.rate_hz is not None and not 0.0 < wanted.rate_hz < math.inf:
         return BadRequest(f"?WATCH: rate_hz is {wanted.rate_hz}, it must be above 0; {ACCEPTED}")
     return wanted

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from functools import partial
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import structlog
@@ -17,6 +18,7 @@ from heaved.networks import checked_networks, is_allowed
 from heaved.outputs import wire
 from heaved.outputs.listen import Listener
 from heaved.outputs.records import ErrorRecord, StatusRecord, VersionRecord
+from heaved.outputs.shares import TOO_FAST, TOO_MANY, Shares
 from heaved.outputs.subscriber import Subscriber
 from heaved.samples import CraftMotion, DelayedHeave, HullAngles, MotionFrame, MruComparison, SeaState
 
@@ -81,8 +83,11 @@ class Publisher:
         self._metrics = metrics
         self._utc_s = utc_s
         self._networks = checked_networks("stream", host, allow)
-        self._listener = Listener("stream", host, port, lambda address: Subscriber(self, address))
+        self._listener = Listener(
+            "stream", host, port, lambda address: Subscriber(self, address), partial(self.refusal, TOO_FAST)
+        )
         self._max_clients = max_clients
+        self._shares = Shares(max_clients)
         self._version = version
         self._status = status
         self._sequence = 0
@@ -172,6 +177,9 @@ class Publisher:
         if self.clients >= self._max_clients:
             message = f"{self._max_clients} clients are connected and no more are served ([stream] max_clients)"
             return self.refusal("too_many_clients", address, message)
+        if not self._shares.take(address):
+            message = f"{self._shares.refusal(address)} (a quarter of [stream] max_clients)"
+            return self.refusal(TOO_MANY, address, message)
         self._served[client] = None
         self._metrics.set_clients(self.clients)
         _log.debug("stream client connected", peer=address, clients=self.clients)
@@ -196,6 +204,7 @@ class Publisher:
         self._lingering.pop(client, None)
         if client in self._served:
             del self._served[client]
+            self._shares.give_back(client.address)
             self._metrics.set_clients(self.clients)
             _log.debug("stream client gone", peer=client.address, clients=self.clients)
 

@@ -174,9 +174,12 @@ class Subscriber(asyncio.Protocol):
             self.abort()
             return
         self._queue.clear()
-        self._transport.write(wire.encode_record(refusal))
-        self._transport.write_eof()
         self._linger_timer = asyncio.get_running_loop().call_later(_LINGER_S, self._transport.abort)
+        self._transport.write(wire.encode_record(refusal))
+        try:
+            self._transport.write_eof()
+        except OSError:  # It has gone again, before it was looked at.
+            self.abort()
 
     # --- to the client ---
 

@@ -21,6 +21,7 @@ from aiohttp import web
 from heaved.networks import is_loopback_host, parse_networks
 from heaved.outputs.http_listener import HttpListener
 from heaved.outputs.listen import ListenError
+from heaved.outputs.shares import TOO_MANY, Shares
 from heaved.page.follower import Follower
 from heaved.page.hub import Hub
 from heaved.text import printable
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
 PORT: Final = 8570
 MOST_VIEWERS: Final = 24
-"""Browsers that are told at once."""
+"""Browsers that are told at once, of one address a quarter."""
 _MOST_CONNECTIONS: Final = 64
 """A browser has up to six."""
 _BATCH_S: Final = 0.1
@@ -135,6 +136,7 @@ class PageServer:
         self._clock = clock
         self._files = static_files()
         self.hub = Hub(_digest(self._files), clock)
+        self._shares = Shares(MOST_VIEWERS)
         self._follower = Follower(stream_host, stream_port, self.hub, clock)
         self._listener = HttpListener(
             "page",
@@ -206,6 +208,16 @@ class PageServer:
     async def _events(self, request: web.BaseRequest) -> web.StreamResponse:
         if len(self.hub.viewers) >= MOST_VIEWERS:
             return _text(503, f"{MOST_VIEWERS} browsers show the page already, and no more are served: close one")
+        address = request.remote or ""
+        if not self._shares.take(address):
+            self._complain(TOO_MANY, self._shares.refusal(address))
+            return _text(503, f"{self._shares.each} browsers of this machine show the page already: close one")
+        try:
+            return await self._events_of(request)
+        finally:
+            self._shares.give_back(address)
+
+    async def _events_of(self, request: web.BaseRequest) -> web.StreamResponse:
         headers = {**_HEADERS, "Content-Type": "text/event-stream; charset=utf-8", "Cache-Control": "no-store"}
         response = web.StreamResponse(headers=headers)
         await response.prepare(request)

@@ -38,6 +38,8 @@ _TICK_S: Final = 0.25
 _LIMITS_S: Final = 60.0
 """Sizes are looked at so often."""
 _IN_USE_S: Final = 1.0
+_MOST_OFFSET_S: Final = 1e12
+"""Of UTC to the monotonic clock; a column has room for nine times as much."""
 _STDIN, _STDOUT = 0, 1
 
 
@@ -100,7 +102,10 @@ class Recorder:
         elif kind is Kind.HEADER:
             self._begin(msgspec.json.decode(body, type=Header), now_s)
         elif kind is Kind.OFFSET:
-            (self._offset_s,) = messages.OFFSET.unpack(body)
+            (offset_s,) = messages.OFFSET.unpack(body)
+            if not abs(offset_s) <= _MOST_OFFSET_S:
+                raise MessageError(f"an offset of {offset_s:g} s: not from this daemon")
+            self._offset_s = offset_s
         else:
             samples, frames = self._samples, self._frames
             if samples is None or frames is None:

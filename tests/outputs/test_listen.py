@@ -87,9 +87,13 @@ class Greeter(asyncio.Protocol):
         transport.close()
 
 
+def never(_address: str, message: str) -> None:
+    pytest.fail(message)
+
+
 @pytest.fixture
 async def address() -> AsyncIterator[tuple[str, int]]:
-    listener = Listener("stream", "127.0.0.1", 0, Greeter)
+    listener = Listener("stream", "127.0.0.1", 0, Greeter, never)
     yield await listener.start()
     listener.close()
 
@@ -143,7 +147,7 @@ async def test_what_cannot_be_accepted_waits(monkeypatch: pytest.MonkeyPatch, nu
 
     monkeypatch.setattr(listen_module, "_PAUSE_S", 0.0)
     monkeypatch.setattr(socket, "socket", Exhausted)
-    listener = Listener("http", "127.0.0.1", 0, Greeter)
+    listener = Listener("http", "127.0.0.1", 0, Greeter, never)
     address = await listener.start()
     monkeypatch.setattr(socket, "socket", ordinary)
     with capture_logs() as logs:
@@ -154,7 +158,7 @@ async def test_what_cannot_be_accepted_waits(monkeypatch: pytest.MonkeyPatch, nu
 
 
 async def test_closed_while_it_waits(monkeypatch: pytest.MonkeyPatch) -> None:
-    listener = Listener("stream", "127.0.0.1", 0, Greeter)
+    listener = Listener("stream", "127.0.0.1", 0, Greeter, never)
     address = await listener.start()
     listener._pause(listener._sockets[0], OSError(errno.EMFILE, "none left"))
     listener.close()
@@ -166,4 +170,4 @@ async def test_closed_while_it_waits(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("host", ["nowhere.invalid", "a" * 300, "192.0.2.1"])
 async def test_where_it_cannot_listen(host: str) -> None:
     with pytest.raises(ListenError, match=r"\[stream\] cannot listen on .*: change \[stream\] host"):
-        await Listener("stream", host, 0, Greeter).start()
+        await Listener("stream", host, 0, Greeter, never).start()

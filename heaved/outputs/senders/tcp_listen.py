@@ -14,6 +14,7 @@ from heaved.networks import is_allowed, parse_networks
 from heaved.outputs.listen import Listener, ListenError
 from heaved.outputs.senders.sender import FIRST_PAUSE_S, longer
 from heaved.outputs.senders.tcp_peer import TcpPeer
+from heaved.outputs.shares import Shares
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -45,6 +46,7 @@ class TcpListenSender:
         self._link, self._health, self._clock = link, health, clock
         self._networks = parse_networks(allow)
         self._readers: dict[TcpPeer, None] = {}  # A set that keeps the order of arrival.
+        self._shares = Shares(MOST_READERS)
         self._is_listening = False
 
     @property
@@ -60,7 +62,10 @@ class TcpListenSender:
     async def run(self) -> None:
         """Listen; as long as that fails, try again."""
         pause_s = FIRST_PAUSE_S
-        listener = Listener(f"output {self._health.name}", self._link.host, self._link.port, self._make_reader)
+        listener = Listener(
+            f"output {self._health.name}", self._link.host, self._link.port, self._make_reader,
+            partial(self._say, "reader of an output refused"),
+        )  # fmt: skip
         try:
             while True:
                 try:
@@ -92,6 +97,8 @@ class TcpListenSender:
             why = f"{address} is not in a network of allow"
         elif len(self._readers) >= MOST_READERS:
             why = f"{MOST_READERS} are connected, no more are served"
+        elif not self._shares.take(address):
+            why = self._shares.refusal(address)
         else:
             self._readers[reader] = None
             self._health.connections += 1
@@ -103,6 +110,7 @@ class TcpListenSender:
 
     def _forget(self, address: str, reader: TcpPeer, closed: asyncio.Future[str]) -> None:
         self._readers.pop(reader, None)
+        self._shares.give_back(address)
         self._tell_readers()
         if reader.is_given_up and self._is_listening:
             self._say("reader of an output disconnected", address, closed.result())
