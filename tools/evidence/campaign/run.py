@@ -30,7 +30,9 @@ PATIENCE_S: Final = 15.0
 VALID_PATIENCE_S: Final = 6.0
 """Waited for valid heave before the next episode."""
 BREAKING: Final = ("craft", "heave_sensor")
-"""Of the slaves that only answer."""
+"""Of the slaves that only answer: those whose connections break, and break."""
+PROMPT: Final = ("reference_mru", "pitch_sensor")
+"""And those which always answer at once, so that the daemon has as many bad answers as it can take."""
 LOADED_S: Final = 0.5
 """Granted beside all times, to a machine that has other things to do."""
 RECORDER_STARTS_S: Final = 30.0
@@ -156,8 +158,12 @@ class Campaign:
             for slave in rig.quick:
                 # Of one of them all readings are held against its clock; another breaks its connection again and again.
                 values = () if slave.name == "crane" else deviations.VALUES
-                breaks = slave.name in BREAKING
-                kinds = [one for one in deviations.BYTES if breaks or one not in deviations.BREAK_TCP]
+                kinds = [
+                    one
+                    for one in deviations.BYTES
+                    if (slave.name in BREAKING or one not in deviations.BREAK_TCP)
+                    and (slave.name not in PROMPT or one not in deviations.LET_WAIT)
+                ]
                 slave.behave(*kinds, *values, share=0.95, most=4)
             if life.kills:
                 await self._kill(rig, time.monotonic() + seconds, ends_s)
