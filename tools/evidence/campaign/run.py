@@ -147,6 +147,13 @@ class Campaign:
             self._folder, self.truth, self.judge, self._chance, self._begin_s, serial=life.serial,
             quick=self._settings.quick, with_page=self._settings.with_page, own_disk=own_disk,
         )  # fmt: skip
+        try:
+            return await self._lived(rig, life, seconds)
+        finally:
+            rig.release()
+            self._put_away(rig)
+
+    async def _lived(self, rig: Rig, life: Life, seconds: float) -> LifeResult:
         self.judge.now = "none"
         ends_s: list[float] = []
         started_s, lines, dropped = time.monotonic(), self._lines(), self.judge.dropped
@@ -183,14 +190,11 @@ class Campaign:
         kept, remarks = await asyncio.to_thread(recorded, rig.disk / "recordings", self._begin_s, SLAVE_HELD_UP_S)
         tail_s = max((_tail_s(run, ends_s) for run in kept), default=nan)
         self._check(life, kept, remarks, tail_s)
-        result = LifeResult(
+        return LifeResult(
             name=life.name, took_s=time.monotonic() - started_s, settled_s=settled_s, exit_code=code, uses=uses,
             kept=kept, tail_s=tail_s, remarks=remarks, lines=self._lines() - lines,
             dropped=self.judge.dropped - dropped,
         )  # fmt: skip
-        rig.release()
-        self._put_away(rig)
-        return result
 
     async def _settled(self, life: Life) -> float:
         patience_s = self._settings.settles_s
