@@ -410,12 +410,13 @@ class Bus:
                 failure = await connection.open()
                 detail = failure or "the connection was lost: trying to reconnect"
                 self._down = Reading(fault=Fault.DISCONNECTED, detail=detail)
-                if failure:
+                if not failure and isinstance(self.link, SerialLink):  # Somebody else's answers may be under way.
+                    await asyncio.sleep(max(contact.quiet_s for contact in self._contacts.values()))
+                # One that is lost again by now was none: taken for one, it would leave nobody to want another.
+                if failure or self._lost.is_set():
                     self._is_good = False
                     self._tried.set()
                 else:
-                    if isinstance(self.link, SerialLink):  # Somebody else's answers may be under way.
-                        await asyncio.sleep(max(contact.quiet_s for contact in self._contacts.values()))
                     self._opened(connection)
                     await self._lost.wait()
             finally:

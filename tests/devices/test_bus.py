@@ -29,6 +29,7 @@ from modbus_slaves import (
     running,
     tcp_answer,
 )
+from waiting import holds
 
 from heaved.daemon.supervise import cancelled
 from heaved.devices import bus as modbus
@@ -651,6 +652,35 @@ async def test_slave_that_closes_idle_connections_is_read_at_every_poll() -> Non
     await slave.stop()
     assert all(map(well, results.all))
     assert slave.connections <= 2 * 8 + 1  # And not again and again while nobody asks.
+
+
+async def test_a_connection_that_is_lost_while_it_is_made_is_made_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    slave, results = TcpSlave(lambda request: tcp_answer(request, [1, 2, 3])), Results()
+    await slave.start()
+    opens = 0
+    honest = OpenLink.open
+
+    async def open_(self: OpenLink) -> str:
+        """The second time, while a poll waits for it, the slave resets it before we are told that it is open."""
+        nonlocal opens
+        failure = await honest(self)
+        opens += 1
+        if opens == 2:
+            await holds(lambda: slave.connections == 2 and bus._wanted.is_set())
+            for writer in slave._writers:
+                writer.transport.abort()
+            await bus._lost.wait()
+        return failure
+
+    monkeypatch.setattr(OpenLink, "open", open_)
+    async with running([device(f"tcp://127.0.0.1:{slave.port}", stuck_after_s=0.0)], results) as bus:
+        await results.until(lambda result: result.fault is Fault.NONE)
+        for writer in slave._writers:
+            writer.transport.abort()
+        await holds(lambda: opens > 1)
+        await results.until(lambda result: result.fault is Fault.NONE, len(results.all) + 1)
+    assert opens > 2
+    await slave.stop()
 
 
 async def test_slave_that_closes_without_an_answer_is_not_stormed() -> None:

@@ -171,6 +171,9 @@ FOR_TCP_ALONE: Final = ("wrong transaction",)
 BREAK_TCP: Final = ("CRC or header broken", "noise", "truncated", "in pieces", "silent")
 """After which a TCP connection is made anew, which takes a quarter of a second."""
 
+LET_WAIT: Final = ("wrong id", "wrong function", "wrong transaction", "late")
+"""After which the master waits in vain."""
+
 
 def together(kinds: Sequence[str]) -> list[str]:
     """Those of ``kinds`` that can be seen in one answer, in order."""

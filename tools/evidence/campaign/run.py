@@ -30,7 +30,9 @@ PATIENCE_S: Final = 15.0
 VALID_PATIENCE_S: Final = 6.0
 """Waited for valid heave before the next episode."""
 BREAKING: Final = ("craft", "heave_sensor")
-"""Of the slaves that only answer."""
+"""Of the slaves that only answer: those whose connections break, and break."""
+PROMPT: Final = ("reference_mru", "pitch_sensor")
+"""And those which always answer at once, so that the daemon has as many bad answers as it can take."""
 LOADED_S: Final = 0.5
 """Granted beside all times, to a machine that has other things to do."""
 RECORDER_STARTS_S: Final = 30.0
@@ -145,6 +147,13 @@ class Campaign:
             self._folder, self.truth, self.judge, self._chance, self._begin_s, serial=life.serial,
             quick=self._settings.quick, with_page=self._settings.with_page, own_disk=own_disk,
         )  # fmt: skip
+        try:
+            return await self._lived(rig, life, seconds)
+        finally:
+            rig.release()
+            self._put_away(rig)
+
+    async def _lived(self, rig: Rig, life: Life, seconds: float) -> LifeResult:
         self.judge.now = "none"
         ends_s: list[float] = []
         started_s, lines, dropped = time.monotonic(), self._lines(), self.judge.dropped
@@ -156,8 +165,12 @@ class Campaign:
             for slave in rig.quick:
                 # Of one of them all readings are held against its clock; another breaks its connection again and again.
                 values = () if slave.name == "crane" else deviations.VALUES
-                breaks = slave.name in BREAKING
-                kinds = [one for one in deviations.BYTES if breaks or one not in deviations.BREAK_TCP]
+                kinds = [
+                    one
+                    for one in deviations.BYTES
+                    if (slave.name in BREAKING or one not in deviations.BREAK_TCP)
+                    and (slave.name not in PROMPT or one not in deviations.LET_WAIT)
+                ]
                 slave.behave(*kinds, *values, share=0.95, most=4)
             if life.kills:
                 await self._kill(rig, time.monotonic() + seconds, ends_s)
@@ -177,14 +190,11 @@ class Campaign:
         kept, remarks = await asyncio.to_thread(recorded, rig.disk / "recordings", self._begin_s, SLAVE_HELD_UP_S)
         tail_s = max((_tail_s(run, ends_s) for run in kept), default=nan)
         self._check(life, kept, remarks, tail_s)
-        result = LifeResult(
+        return LifeResult(
             name=life.name, took_s=time.monotonic() - started_s, settled_s=settled_s, exit_code=code, uses=uses,
             kept=kept, tail_s=tail_s, remarks=remarks, lines=self._lines() - lines,
             dropped=self.judge.dropped - dropped,
         )  # fmt: skip
-        rig.release()
-        self._put_away(rig)
-        return result
 
     async def _settled(self, life: Life) -> float:
         patience_s = self._settings.settles_s
