@@ -26,9 +26,11 @@ if TYPE_CHECKING:
 HEADINGS_RAD: Final = {"bow": math.radians(30.0), "beam": math.radians(90.0), "turn": math.radians(30.0)}
 """How far to port of the bow the main direction is at first."""
 SEAS: Final = ("S6S", "SL")
-COHERENCES: Final = (0.0, 0.5, 0.8, 0.95)
-NAMES: Final = tuple(f"{sea}-{heading}-{share:g}" for sea in SEAS for heading in HEADINGS_RAD for share in COHERENCES)
-"""The standard ones. Any irregular sea and coherence may be named."""
+COHERENCES: Final = {"bow": (0.0, 0.5, 0.8, 0.95), "beam": (0.0, 0.5, 0.8, 0.95), "turn": (0.8, 0.95)}
+NAMES: Final = tuple(
+    f"{sea}-{heading}-{share:g}" for sea in SEAS for heading, shares in COHERENCES.items() for share in shares
+)
+"""The standard ones. Any steady irregular sea, heading and coherence may be named."""
 ALONG: Final = (1, 4)
 ACROSS: Final = (2, 3, 5)
 """Surge and pitch; sway, roll and yaw: their places in :class:`~heaved.simulate.vessel.Responses`."""

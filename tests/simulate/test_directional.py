@@ -120,7 +120,7 @@ def test_a_name_that_says_nothing_is_refused(name: str) -> None:
 
 
 def test_the_standard_names_are_read_as_they_are_written() -> None:
-    assert len(set(NAMES)) == 24
+    assert len(set(NAMES)) == 20
     for name in NAMES:
         asked = directional(name)
         assert asked is not None
