@@ -15,7 +15,9 @@ from evidence.channel_limits import (
     PITCH,
     ROLL,
     Spectra,
+    causal_filters,
     causal_limits,
+    error_of,
     measured_spectra,
     multiple_coherence,
     spectral_factor,
@@ -129,6 +131,22 @@ def test_more_channels_and_more_coherence_never_hurt_and_further_ahead_is_never_
             both, one, none = (found[coherence, angles][1] for angles in ((ROLL, PITCH), (angle,), ()))
             assert both <= one * (1.0 + 1e-9)
             assert one <= none * (1.0 + 1e-9)
+
+
+def test_a_filter_reaches_the_limit_where_it_belongs_and_nowhere_is_below_it() -> None:
+    """By the formula for any filter's error, which knows of no factor; and the filter is causal."""
+    horizons = (0.0, 2.0)
+    here, there = (
+        measured_spectra(*motion("S6S", coherence), ACCELERATION_PSD, ANGLE_PSD, (ROLL, PITCH))
+        for coherence in (0.95, 0.5)
+    )
+    for k, filter_ in enumerate(causal_filters(here, horizons)):
+        own, other = (causal_limits(spectra, horizons)[k] for spectra in (here, there))
+        assert error_of(filter_, here, horizons[k]) == pytest.approx(own, rel=1e-6)
+        assert error_of(filter_, there, horizons[k]) > 1.05 * other
+        response = np.fft.irfft(filter_, axis=0)
+        later, earlier = np.split(response, 2)
+        assert np.sum(earlier**2) < 1e-6 * np.sum(later**2)
 
 
 def test_two_sensors_of_one_random_process_reach_what_the_riccati_equation_says() -> None:

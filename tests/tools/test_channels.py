@@ -168,6 +168,9 @@ def test_the_command_prints_limits_and_leaves_lines_to_read(tmp_path: Path, caps
     ]  # fmt: skip
     assert lines[3]["roll_m"] == pytest.approx(lines[3]["both_m"])  # abeam, pitch has nothing of heave
     assert lines[3]["pitch_m"] == pytest.approx(lines[3]["alone_m"])
+    before, turning, after = (line["unaware_m"][0] / line["both_m"][0] for line in lines[:3])
+    assert before == pytest.approx(1.0, rel=1e-6)
+    assert 1.0 < turning < after
     assert lines[3]["both_m"][0] < 0.65 * lines[3]["alone_m"][0]
 
 

@@ -81,20 +81,52 @@ def causal_limits(spectra: Spectra, horizons_s: Sequence[float] = (0.0,)) -> lis
     Raises:
         ValueError: as :func:`spectral_factor`.
     """
-    f = spectra.f_hz
-    factor = spectral_factor(spectra.measured / 2.0)  # two-sided from here on
-    # cross = response to the white innovations times the factor's adjoint; solved for the conjugate of the former.
-    whitened = np.linalg.solve(factor, np.conj(spectra.cross / 2.0)[:, :, None])[:, :, 0].conj()
-    weights = np.full(f.size, 2.0 * f[1])
-    weights[[0, -1]] /= 2.0
+    weights = _weights(spectra.f_hz)
     variance = float(np.sum(weights * spectra.wanted / 2.0))
     limits = []
-    for horizon_s in horizons_s:
-        response = np.fft.irfft(whitened * np.exp(2j * np.pi * f * horizon_s)[:, None], axis=0)
+    for response in _of_innovations(spectra, spectral_factor(spectra.measured / 2.0), horizons_s):
         # By Parseval: what the innovations up to now explain of the heave.
-        explained = 2.0 * f[-1] * float(np.sum(response[: f.size - 1] ** 2))
+        explained = 2.0 * spectra.f_hz[-1] * float(np.sum(response**2))
         limits.append(float(np.sqrt(max(variance - explained, 0.0))))
     return limits
+
+
+def causal_filters(spectra: Spectra, horizons_s: Sequence[float] = (0.0,)) -> list[Complex]:
+    """The filters (n, k) that reach :func:`causal_limits`, as responses to each channel.
+
+    Raises:
+        ValueError: as :func:`spectral_factor`.
+    """
+    factor = spectral_factor(spectra.measured / 2.0)
+    transposed = factor.transpose(0, 2, 1)
+    count = 2 * (spectra.f_hz.size - 1)
+    return [
+        np.linalg.solve(transposed, np.fft.rfft(response, count, axis=0)[:, :, None])[:, :, 0]
+        for response in _of_innovations(spectra, factor, horizons_s)
+    ]
+
+
+def error_of(filter_: Complex, spectra: Spectra, horizon_s: float = 0.0) -> float:
+    """RMS error in metres of such a filter where these are the spectra, be they others than it was made for."""
+    ahead = np.exp(2j * np.pi * spectra.f_hz * horizon_s)
+    told = np.sum(filter_ * np.conj(spectra.cross * ahead[:, None]), axis=1).real
+    power = np.sum(np.conj(filter_) * (filter_[:, None, :] @ spectra.measured)[:, 0], axis=1).real
+    return float(np.sqrt(np.sum(_weights(spectra.f_hz) * (spectra.wanted - 2.0 * told + power) / 2.0)))
+
+
+def _weights(f_hz: Array) -> Array:
+    """Of each frequency in an integral over those above and below 0."""
+    weights = np.full(f_hz.size, 2.0 * f_hz[1])
+    weights[[0, -1]] /= 2.0
+    return weights
+
+
+def _of_innovations(spectra: Spectra, factor: Complex, horizons_s: Sequence[float]) -> list[Array]:
+    """The responses (n - 1, k), over time from 0 on, that make the best estimate of the white innovations."""
+    # cross = response to the innovations times the factor's adjoint; solved for the conjugate of the former.
+    whitened = np.linalg.solve(factor, np.conj(spectra.cross / 2.0)[:, :, None])[:, :, 0].conj()
+    turns = [np.exp(2j * np.pi * spectra.f_hz * horizon_s)[:, None] for horizon_s in horizons_s]
+    return [np.fft.irfft(whitened * turn, axis=0)[: spectra.f_hz.size - 1] for turn in turns]
 
 
 def spectral_factor(measured: Complex) -> Complex:

@@ -18,7 +18,16 @@ from numpy.typing import NDArray
 from scipy.signal import csd
 
 from evidence import scenarios
-from evidence.channel_limits import PITCH, ROLL, causal_limits, measured_spectra, multiple_coherence
+from evidence.channel_limits import (
+    PITCH,
+    ROLL,
+    Spectra,
+    causal_filters,
+    causal_limits,
+    error_of,
+    measured_spectra,
+    multiple_coherence,
+)
 from evidence.commands import (
     Command,
     Options,
@@ -75,6 +84,8 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     """and with pitch,"""
     both_m: tuple[float, ...]
     """and with both."""
+    unaware_m: tuple[float, ...]
+    """RMS error with both, of the best filter of the heading before the turn; nan: there is none."""
     ours_m: tuple[float, ...]
     """RMS error of the product; nan: not run."""
     within: float
@@ -116,15 +127,26 @@ def limits_at_sea(scenario: str, sensor: str, turned_rad: float = 0.0) -> Limit:
     return limits(f, motion_spectra(scenario, f, turned_rad), sensor)
 
 
+@lru_cache
+def unaware_at_sea(scenario: str, sensor: str, turned_rad: float) -> tuple[float, ...]:
+    """RMS errors (m) for :data:`AHEAD_S` of the filters that were best before the vessel turned so far."""
+    f = grid(RATE_HZ)
+    before, now = (seen(f, motion_spectra(scenario, f, angle), sensor, (ROLL, PITCH)) for angle in (0.0, turned_rad))
+    filters = causal_filters(before, AHEAD_S)
+    return tuple(error_of(one, now, horizon_s) for one, horizon_s in zip(filters, AHEAD_S, strict=True))
+
+
 def limits(f_hz: Array, motion: Complex, sensor: str) -> Limit:
     """Of heave, roll and pitch with these spectra (n, 3, 3), on a grid of :func:`evidence.scenarios.grid`."""
-    noise = accelerometer_noise(f_hz, sensor, RATE_HZ)
-    found = [
-        causal_limits(measured_spectra(f_hz, motion, noise, angle_noise(sensor), angles), AHEAD_S)
-        for angles in CHANNELS
-    ]
+    found = [causal_limits(seen(f_hz, motion, sensor, angles), AHEAD_S) for angles in CHANNELS]
     sigma_m = sqrt(float(np.trapezoid(motion[:, 0, 0].real, f_hz)))
     return Limit(sigma_m, tuple(tuple(errors) for errors in found))
+
+
+def seen(f_hz: Array, motion: Complex, sensor: str, angles: Sequence[int]) -> Spectra:
+    """What a sensor shows of a motion."""
+    noise = accelerometer_noise(f_hz, sensor, RATE_HZ)
+    return measured_spectra(f_hz, motion, noise, angle_noise(sensor), angles)
 
 
 def angle_noise(sensor: str) -> float:
@@ -227,11 +249,16 @@ def rows(names: Sequence[str], sensors: Sequence[str], found: dict[tuple[str, st
         for sensor in sensors:
             records = found.get((name, sensor), [])
             for part in PARTS if turn is not None else ("",):
+                unaware_m = (nan,) * len(AHEAD_S)
                 if asked is None:
                     f = grid(RATE_HZ)
                     limit = limits(f, ship_spectra(scenarios.files(name, folder)[0], f), sensor)
+                elif turn is None:
+                    limit = limits_at_sea(name, sensor)
                 else:
-                    limit = limits_at_sea(name, sensor, turn.angle_rad * PARTS[part] if turn is not None else 0.0)
+                    turned_rad = turn.angle_rad * PARTS[part]
+                    limit = limits_at_sea(name, sensor, turned_rad)
+                    unaware_m = unaware_at_sea(name, sensor, turned_rad)
                 there = [record[part] for record in records if part in record]
                 ours = together(there) if there else Part((nan,) * len(AHEAD_S), nan)
                 alone, roll, pitch, both = limit.errors_m
@@ -245,6 +272,7 @@ def rows(names: Sequence[str], sensors: Sequence[str], found: dict[tuple[str, st
                         roll_m=roll,
                         pitch_m=pitch,
                         both_m=both,
+                        unaware_m=unaware_m,
                         ours_m=ours.errors_m,
                         within=ours.within,
                     )
@@ -284,6 +312,12 @@ def report(made: Sequence[Row], folder: Path | None = None) -> str:
             for k in range(1, len(AHEAD_S))
         ]
         lines.append(f"| {_name(row)} | {row.sensor} | {' | '.join(cells)} |")
+    if turned := [row for row in made if row.unaware_m[0] > 0.0]:
+        lines += ["", "Nobody has noticed the turn: the filter of both that was best before it, in % of σ.", ""]
+        lines += _head(["sea", "sensor", *[f"{horizon:g} s" for horizon in AHEAD_S]])
+        for row in turned:
+            cells = [f"{100.0 * error / row.sigma_m:.1f}" for error in row.unaware_m]
+            lines.append(f"| {_name(row)} | {row.sensor} | {' | '.join(cells)} |")
     if any(row.scenario == SHIP for row in made):
         f = grid(RATE_HZ)
         share = coherence_of(ship_spectra(scenarios.files(SHIP, folder)[0], f))
