@@ -6,6 +6,7 @@
     tools/accuracy.py headline [SCENARIO ...]    every scenario and setting that a figure is asked for
     tools/accuracy.py table       those figures, asked and measured, out of OUT/results.jsonl
     tools/accuracy.py limits [--shake NAME]    the least error that is possible, alone
+    tools/accuracy.py channels [S6S-bow-0.8 ... palmer]    the least error if roll and pitch are looked at, and ours
     tools/accuracy.py gates [--set]    short runs against their regression gates
     tools/accuracy.py shake [line-3.1 slams] [--seas S6] [--rates 20]    heave while something shakes the sensor
     tools/accuracy.py correction [--seeds 3]  the learned correction while a network is in use, laser on and off
@@ -39,7 +40,7 @@ os.environ["OMP_NUM_THREADS"] = "1"
 
 from typing import TYPE_CHECKING
 
-from evidence import craft, crane, hull, laser_geometry, results
+from evidence import channels, craft, crane, hull, laser_geometry, results
 from evidence.closed_loop import commands as closed_loop
 from evidence.commands import Command, Options, Parser, add_jobs
 from evidence.faults import commands as faults
@@ -57,6 +58,7 @@ RECORDED: tuple[tuple[str, str], ...] = (
     ("accuracy.py heave T1 T2 T3 --laser 50% --from 200", "10 min"),
     ("accuracy.py shake --rates 20 --seeds 2", "25 min"),
     ("accuracy.py shake --rates 100", "60 min"),
+    ("accuracy.py channels", "10 min"),
     ("accuracy.py correction", "20 min"),
     ("accuracy.py rock --seeds 2", "25 min"),
     ("accuracy.py rock --shake", "15 min"),
@@ -118,6 +120,7 @@ def _results(parser: Parser) -> None:
 
 COMMANDS: dict[str, Command] = {
     **heave.COMMANDS,
+    **channels.COMMANDS,
     **rock.COMMANDS,
     **hull.COMMANDS,
     **craft.COMMANDS,

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.signal.windows import tukey
 
 from heaved.samples import GRAVITY_MPS2
+from heaved.simulate import directional
 from heaved.simulate.play import write_recording, write_truth
 from heaved.simulate.seaway import NAMES, seaway
 from heaved.simulate.sensors import ImuModel, Recording, measure, record
@@ -280,7 +281,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     commands = parser.add_subparsers(dest="command", required=True)
     simulated = commands.add_parser("sea", help="a simulated sea")
-    simulated.add_argument("name", choices=NAMES)
+    simulated.add_argument("name", choices=(*NAMES, *directional.NAMES))
     simulated.add_argument("--duration", type=float, default=700.0, metavar="S", help="seconds (default 700)")
     real = {
         "hebrides": "wave-rider buoy displacement, as an IMU would feel it",

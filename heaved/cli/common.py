@@ -49,7 +49,11 @@ Host = Annotated[str, typer.Option(help="Where the daemon's stream is.")]
 Port = Annotated[int, typer.Option(min=1, max=65535)]
 Logs = Annotated[LogFormat, typer.Option(help="Logs go to standard error, one line per event.")]
 SeaName = Annotated[
-    str, typer.Option(help="T1 T2 T3 (regular), S4 S5 S6 (sea states), S6S, SL (swell), SX, CRAFT, S0 (still).")
+    str,
+    typer.Option(
+        help="T1 T2 T3 (regular), S4 S5 S6 (sea states), S6S, SL (swell), SX, CRAFT, S0 (still); S6S-bow-0.8 and "
+        "the like come from many directions."
+    ),
 ]
 ShakeName = Annotated[
     str,

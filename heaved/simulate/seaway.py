@@ -8,6 +8,7 @@ that displacement, velocity and acceleration are evaluated in closed form at any
 * ``CRAFT``: chop and an old swell under a small craft that follows them up to 2.5 Hz.
 * ``S4 S5 S6``: irregular seas of sea state 4, 5, 6 (JONSWAP, gamma 2); ``S6S`` sea and swell together; ``SL`` long
   swell; ``SX`` a sea of state 4's period that grows from 1.5 to 4 m in 60 s and later falls again; ``S0`` still.
+* ``S6S-bow-0.8`` and the like: an irregular sea from many directions (:mod:`heaved.simulate.directional`).
 
 Significant heights are those of the *waves*; the vessel makes more or less of them (:mod:`heaved.simulate.vessel`).
 """
@@ -22,6 +23,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.simulate.directional import Directional, Turn, directed, directional, directions, moments
 from heaved.simulate.vessel import CRANE_VESSEL, SMALL_CRAFT, Array, Motion, Real, Responses
 
 if TYPE_CHECKING:
@@ -148,30 +150,57 @@ def vessel_on(name: str) -> Responses:
     return VESSELS.get(name, CRANE_VESSEL)
 
 
+def motion_spectra(name: str, f_hz: Array, turned_rad: float = 0.0) -> Complex:
+    """One-sided spectra (n, 3, 3) of true heave, roll and pitch (m2/Hz, m rad/Hz, rad2/Hz) and between them, as they
+    are in a record: there are no waves above an end. ``name`` may have directions in it; ``turned_rad``: the vessel has
+    turned to starboard by that since.
+
+    That of x and y is the one of X conj(Y), for complex amplitudes of ``exp(+i w t)``.
+
+    Raises:
+        ValueError: ``name`` is no irregular sea.
+    """
+    asked = directional(name)
+    sea = name if asked is None else asked.sea
+    waves = np.asarray(wave_spectrum(sea, f_hz))  # unknown seas are refused here
+    waves = np.where(f_hz <= HIGHEST_HZ[sea], waves, 0.0)
+    answers = vessel_on(sea).transfers(f_hz)[[0, 3, 4]].T
+    shares = np.ones((3, 3))
+    if asked is not None:
+        shares[0, 1:], shares[1:, 1:] = moments(asked.coherence, asked.from_rad + turned_rad)
+        shares[1:, 0] = shares[0, 1:]
+    spectra = waves[:, None, None] * shares * answers[:, :, None] * answers[:, None, :].conj()
+    return np.asarray(spectra, dtype=np.complex128)
+
+
 class Seaway:
     """The motion of a vessel in one realisation of a sea. Build it with :func:`seaway`."""
 
-    def __init__(self, omega: Array, amplitudes: Complex, *, ramps: Sequence[Ramp] = ()) -> None:
+    def __init__(
+        self,
+        omega: Array,
+        amplitudes: Complex,
+        *,
+        ramps: Sequence[Ramp] = (),
+        turn: Turn | None = None,
+        quarter: Complex | None = None,
+    ) -> None:
         """Take N waves and what the vessel makes of each.
 
         ``omega`` (N,): angular frequencies, rad/s. ``amplitudes`` (6, N): complex amplitudes of heave, surge, sway
-        (m), roll, pitch, yaw (rad), each ``Re sum z exp(i omega t)``.
+        (m), roll, pitch, yaw (rad), each ``Re sum z exp(i omega t)``. In a ``turn``, ``quarter`` (6, N) are those once
+        it has turned by a quarter of a circle: between them it goes with the cosine and the sine of the angle.
         """
         self._omega = omega
         self._ramps = tuple(ramps)
-        heave, surge, sway, roll, pitch, yaw = amplitudes
-        first = 1j * omega
-        second = -(omega**2)
-        rows = np.array(
-            [
-                *(heave, first * heave, second * heave, second * surge, second * sway),
-                *(roll, pitch, yaw, first * roll, first * pitch, first * yaw),
-            ]
-        )
-        self._rows = rows  # (11, N) complex: order of _motion
+        self._turn = turn
+        rows = _rows(omega, amplitudes)
+        if turn is not None and quarter is not None:
+            rows = np.concatenate([rows, _rows(omega, quarter)])
+        self._rows = rows  # (11, N) complex: order of _motion; (22, N) of a vessel that turns
         self._weights = _on_cos_and_sin(rows)
         self._trigonometry = np.empty(2 * omega.size)
-        self.heave_std_m = float(np.sqrt(np.sum(np.abs(heave) ** 2) / 2.0))
+        self.heave_std_m = float(np.sqrt(np.sum(np.abs(amplitudes[0]) ** 2) / 2.0))
         """Standard deviation of true heave, before any growth."""
 
     def at(self, t_s: float) -> Motion[float]:
@@ -180,16 +209,14 @@ class Seaway:
         phase = self._omega * t_s
         np.cos(phase, out=self._trigonometry[:n])
         np.sin(phase, out=self._trigonometry[n:])
-        rows = self._weights @ self._trigonometry
-        if self._ramps:
-            rows = _grown(rows, self._growth(np.array(t_s)))
+        rows = self._shaped(self._weights @ self._trigonometry, np.array(t_s))
         channels: list[float] = rows.tolist()
         return _motion(t_s, channels)
 
     def motion(self, t_s: Array) -> Motion[Array]:
         """Motion at many instants ``t_s`` (n,), in any order."""
         t = np.asarray(t_s, dtype=np.float64)
-        rows = np.empty((11, t.size))
+        rows = np.empty((len(self._rows), t.size))
         starts = range(0, t.size, _BLOCK)
         if _evenly_spaced(t):
             # The waves from t[0] on serve every block, each turned to the block's own start: no new sines.
@@ -202,13 +229,17 @@ class Seaway:
             for start in starts:
                 phase = np.multiply.outer(self._omega, t[start : start + _BLOCK])
                 rows[:, start : start + _BLOCK] = self._weights @ np.vstack([np.cos(phase), np.sin(phase)])
-        if self._ramps:
-            rows = _grown(rows, self._growth(t))
-        return _motion(t, list(rows))
+        return _motion(t, list(self._shaped(rows, t)))
 
     def envelope(self, t_s: Array) -> Array:
         """Factor on the sea's amplitude at ``t_s`` (n,): 1 but for a growing sea."""
         return self._growth(np.asarray(t_s, dtype=np.float64))[0]
+
+    def _shaped(self, rows: Array, t: Array) -> Array:
+        """Rows (11, ...) of the turned vessel in the grown sea."""
+        if self._turn is not None:
+            rows = _turned(rows, *self._turn.at(t))
+        return _grown(rows, self._growth(t)) if self._ramps else rows
 
     def _growth(self, t: Array) -> tuple[Array, Array, Array]:
         """The amplitude factor and its first and second time derivative, shape of ``t``: a quintic step per ramp."""
@@ -222,8 +253,21 @@ class Seaway:
         return e, e1, e2
 
 
+def _rows(omega: Array, amplitudes: Complex) -> Complex:
+    """What :func:`_motion` names, (11, N), of amplitudes (6, N)."""
+    heave, surge, sway, roll, pitch, yaw = amplitudes
+    first = 1j * omega
+    second = -(omega**2)
+    return np.array(
+        [
+            *(heave, first * heave, second * heave, second * surge, second * sway),
+            *(roll, pitch, yaw, first * roll, first * pitch, first * yaw),
+        ]
+    )
+
+
 def _on_cos_and_sin(rows: Complex) -> Array:
-    """Real weights (11, 2N) that make ``Re sum z exp(i phase)`` of complex ones (11, N): on [cos phase, sin phase]."""
+    """Real weights (k, 2N) that make ``Re sum z exp(i phase)`` of complex ones (k, N): on [cos phase, sin phase]."""
     return np.ascontiguousarray(np.hstack([rows.real, -rows.imag]))
 
 
@@ -245,6 +289,19 @@ def _grown(rows: Array, growth: tuple[Array, Array, Array]) -> Array:
     return grown
 
 
+def _turned(rows: Array, angle: Array, rate: Array) -> Array:
+    """Rows (22,) or (22, n), before the turn and a quarter of a circle on, for a vessel that has turned so far and
+    does so at that rate: the product rule keeps each rate the exact derivative. The heading turns with it.
+    """
+    before, quarter = rows[:11], rows[11:]
+    cosine, sine = np.cos(angle), np.sin(angle)
+    turned = np.concatenate([before[:3], cosine * before[3:] + sine * quarter[3:]])
+    turned[8:] += rate * (cosine * quarter[5:8] - sine * before[5:8])
+    turned[7] += angle
+    turned[10] += rate
+    return turned
+
+
 def _motion(t_s: Real, channels: Sequence[Real]) -> Motion[Real]:
     """Name the rows of the seaway's weights."""
     return Motion(
@@ -264,14 +321,19 @@ def _motion(t_s: Real, channels: Sequence[Real]) -> Motion[Real]:
 
 
 def seaway(name: str, seed: int = 1, *, attitude: bool = True, start_s: float = 0.0) -> Seaway:
-    """A realisation of the sea ``name`` (one of :data:`NAMES`); the same ``seed`` gives the same waves.
+    """A realisation of the sea ``name``, one of :data:`NAMES` or one with directions, such as ``S6S-bow-0.8``; the same
+    ``seed`` gives the same waves.
 
     Without ``attitude`` the vessel neither rolls nor pitches and keeps its heading: heave, surge and sway alone.
-    ``start_s``: how long the waves have been running at t = 0; when a sea grows is counted from t = 0 all the same.
+    ``start_s``: how long the waves have been running at t = 0; when a sea grows, or the vessel turns, is counted from
+    t = 0 all the same.
 
     Raises:
         ValueError: there is no sea of that name.
     """
+    asked = directional(name)
+    if asked is not None:
+        return _directional(asked, seed, attitude=attitude, start_s=start_s)
     if name not in NAMES:
         raise ValueError(f"unknown sea {name!r}: choose one of {', '.join(NAMES)}")
     rng = np.random.default_rng([seed, NAMES.index(name)])
@@ -285,6 +347,23 @@ def seaway(name: str, seed: int = 1, *, attitude: bool = True, start_s: float = 
         amplitudes[3:] = 0.0
     amplitudes = amplitudes * np.exp(1j * omega * start_s)
     return Seaway(omega, amplitudes, ramps=RAMPS.get(name, ()))
+
+
+def _directional(asked: Directional, seed: int, *, attitude: bool, start_s: float) -> Seaway:
+    """The waves of the sea of that seed, each from a direction of its own."""
+    if asked.sea not in SEAS or asked.sea in RAMPS:
+        steady = ", ".join(sea for sea in SEAS if sea not in RAMPS)
+        raise ValueError(f"waves of {asked.sea!r} have no directions: choose one of {steady}")
+    rng = np.random.default_rng([seed, NAMES.index(asked.sea)])
+    omega, ahead = _irregular(asked.sea, rng)
+    come_from = directions(omega.size, asked.coherence, asked.from_rad, rng)
+    now, quarter = (
+        directed(ahead, angle) * np.exp(1j * omega * start_s) for angle in (come_from, come_from + math.pi / 2.0)
+    )
+    if not attitude:
+        now[3:], quarter[3:] = 0.0, 0.0
+        return Seaway(omega, now)
+    return Seaway(omega, now, turn=asked.turn, quarter=quarter)
 
 
 def _irregular(name: str, rng: np.random.Generator) -> tuple[Array, Complex]:

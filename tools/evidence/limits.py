@@ -104,22 +104,32 @@ def causal_heave_limit(f_hz: Array, s_heave: Array, noise_psd: Array | float, de
     return float(np.sqrt(max(residual, 0.0)))
 
 
-def _factored(f: Array, heave: Array, noise: Array, delay_s: float) -> tuple[Array, NDArray[np.complex128]]:
+def _factored(
+    f: Array, heave: Array, noise: Array, delay_s: float
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Minimum-phase factor of the two-sided spectrum of what is measured, and the heave from what it whitens."""
     omega = 2 * np.pi * f
     heave = heave / 2  # two-sided from here on
     measured = omega**4 * heave + noise / 2
 
-    cepstrum = np.fft.irfft(np.log(measured))
-    n = cepstrum.size
-    cepstrum[1 : n // 2] *= 2.0
-    cepstrum[n // 2 + 1 :] = 0.0
-    factor: Array = np.exp(np.fft.rfft(cepstrum) / 2)  # minimum phase, |factor|^2 = measured
+    factor = minimum_phase_factor(measured)
+    n = 2 * (f.size - 1)
 
     # The wanted response is shifted by the delay, or ahead by the horizon, before its anticausal half is cut off.
     explained = np.fft.irfft(-(omega**2) * heave / np.conj(factor) * np.exp(-1j * omega * delay_s))
     causal = np.fft.rfft(np.where(np.arange(n) < n // 2, explained, 0.0))
     return factor, causal
+
+
+def minimum_phase_factor(spectrum: Array) -> NDArray[np.complex128]:
+    """The causal and causally invertible response whose squared magnitude is ``spectrum`` (n,), positive and two-sided,
+    on a uniform grid from 0 to the Nyquist frequency: by the cepstrum, the half before time 0 folded over.
+    """
+    cepstrum = np.fft.irfft(np.log(spectrum))
+    n = cepstrum.size
+    cepstrum[1 : n // 2] *= 2.0
+    cepstrum[n // 2 + 1 :] = 0.0
+    return np.asarray(np.exp(np.fft.rfft(cepstrum) / 2), dtype=np.complex128)
 
 
 DRIFT_EVERY_S: Final = 1800.0

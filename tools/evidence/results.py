@@ -25,7 +25,7 @@ CHECKOUT: Final = Path(__file__).resolve().parents[2]
 RESULTS: Final = CHECKOUT / "tools" / "RESULTS.md"
 LINES: Final = "results.jsonl"
 PACKAGES: Final = ("heaved", "numpy", "scipy", "torch")
-UNRECORDED: Final = {"--record": 0, "--no-figures": 0, "--jobs": 1, "--out": 1}
+UNRECORDED: Final = {"--record": 0, "--no-figures": 0, "--jobs": 1, "--out": 1, "--data": 1}
 """Options that change no figure, and how many words follow each: they are not part of a heading."""
 HEAD: Final = """# Results
 

@@ -1,7 +1,8 @@
 """The standard scenarios: records with their truth, the least error possible on each, and where it is to be scored.
 
 Simulated: wave trains ``T1 T2 T3``, irregular seas ``S4 S5 S6 S6S SL``, a sea that grows and falls ``SX``, a still
-ship ``S0``; each through sensor A or B, with the tilt known in three ways. Real (where the records are present):
+ship ``S0``; each through sensor A or B, with the tilt known in three ways; and, where they are named, seas with
+directions such as ``S6S-bow-0.8``. Real (where the records are present):
 ``Hebrides``, half-hours of a wave-rider, and ``palmer``, a ship under way, both through a simulated sensor; ``flume``
 and ``static``, real accelerometers on a model hull and at rest.
 
@@ -24,6 +25,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import welch
 
 from evidence.limits import DriftLimit, causal_heave_limit, drift_limit, noncausal_heave_limit
+from heaved.simulate.directional import directional
 from heaved.simulate.seaway import HIGHEST_HZ, RAMPS, SEAS, STILL, TRAINS, heave_spectrum, seaway
 from heaved.simulate.sensors import REGISTER_STEPS, ImuModel, Recording, imu_model, record
 from heaved.simulate.shaking import NONE, Shake, shake_of
@@ -153,9 +155,9 @@ def build(scenario: str, seeds: Seeds, setting: Setting, folder: Path | None = N
         ValueError: unknown scenario, sensor, tilt, laser pattern or shake, no such record, or too short a one to score.
         OSError: a real record cannot be read.
     """
-    if scenario not in NAMES:
+    if scenario not in NAMES and directional(scenario) is None:
         raise ValueError(f"unknown scenario {scenario!r}: choose from {', '.join(NAMES)}")
-    if scenario in SIMULATED:
+    if scenario not in REAL:
         case = _simulated(scenario, seeds, setting)
     else:
         found = files(scenario, folder)
@@ -179,7 +181,9 @@ def build(scenario: str, seeds: Seeds, setting: Setting, folder: Path | None = N
 def _simulated(scenario: str, seeds: Seeds, setting: Setting) -> Case:
     start_s = float(np.random.default_rng(seeds.start).uniform(0.0, STARTS_WITHIN_S))
     sea = seaway(scenario, seeds.waves, attitude=setting.tilt != "none", start_s=start_s)
-    duration_s = DURATIONS_S[scenario] if setting.duration_s is None else setting.duration_s
+    asked = directional(scenario)
+    name = scenario if asked is None else asked.sea
+    duration_s = DURATIONS_S[name] if setting.duration_s is None else setting.duration_s
     recording = record(
         sea,
         duration_s + HORIZONS_S[-1],  # so that the last forecasts fall due
@@ -189,16 +193,16 @@ def _simulated(scenario: str, seeds: Seeds, setting: Setting) -> Case:
         shake=setting.shake,
         seed=seeds.noise,
     )
-    steady = scenario in SEAS and scenario not in RAMPS
-    limits = sea_limits(scenario, setting.sensor, setting.rate_hz, setting.shake) if steady else Limits()
+    steady = name in SEAS and name not in RAMPS
+    limits = sea_limits(name, setting.sensor, setting.rate_hz, setting.shake) if steady else Limits()
     if steady and shake_of(setting.shake).drift is not None:
-        limits = _drifting(limits, scenario, setting, duration_s)
+        limits = _drifting(limits, name, setting, duration_s)
     return Case(
         scenario=scenario,
         seeds=seeds,
         setting=setting,
         recording=recording,
-        period_s=TRAINS[scenario].period_s if scenario in TRAINS else SEAS.get(scenario, SEAS["S6"])[0].tp_s,
+        period_s=TRAINS[name].period_s if name in TRAINS else SEAS.get(name, SEAS["S6"])[0].tp_s,
         limits=limits,
         start_s=setting.scored_from_s,
         end_s=duration_s,
@@ -216,7 +220,18 @@ def _sensor(setting: Setting) -> ImuModel:
 
 
 def segments_of(scenario: str, from_s: float, end_s: float) -> tuple[Segment, ...]:
-    """The parts of a sea that grows and falls again; none for the others, nor of a record that ends before it has."""
+    """The parts of a sea that grows and falls again, or of a turn; none for the others, nor of a record that ends
+    before it has.
+    """
+    asked = directional(scenario)
+    if asked is not None and asked.turn is not None:
+        begins_s, turned_s = asked.turn.start_s, asked.turn.start_s + asked.turn.duration_s
+        parts: tuple[Segment, ...] = (
+            Segment("before", from_s, begins_s),
+            Segment("turning", begins_s, turned_s),
+            Segment("after", turned_s, end_s),
+        )
+        return tuple(part for part in parts if part.start_s < part.end_s <= end_s)
     if scenario not in RAMPS:
         return ()
     growth, fall = RAMPS[scenario]

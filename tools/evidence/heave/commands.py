@@ -22,6 +22,7 @@ from evidence.commands import (
 from evidence.heave import asked, correction, estimators, evaluate, gates, shake, tables
 from evidence.results import LINES, Output, Report
 from evidence.scenarios import Setting
+from heaved.simulate import directional
 from heaved.simulate.sensors import SENSORS, laser_pattern
 from heaved.simulate.shaking import NONE
 
@@ -33,7 +34,11 @@ if TYPE_CHECKING:
 
 def run_heave(options: Options, output: Output) -> Report:
     """Simulated scenarios in one setting."""
-    return _evaluated([(name, _setting(options)) for name in _chosen(options, scenarios.SIMULATED)], options, output)
+    return _evaluated(
+        [(name, _setting(options)) for name in _chosen(options, scenarios.SIMULATED, directional.NAMES)],
+        options,
+        output,
+    )
 
 
 def run_real(options: Options, output: Output) -> Report:
@@ -49,14 +54,14 @@ def run_headline(options: Options, output: Output) -> Report:
     return msgspec.structs.replace(found, text=f"{found.text}\n\n{run_table(options, output).text}")
 
 
-def _chosen(options: Options, known: Sequence[str]) -> Sequence[str]:
-    """Scenarios that were named, all that are known if none was.
+def _chosen(options: Options, known: Sequence[str], besides: Sequence[str] = ()) -> Sequence[str]:
+    """Scenarios that were named, all that are known if none was; those ``besides`` have to be named.
 
     Raises:
         ValueError: one of them is not known here.
     """
-    if unknown := [name for name in options.scenarios if name not in known]:
-        raise ValueError(f"unknown scenario {unknown[0]!r}: choose from {', '.join(known)}")
+    if unknown := [name for name in options.scenarios if name not in (*known, *besides)]:
+        raise ValueError(f"unknown scenario {unknown[0]!r}: choose from {', '.join((*known, *besides))}")
     return list(options.scenarios) or known
 
 

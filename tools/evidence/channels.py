@@ -1,0 +1,395 @@
+"""How far below the limit of a single channel heave could be known: tools/accuracy.py channels.
+
+For seas from many directions, and for a real ship where its record is present: the least error from the vertical
+acceleration alone, with roll, with pitch and with both, and what the product does on the very records.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import inf, nan, sqrt
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import msgspec
+import numpy as np
+import recordings
+from numpy.typing import NDArray
+from scipy.signal import csd
+
+from evidence import scenarios
+from evidence.channel_limits import (
+    PITCH,
+    ROLL,
+    Spectra,
+    causal_filters,
+    causal_limits,
+    error_of,
+    measured_spectra,
+    multiple_coherence,
+)
+from evidence.commands import (
+    Command,
+    Options,
+    Parser,
+    add_common,
+    add_duration,
+    add_jobs,
+    add_seeds,
+    in_order,
+    seeds_of,
+)
+from evidence.heave import estimators
+from evidence.heave.commands import add_observer
+from evidence.heave.scores import rms
+from evidence.results import Output, Report
+from evidence.scenarios import HORIZONS_S, Setting, accelerometer_noise, grid, triplet
+from heaved.simulate.directional import NAMES, directional
+from heaved.simulate.seaway import motion_spectra
+from heaved.simulate.sensors import REGISTER_STEPS, imu_model
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+SHIP: Final = "palmer"
+SENSORS: Final = ("A", "B", "C")
+RATE_HZ: Final = 20.0
+AHEAD_S: Final = (0.0, *HORIZONS_S)
+"""Heave now, and ahead."""
+CHANNELS: Final = ((), (ROLL,), (PITCH,), (ROLL, PITCH))
+"""What is looked at besides the vertical acceleration."""
+PIECE_S: Final = 100.0
+"""Spectra of a ship's record are means over pieces of so long, overlapping by half."""
+PARTS: Final = {"before": 0.0, "turning": 0.5, "after": 1.0}
+"""Of a turn: how much of it is done in the middle of each."""
+
+
+class Row(msgspec.Struct, frozen=True, kw_only=True):
+    """One sea and sensor, or one part of a record in which the vessel turns. Each error: now, and for the horizons."""
+
+    scenario: str
+    part: str
+    """Empty: all of it."""
+    sensor: str
+    sigma_m: float
+    """Standard deviation of true heave, of the spectrum."""
+    alone_m: tuple[float, ...]
+    """Least RMS error from the vertical acceleration alone,"""
+    roll_m: tuple[float, ...]
+    """and with roll,"""
+    pitch_m: tuple[float, ...]
+    """and with pitch,"""
+    both_m: tuple[float, ...]
+    """and with both."""
+    unaware_m: tuple[float, ...]
+    """RMS error with both, of the best filter of the heading before the turn; nan: there is none."""
+    ours_m: tuple[float, ...]
+    """RMS error of the product; nan: not run."""
+    within: float
+    """Share of its errors now within 1.96 of the standard deviations that it publishes."""
+
+
+class Limit(msgspec.Struct, frozen=True):
+    """The least errors (m) for :data:`CHANNELS`, each for :data:`AHEAD_S`."""
+
+    sigma_m: float
+    errors_m: tuple[tuple[float, ...], ...]
+
+
+class Task(msgspec.Struct, frozen=True, kw_only=True):
+    """One record that the product is to run over."""
+
+    scenario: str
+    sensor: str
+    observer: str
+    number: int
+    duration_s: float | None
+    folder: Path | None
+
+
+class Part(msgspec.Struct, frozen=True):
+    """What the product did on a part of a record."""
+
+    errors_m: tuple[float, ...]
+    within: float
+
+
+# --- limits ----------------------------------------------------------------------------------------------------------
+
+
+@lru_cache
+def limits_at_sea(scenario: str, sensor: str, turned_rad: float = 0.0) -> Limit:
+    """Of a simulated sea, for a vessel that has turned so far and keeps that heading."""
+    f = grid(RATE_HZ)
+    return limits(f, motion_spectra(scenario, f, turned_rad), sensor)
+
+
+@lru_cache
+def unaware_at_sea(scenario: str, sensor: str, turned_rad: float) -> tuple[float, ...]:
+    """RMS errors (m) for :data:`AHEAD_S` of the filters that were best before the vessel turned so far."""
+    f = grid(RATE_HZ)
+    before, now = (seen(f, motion_spectra(scenario, f, angle), sensor, (ROLL, PITCH)) for angle in (0.0, turned_rad))
+    filters = causal_filters(before, AHEAD_S)
+    return tuple(error_of(one, now, horizon_s) for one, horizon_s in zip(filters, AHEAD_S, strict=True))
+
+
+def limits(f_hz: Array, motion: Complex, sensor: str) -> Limit:
+    """Of heave, roll and pitch with these spectra (n, 3, 3), on a grid of :func:`evidence.scenarios.grid`."""
+    found = [causal_limits(seen(f_hz, motion, sensor, angles), AHEAD_S) for angles in CHANNELS]
+    sigma_m = sqrt(float(np.trapezoid(motion[:, 0, 0].real, f_hz)))
+    return Limit(sigma_m, tuple(tuple(errors) for errors in found))
+
+
+def seen(f_hz: Array, motion: Complex, sensor: str, angles: Sequence[int]) -> Spectra:
+    """What a sensor shows of a motion."""
+    noise = accelerometer_noise(f_hz, sensor, RATE_HZ)
+    return measured_spectra(f_hz, motion, noise, angle_noise(sensor), angles)
+
+
+def angle_noise(sensor: str) -> float:
+    """One-sided noise density of roll and of pitch, rad2/Hz: white, and rounding to registers."""
+    model = imu_model(sensor)
+    variance = model.attitude_noise_rad**2 + (REGISTER_STEPS[3] ** 2 / 12.0 if model.sixteen_bit else 0.0)
+    return float(variance / (RATE_HZ / 2.0))
+
+
+def ship_spectra(path: Path, f_hz: Array) -> Complex:
+    """Spectra (n, 3, 3) of heave, roll and pitch of a real ship, at ``f_hz``.
+
+    Means over K pieces find a coherence even between what has nothing in common, with two inputs about 2 / K: what of
+    heave does not follow from the angles is made greater by K / (K - 2), and its cross-spectra the smaller for it.
+
+    Raises:
+        ValueError: the file has not these columns, or is too short.
+        OSError: the file cannot be read.
+    """
+    truth = recordings.palmer(path, rate_hz=RATE_HZ, laser="off").truth
+    kept = (truth.t_s >= recordings.FADE_S) & (truth.t_s < truth.t_s[-1] - recordings.FADE_S)
+    series = [values[kept] for values in (truth.heave_m, truth.roll_rad, truth.pitch_rad)]
+    length = round(PIECE_S * RATE_HZ)
+    pieces = 2 * series[0].size // length - 1
+    if pieces < 4:
+        raise ValueError(f"{path}: too short for spectra of pieces of {PIECE_S:g} s")
+    # SciPy's cross-spectrum is that of conj(X) Y.
+    found = [[csd(y, x, fs=RATE_HZ, nperseg=length) for y in series] for x in series]
+    at = found[0][0][0]
+    motion = np.moveaxis(np.array([[density for _, density in row] for row in found]), 2, 0).astype(np.complex128)
+    motion[(at < recordings.SHIP_BAND_HZ[0]) | (at > recordings.SHIP_BAND_HZ[1])] = 0.0
+    apparent = np.nan_to_num(multiple_coherence(motion))
+    true = np.maximum(1.0 - (1.0 - apparent) * pieces / (pieces - 2.0), 0.0)
+    shrunk = np.sqrt(np.divide(true, apparent, out=np.zeros_like(true), where=apparent > 0.0))
+    motion[:, 0, 1:] *= shrunk[:, None]
+    motion[:, 1:, 0] *= shrunk[:, None]
+    flat = motion.reshape(len(at), -1)
+    between = [np.interp(f_hz, at, flat[:, k].real) + 1j * np.interp(f_hz, at, flat[:, k].imag) for k in range(9)]
+    return np.stack(between, axis=1).reshape(-1, 3, 3)
+
+
+def coherence_of(motion: Complex) -> float:
+    """Squared multiple coherence of heave with roll and pitch, each frequency weighing as much as its heave has."""
+    heave = motion[:, 0, 0].real
+    return float(np.nansum(multiple_coherence(motion) * heave) / np.sum(heave))
+
+
+# --- the product -----------------------------------------------------------------------------------------------------
+
+
+def run(task: Task) -> dict[str, Part]:
+    """The errors of the product on one record, by part.
+
+    Raises:
+        ValueError: as :func:`evidence.scenarios.build`.
+        OSError: a real record cannot be read.
+    """
+    setting = Setting(sensor=task.sensor, rate_hz=RATE_HZ, duration_s=task.duration_s)
+    case = scenarios.build(task.scenario, triplet(task.number), setting, task.folder)
+    conditions = estimators.Conditions(
+        rate_hz=case.rate_hz, period_s=case.period_s, has_laser=False, horizons_s=HORIZONS_S
+    )
+    (trace,) = estimators.traces(task.observer, list(case.recording.samples()), conditions)
+    t, truth = case.recording.t_s, case.recording.truth.heave_m
+    windows = {part.name: (part.start_s, part.end_s) for part in case.segments} or {"": (case.start_s, case.end_s)}
+    found = {}
+    for name, (start_s, end_s) in windows.items():
+        errors = []
+        for horizon_s in AHEAD_S:
+            made = (t >= start_s) & (t + horizon_s < end_s)
+            said = trace.forecast[horizon_s].heave_m if horizon_s else trace.heave_m
+            errors.append(rms(said[made] - np.interp(t[made] + horizon_s, t, truth)))
+        inside = (t >= start_s) & (t < end_s)
+        std = trace.std_m if trace.std_m is not None else np.full(t.size, nan)
+        covered = float(np.mean(np.abs(trace.heave_m - truth)[inside] <= 1.96 * std[inside]))
+        found[name] = Part(tuple(errors), covered)
+    return found
+
+
+def together(parts: Sequence[Part]) -> Part:
+    """Several records: the RMS of their errors."""
+    errors = np.sqrt(np.mean(np.square([part.errors_m for part in parts]), axis=0))
+    return Part(tuple(errors.tolist()), float(np.mean([part.within for part in parts])))
+
+
+# --- rows and tables -------------------------------------------------------------------------------------------------
+
+
+def rows(names: Sequence[str], sensors: Sequence[str], found: dict[tuple[str, str], list[dict[str, Part]]],
+         folder: Path | None = None) -> list[Row]:  # fmt: skip
+    """Limits, and beside them what the product did on the records of a scenario and sensor, where it has run.
+
+    Raises:
+        ValueError, OSError: as :func:`ship_spectra`.
+    """
+    made = []
+    for name in names:
+        asked = directional(name)
+        turn = None if asked is None else asked.turn
+        for sensor in sensors:
+            records = found.get((name, sensor), [])
+            for part in PARTS if turn is not None else ("",):
+                unaware_m = (nan,) * len(AHEAD_S)
+                if asked is None:
+                    f = grid(RATE_HZ)
+                    limit = limits(f, ship_spectra(scenarios.files(name, folder)[0], f), sensor)
+                elif turn is None:
+                    limit = limits_at_sea(name, sensor)
+                else:
+                    turned_rad = turn.angle_rad * PARTS[part]
+                    limit = limits_at_sea(name, sensor, turned_rad)
+                    unaware_m = unaware_at_sea(name, sensor, turned_rad)
+                there = [record[part] for record in records if part in record]
+                ours = together(there) if there else Part((nan,) * len(AHEAD_S), nan)
+                alone, roll, pitch, both = limit.errors_m
+                made.append(
+                    Row(
+                        scenario=name,
+                        part=part,
+                        sensor=sensor,
+                        sigma_m=limit.sigma_m,
+                        alone_m=alone,
+                        roll_m=roll,
+                        pitch_m=pitch,
+                        both_m=both,
+                        unaware_m=unaware_m,
+                        ours_m=ours.errors_m,
+                        within=ours.within,
+                    )
+                )
+    return made
+
+
+def report(made: Sequence[Row], folder: Path | None = None) -> str:
+    """Markdown."""
+    has_ours = any(row.ours_m[0] > 0.0 for row in made)
+    heads = ["sea", "sensor", "σ / m", "alone", "+ roll", "+ pitch", "+ both", "to be gained"]
+    heads += ["**ours**", "times alone", "times both", "within 1.96 std"] if has_ours else []
+    lines = [
+        f"RMS error of heave in % of σ, {RATE_HZ:g} Hz, no laser. Limits: the vertical acceleration alone, with roll, "
+        "with pitch, with both; in a turn, those of a vessel that keeps the heading it has then.",
+        "",
+        *_head(heads),
+    ]
+    for row in made:
+        now = [100.0 * errors[0] / row.sigma_m for errors in (row.alone_m, row.roll_m, row.pitch_m, row.both_m)]
+        gain = max(1.0 - row.both_m[0] / row.alone_m[0], 0.0)
+        cells = [_name(row), row.sensor, f"{row.sigma_m:.3f}", *[f"{value:.2f}" for value in now], f"{gain:.0%}"]
+        if has_ours:
+            cells += [
+                _known(100.0 * row.ours_m[0] / row.sigma_m, ".2f", "**"),
+                _known(row.ours_m[0] / row.alone_m[0], ".2f"),
+                _known(row.ours_m[0] / row.both_m[0], ".2f"),
+                _known(row.within, ".0%"),
+            ]
+        lines.append(f"| {' | '.join(cells)} |")
+    lines += ["", f"Ahead, in % of σ: limit alone / with both{' / ours' if has_ours else ''}.", ""]
+    lines += _head(["sea", "sensor", *[f"{horizon:g} s" for horizon in HORIZONS_S]])
+    for row in made:
+        shown = (row.alone_m, row.both_m, row.ours_m) if has_ours else (row.alone_m, row.both_m)
+        cells = [
+            " / ".join(_known(100.0 * errors[k] / row.sigma_m, ".1f") for errors in shown)
+            for k in range(1, len(AHEAD_S))
+        ]
+        lines.append(f"| {_name(row)} | {row.sensor} | {' | '.join(cells)} |")
+    if turned := [row for row in made if row.unaware_m[0] > 0.0]:
+        lines += ["", "Nobody has noticed the turn: the filter of both that was best before it, in % of σ.", ""]
+        lines += _head(["sea", "sensor", *[f"{horizon:g} s" for horizon in AHEAD_S]])
+        for row in turned:
+            cells = [f"{100.0 * error / row.sigma_m:.1f}" for error in row.unaware_m]
+            lines.append(f"| {_name(row)} | {row.sensor} | {' | '.join(cells)} |")
+    if any(row.scenario == SHIP for row in made):
+        f = grid(RATE_HZ)
+        share = coherence_of(ship_spectra(scenarios.files(SHIP, folder)[0], f))
+        lines += [
+            "",
+            f"{SHIP}: squared multiple coherence of heave with roll and pitch, weighted by heave: {share:.3f}.",
+        ]
+    return "\n".join(lines)
+
+
+def _head(names: Sequence[str]) -> list[str]:
+    return [f"| {' | '.join(names)} |", "|---" * len(names) + "|"]
+
+
+def _name(row: Row) -> str:
+    return f"{row.scenario}, {row.part}" if row.part else row.scenario
+
+
+def _known(value: float, form: str, around: str = "") -> str:
+    return f"{around}{value:{form}}{around}" if -inf < value < inf else "–"
+
+
+# --- the command -----------------------------------------------------------------------------------------------------
+
+
+def run_channels(options: Options, output: Output) -> Report:
+    """
+    Raises:
+        ValueError: a scenario is not known, or its record too short.
+        OSError: a real record cannot be read.
+    """
+    names = options.scenarios or [*NAMES, *([SHIP] if scenarios.files(SHIP, options.data) else [])]
+    for name in names:
+        if name != SHIP and directional(name) is None:
+            raise ValueError(f"{name!r} is no sea with directions: write one such as {NAMES[0]}, or {SHIP}")
+        if name == SHIP and not scenarios.files(SHIP, options.data):
+            raise ValueError(
+                f"{SHIP}: there is no record in {options.data or scenarios.DATA}: give its folder by --data"
+            )
+    todo = [
+        Task(
+            scenario=name,
+            sensor=sensor,
+            observer=options.observer,
+            number=number,
+            duration_s=options.duration,
+            folder=options.data,
+        )
+        for name in ([] if options.limits_only else names)
+        for sensor in options.sensors
+        for number in ((1,) if name == SHIP else seeds_of(options))
+    ]
+    found: dict[tuple[str, str], list[dict[str, Part]]] = {}
+    for task, parts in zip(todo, in_order(run, todo, options.jobs), strict=True):
+        found.setdefault((task.scenario, task.sensor), []).append(parts)
+    made = rows(names, options.sensors, found, options.data)
+    output.write("channels", made)
+    return Report(report(made, options.data), () if options.limits_only else tuple(seeds_of(options)))
+
+
+def _words(parser: Parser) -> None:
+    parser.add_argument(
+        "scenarios", nargs="*", metavar="SCENARIO", help=f"such as {NAMES[0]}, or {SHIP} (default: all that there are)"
+    )
+    parser.add_argument(
+        "--sensors", nargs="+", default=SENSORS, choices=SENSORS, metavar="NAME", help=f"of {', '.join(SENSORS)}"
+    )
+    parser.add_argument("--limits-only", action="store_true", help="do not run the product")
+    parser.add_argument("--data", type=Path, metavar="DIR", help=f"where {scenarios.REAL[SHIP]} is")
+    add_seeds(parser, 1)
+    for add in (add_jobs, add_duration, add_observer, add_common):
+        add(parser)
+
+
+COMMANDS = {"channels": Command(run_channels, _words, "limits of heave with roll and pitch looked at, and ours")}
