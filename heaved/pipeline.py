@@ -179,6 +179,7 @@ class Pipeline:
             lead_learned_s=lead.learned_s if lead.updates else None,
             gain_learned=lead.gain,
             correction=self.heave.correction.saved(),
+            hull=self.stages.saved_hull(),
         )
 
     def restore(self, state: SavedState, age_s: float = nan) -> None:
@@ -197,6 +198,8 @@ class Pipeline:
         self.heave.restore(observer, state.correction, age_s)
         if state.lead_learned_s is not None:
             self.laser.lead.restore(state.lead_learned_s, state.gain_learned)
+        if state.hull is not None:
+            self.stages.restore_hull(state.hull, age_s)
 
     def summary(self) -> PipelineSummary:
         """What a person wants to know beside the frame."""

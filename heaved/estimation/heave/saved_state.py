@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from math import isfinite, pi
+from math import hypot, isfinite, pi
 from typing import Final
 
 import msgspec
+import numpy as np
 
 from heaved.estimation.common.bounds import HEAVE_M
 from heaved.estimation.heave.laser.correction import SavedNetwork
 from heaved.estimation.heave.sea.model import SeaModel, heave_std
+from heaved.estimation.hull import tuning as hull_tuning
+from heaved.estimation.hull.remembered import SavedHull, square
 
 
 class Plausible(msgspec.Struct, frozen=True, kw_only=True):
@@ -43,6 +46,18 @@ class Plausible(msgspec.Struct, frozen=True, kw_only=True):
     """Between the inputs of a correction."""
     length_m: tuple[float, float] = (0.0, 1e3)
     """Of a spread or a limit of the heave."""
+    turned_rad: tuple[float, float] = (-3.1416, 3.1416)
+    """Of a rotation vector: half a turn and no more."""
+    turned_std_rad: tuple[float, float] = (1e-9, 0.5)
+    """Of what is known of such a turn."""
+    scale: tuple[float, float] = (-0.5, 0.5)
+    """Of the difference of the scales of two gyros,"""
+    scale_std: tuple[float, float] = (1e-9, 0.5)
+    """and of what is known of it."""
+    flexure: tuple[tuple[float, float], ...] = hull_tuning.TUNING.fit_bounds
+    """Of sigma rad, mu 1/s, lambda rad/s, noise rad/s per sample: what the fit stays within."""
+    unconfirmed_s: tuple[float, float] = (0.0, 1e9)
+    """Since something was last known to be so."""
     most_lines: int = 64
     """Chains of a model, or frequencies of an observer."""
 
@@ -63,6 +78,7 @@ class SavedState(msgspec.Struct, frozen=True, kw_only=True):
     lead_learned_s: float | None = None
     gain_learned: float = 1.0
     correction: SavedNetwork | None = None
+    hull: SavedHull | None = None
 
 
 def check(state: SavedState) -> None:
@@ -87,6 +103,27 @@ def check(state: SavedState) -> None:
         _within("limit of the correction", (correction.limit_m,), PLAUSIBLE.length_m, "m")
         hz = correction.omega_radps / (2.0 * pi)
         _within("wave frequency that the correction was trained on", (hz,), (0.0, PLAUSIBLE.frequency_hz[1]), "Hz")
+    if state.hull is not None:
+        _check_hull(state.hull)
+
+
+def _check_hull(hull: SavedHull) -> None:
+    _within("deformation of the hull", hull.rotation_rad, PLAUSIBLE.turned_rad, "rad")
+    _within("length of that rotation", (hypot(*hull.rotation_rad),), PLAUSIBLE.turned_rad, "rad")
+    _within("scale of the gyros", hull.scale, PLAUSIBLE.scale, "")
+    P = square(hull.covariance)
+    _within("covariance of the hull", tuple(P.ravel().tolist()), (-1.0, 1.0), "")
+    std = tuple(np.sqrt(np.maximum(np.diag(P), 0.0)).tolist())
+    _within("uncertainty of the deformation of the hull", std[:3], PLAUSIBLE.turned_std_rad, "rad")
+    _within("uncertainty of the scale of the gyros", std[3:], PLAUSIBLE.scale_std, "")
+    # Of correlations, for rotations and scales are of different sizes.
+    if not float(np.linalg.eigvalsh(P / np.outer(std, std))[0]) > 0.0:
+        raise ValueError("covariance of the hull is not positive definite")
+    _within("time since the deformation was last confirmed", (hull.unconfirmed_s,), PLAUSIBLE.unconfirmed_s, "s")
+    if (flexure := hull.flexure) is not None:
+        parts = (flexure.std_rad, flexure.mu_radps, flexure.lambda_radps, flexure.noise_radps)
+        for name, values, limits in zip(("sigma", "mu", "lambda", "noise"), parts, PLAUSIBLE.flexure, strict=True):
+            _within(f"{name} of the flexure of the hull", values, (0.999 * limits[0], 1.001 * limits[1]), "")
 
 
 def _check_sea(sea: SeaModel) -> None:
