@@ -180,6 +180,7 @@ class Pipeline:
             gain_learned=lead.gain,
             correction=self.heave.correction.saved(),
             hull=self.stages.saved_hull(),
+            attitude_error=self.vertical.saved(),
         )
 
     def restore(self, state: SavedState, age_s: float = nan) -> None:
@@ -198,6 +199,8 @@ class Pipeline:
         self.heave.restore(observer, state.correction, age_s)
         if state.lead_learned_s is not None:
             self.laser.lead.restore(state.lead_learned_s, state.gain_learned)
+        if state.attitude_error is not None:
+            self.vertical.restore(state.attitude_error, age_s)
         if state.hull is not None:
             self.stages.restore_hull(state.hull, age_s)
 

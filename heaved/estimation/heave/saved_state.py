@@ -13,6 +13,7 @@ from heaved.estimation.heave.laser.correction import SavedNetwork
 from heaved.estimation.heave.sea.model import SeaModel, heave_std
 from heaved.estimation.hull import tuning as hull_tuning
 from heaved.estimation.hull.remembered import SavedHull, square
+from heaved.estimation.imu.attitude_memory import SavedAttitudeError
 
 
 class Plausible(msgspec.Struct, frozen=True, kw_only=True):
@@ -54,8 +55,14 @@ class Plausible(msgspec.Struct, frozen=True, kw_only=True):
     """Of the difference of the scales of two gyros,"""
     scale_std: tuple[float, float] = (1e-9, 0.5)
     """and of what is known of it."""
-    flexure: tuple[tuple[float, float], ...] = hull_tuning.TUNING.fit_bounds
-    """Of sigma rad, mu 1/s, lambda rad/s, noise rad/s per sample: what the fit stays within."""
+    flexure: tuple[tuple[float, float], ...] = (*hull_tuning.TUNING.fit_bounds[:3], (1e-15, 1.0))
+    """Of sigma rad, mu 1/s, lambda rad/s: what the fit stays within; and of the noise, rad/s per sample."""
+    lean_per_s: tuple[float, float] = (0.0, 10.0)
+    """Of an attitude sensor, one over its time constant."""
+    attitude_late_s: tuple[float, float] = (-5.0, 5.0)
+    """Of such a sensor against the accelerometers."""
+    attitude_variance: tuple[float, float] = (0.0, 25.0)
+    """Of what is known of the two, (1/s)2 and s2."""
     unconfirmed_s: tuple[float, float] = (0.0, 1e9)
     """Since something was last known to be so."""
     most_lines: int = 64
@@ -79,6 +86,7 @@ class SavedState(msgspec.Struct, frozen=True, kw_only=True):
     gain_learned: float = 1.0
     correction: SavedNetwork | None = None
     hull: SavedHull | None = None
+    attitude_error: SavedAttitudeError | None = None
 
 
 def check(state: SavedState) -> None:
@@ -105,6 +113,15 @@ def check(state: SavedState) -> None:
         _within("wave frequency that the correction was trained on", (hz,), (0.0, PLAUSIBLE.frequency_hz[1]), "Hz")
     if state.hull is not None:
         _check_hull(state.hull)
+    if (error := state.attitude_error) is not None:
+        _within("lean of the attitude", (error.lean_per_s,), PLAUSIBLE.lean_per_s, "1/s")
+        _within("lateness of the attitude", (error.late_s,), PLAUSIBLE.attitude_late_s, "s")
+        of_lean, of_both, of_lateness = error.covariance
+        _within("variance of the attitude's errors", (of_lean, of_lateness), PLAUSIBLE.attitude_variance, "")
+        # What is added to it for the time between two runs is larger than this.
+        if not of_both * of_both <= of_lean * of_lateness + 1e-12:
+            raise ValueError("covariance of the attitude's errors is not positive")
+        _within("time since these were last confirmed", (error.unconfirmed_s,), PLAUSIBLE.unconfirmed_s, "s")
 
 
 def _check_hull(hull: SavedHull) -> None:
@@ -117,7 +134,7 @@ def _check_hull(hull: SavedHull) -> None:
     _within("uncertainty of the deformation of the hull", std[:3], PLAUSIBLE.turned_std_rad, "rad")
     _within("uncertainty of the scale of the gyros", std[3:], PLAUSIBLE.scale_std, "")
     # Of correlations, for rotations and scales are of different sizes.
-    if not float(np.linalg.eigvalsh(P / np.outer(std, std))[0]) > 0.0:
+    if not float(np.linalg.eigvalsh(P / np.outer(std, std))[0]) > -1e-9:
         raise ValueError("covariance of the hull is not positive definite")
     _within("time since the deformation was last confirmed", (hull.unconfirmed_s,), PLAUSIBLE.unconfirmed_s, "s")
     if (flexure := hull.flexure) is not None:

@@ -21,6 +21,7 @@ from heaved.estimation.heave.sea.model import SeaModel
 from heaved.estimation.hull import estimate as hull
 from heaved.estimation.hull.estimator import HullDeformation
 from heaved.estimation.hull.remembered import SavedFlexure, SavedHull
+from heaved.estimation.imu.attitude_memory import SavedAttitudeError
 from heaved.estimation.stages import Stages
 from heaved.pipeline import Pipeline, assemble
 from heaved.simulate.flexure import SCENES, simulate
@@ -37,6 +38,7 @@ FLEXURE = SavedFlexure(
     std_rad=(1e-5, 2e-5, 1e-5), mu_radps=(0.1, 0.2, 0.1), lambda_radps=(1.0, 1.0, 0.9), noise_radps=(1e-6, 1e-6, 2e-6)
 )
 HULL = SavedHull(rotation_rad=(0.01, 0.01, 0.5), scale=(1e-5, 0.0, 0.0), covariance=COVARIANCE, flexure=FLEXURE)
+ERROR = SavedAttitudeError(lean_per_s=0.12, late_s=0.04, covariance=(1e-4, 1e-5, 1e-4))
 LEARNED = SavedState(sea=SEA, lead_learned_s=0.05, gain_learned=1.02, correction=NETWORK)
 SOUND = {
     "nothing": SavedState(),
@@ -44,6 +46,10 @@ SOUND = {
     "a still sea": SavedState(sea=msgspec.structs.replace(SEA, level_m2phz=(0.0, 0.0))),
     "the harmonic observer's": SavedState(frequencies_hz=(0.08, 0.12)),
     "the hull's": SavedState(hull=HULL),
+    "the attitude's errors": SavedState(attitude_error=ERROR),
+    "none of an attitude, for sure": SavedState(
+        attitude_error=SavedAttitudeError(lean_per_s=0.0, late_s=0.0, covariance=(0.0, 0.0, 0.0))
+    ),
     "a hull's that was not fitted": SavedState(hull=msgspec.structs.replace(HULL, flexure=None)),
 }
 
@@ -54,6 +60,10 @@ def of_sea(**changes: object) -> SavedState:
 
 def of_hull(**changes: object) -> SavedState:
     return SavedState(hull=msgspec.structs.replace(HULL, **changes))
+
+
+def of_error(**changes: object) -> SavedState:
+    return SavedState(attitude_error=msgspec.structs.replace(ERROR, **changes))
 
 
 def of_flexure(**changes: object) -> SavedState:
@@ -107,6 +117,16 @@ NONSENSE = {
     "a flexure without damping": (of_flexure(mu_radps=(0.0, 0.1, 0.1)), "mu of the flexure of the hull 0"),
     "a flexure of no frequency": (of_flexure(lambda_radps=(nan, 1.0, 1.0)), "lambda of the flexure of the hull nan"),
     "gyros without noise": (of_flexure(noise_radps=(0.0, 1e-6, 1e-6)), "noise of the flexure of the hull 0"),
+    "a lean the other way": (of_error(lean_per_s=-0.1), "lean of the attitude -0.1 1/s"),
+    "no lean": (of_error(lean_per_s=nan), "lean of the attitude nan"),
+    "a lateness of a year": (of_error(late_s=3e7), "lateness of the attitude 3e+07 s"),
+    "an attitude known to less than nothing": (
+        of_error(covariance=(-1e-4, 0.0, 1e-4)),
+        "variance of the attitude's errors -0.0001",
+    ),
+    "errors whose covariance is none": (of_error(covariance=(1e-4, 2e-4, 1e-4)), "not positive"),
+    "errors without a covariance": (of_error(covariance=(1e-4, nan, 1e-4)), "not positive"),
+    "errors that were confirmed in the future": (of_error(unconfirmed_s=-1.0), "last confirmed -1 s"),
     "no spread": (of_network(input_std_m=nan), "heave that the correction was trained on nan"),
 }
 
@@ -148,8 +168,11 @@ def test_what_was_learned_is_restored_with_its_age() -> None:
     restored.restore(LEARNED, age_s=60.0)
     assert restored.state() == LEARNED
     with_hull = pipeline()
-    with_hull.restore(SavedState(hull=HULL), age_s=60.0)
-    assert with_hull.state() == SavedState(hull=msgspec.structs.replace(HULL, unconfirmed_s=60.0))
+    with_hull.restore(SavedState(hull=HULL, attitude_error=ERROR), age_s=60.0)
+    assert with_hull.state() == SavedState(
+        hull=msgspec.structs.replace(HULL, unconfirmed_s=60.0),
+        attitude_error=msgspec.structs.replace(ERROR, unconfirmed_s=60.0),
+    )
 
 
 @given(hull_stored=st.builds(
@@ -186,12 +209,15 @@ def test_any_hull_is_tried_or_refused(hull_stored: SavedHull) -> None:
         hidden=st.sampled_from([10, -1]), output=st.sampled_from(["linear", "?"]), step_s=NUMBERS, input_std_m=NUMBERS,
         omega_radps=NUMBERS, limit_m=NUMBERS,
     ),
+    error=st.none() | st.builds(
+        SavedAttitudeError, lean_per_s=NUMBERS, late_s=NUMBERS, covariance=THREE, unconfirmed_s=NUMBERS
+    ),
     others=st.fixed_dictionaries({"frequencies_hz": LISTS, "gain_learned": NUMBERS, "lead_learned_s": NUMBERS}),
 )  # fmt: skip
 def test_any_state_is_restored_or_refused(
-    sea: SeaModel | None, network: SavedNetwork | None, others: dict[str, Any]
+    sea: SeaModel | None, network: SavedNetwork | None, error: SavedAttitudeError | None, others: dict[str, Any]
 ) -> None:
-    state = SavedState(sea=sea, correction=network, **others)
+    state = SavedState(sea=sea, correction=network, attitude_error=error, **others)
     try:
         saved_state.check(state)
         restored = pipeline()

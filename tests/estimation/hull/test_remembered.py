@@ -82,7 +82,7 @@ def turned(saved: SavedHull, by_deg: float) -> SavedHull:
 
 
 def test_a_restart_goes_on_as_if_it_had_never_stopped(ship: Ship) -> None:
-    """From the first alignment on: where a cold start is minutes of arc off, within arcseconds of the run that went on."""
+    """From the first alignment on: where a cold start is minutes of arc off, within arcseconds of one that went on."""
     estimator = HullDeformation(PARAMS)
     estimator.restore(ship.saved, AWAY_S)
     warm = go(estimator, ship.record, STOPPED_S, END_S)
