@@ -25,6 +25,8 @@ from heaved.daemon import recording
 from heaved.daemon.recording import EXTRA, recording_directory
 from heaved.daemon.state import StateFile
 from heaved.estimation.heave import params as heave
+from heaved.estimation.heave.laser.geometry import Geometry
+from heaved.estimation.heave.laser.placement import LaserPlace, SavedPlace
 from heaved.estimation.heave.params import SeaParams
 from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.hull import estimate as hull
@@ -61,6 +63,12 @@ HULL = SavedHull(
     covariance=tuple((1e-6 * np.eye(6))[np.triu_indices(6)].tolist()),
 )
 ERROR = SavedAttitudeError(lean_per_s=0.1, late_s=0.05, covariance=(1e-4, 0.0, 1e-4))
+
+PLACE = SavedPlace(
+    configured=Geometry(),
+    geometry=Geometry(forward_m=8.0, port_m=-3.0),
+    place=LaserPlace(is_elsewhere=True, ahead_m=8.0, ahead_std_m=0.1, port_m=-3.0, port_std_m=0.1),
+)
 
 
 def recording_config(directory: Path, **changes: Any) -> Config:
@@ -138,7 +146,7 @@ def assert_same(found: list[MotionFrame], expected: list[MotionFrame]) -> None:
 async def test_a_replay_makes_the_very_frames_that_the_daemon_published(tmp_path: Path) -> None:
     config = recording_config(tmp_path, **LEARNS_SOON)
     (tmp_path / "state").mkdir()
-    learned = SavedState(sea=SWELL, hull=HULL, attitude_error=ERROR)
+    learned = SavedState(sea=SWELL, hull=HULL, attitude_error=ERROR, laser_place=PLACE)
     StateFile(tmp_path / "state", SavedState).write(StateFile.encode(learned, time.time()))
     async with published(config, imu_is_away_s=(6.0, 15.0)) as (daemon, frames):
         done = daemon.acquisition

@@ -10,6 +10,7 @@ import numpy as np
 
 from heaved.estimation.common.bounds import HEAVE_M
 from heaved.estimation.heave.laser.correction import SavedNetwork
+from heaved.estimation.heave.laser.placement import SavedPlace
 from heaved.estimation.heave.sea.model import SeaModel, heave_std
 from heaved.estimation.hull import tuning as hull_tuning
 from heaved.estimation.hull.remembered import SavedHull, square
@@ -63,6 +64,12 @@ class Plausible(msgspec.Struct, frozen=True, kw_only=True):
     """Of such a sensor against the accelerometers."""
     attitude_variance: tuple[float, float] = (0.0, 25.0)
     """Of what is known of the two, (1/s)2 and s2."""
+    place_m: tuple[float, float] = (-1e3, 1e3)
+    """Of a gauge, from the IMU or from where it is configured."""
+    beam: tuple[float, float] = (-1e3, 1e3)
+    """Of the parts of its direction,"""
+    least_upright: float = 0.01
+    """and its upright part over the largest, at the least."""
     unconfirmed_s: tuple[float, float] = (0.0, 1e9)
     """Since something was last known to be so."""
     most_lines: int = 64
@@ -87,6 +94,7 @@ class SavedState(msgspec.Struct, frozen=True, kw_only=True):
     correction: SavedNetwork | None = None
     hull: SavedHull | None = None
     attitude_error: SavedAttitudeError | None = None
+    laser_place: SavedPlace | None = None
 
 
 def check(state: SavedState) -> None:
@@ -113,6 +121,8 @@ def check(state: SavedState) -> None:
         _within("wave frequency that the correction was trained on", (hz,), (0.0, PLAUSIBLE.frequency_hz[1]), "Hz")
     if state.hull is not None:
         _check_hull(state.hull)
+    if state.laser_place is not None:
+        _check_place(state.laser_place)
     if (error := state.attitude_error) is not None:
         _within("lean of the attitude", (error.lean_per_s,), PLAUSIBLE.lean_per_s, "1/s")
         _within("lateness of the attitude", (error.late_s,), PLAUSIBLE.attitude_late_s, "s")
@@ -122,6 +132,19 @@ def check(state: SavedState) -> None:
         if not of_both * of_both <= of_lean * of_lateness + 1e-12:
             raise ValueError("covariance of the attitude's errors is not positive")
         _within("time since these were last confirmed", (error.unconfirmed_s,), PLAUSIBLE.unconfirmed_s, "s")
+
+
+def _check_place(saved: SavedPlace) -> None:
+    for geometry in (saved.configured, saved.geometry):
+        at = geometry.forward_m, geometry.port_m, geometry.up_m
+        _within("place of the laser", at, PLAUSIBLE.place_m, "m")
+        _within("beam of the laser", geometry.beam, PLAUSIBLE.beam, "")
+        if not abs(geometry.beam[2]) > PLAUSIBLE.least_upright * max(map(abs, geometry.beam)):
+            raise ValueError("beam of the laser is level")
+    _within("place where the laser was found", (saved.place.ahead_m, saved.place.port_m), PLAUSIBLE.place_m, "m")
+    stds = saved.place.ahead_std_m, saved.place.port_std_m
+    _within("uncertainty of the place of the laser", stds, PLAUSIBLE.length_m, "m")
+    _within("time since the laser was last seen there", (saved.unconfirmed_s,), PLAUSIBLE.unconfirmed_s, "s")
 
 
 def _check_hull(hull: SavedHull) -> None:

@@ -114,5 +114,5 @@ class Memory:
         self._doubt_square = np.minimum(np.square(TUNING.doubt), TUNING.in_doubt**2 * open_square)
         self.is_confirmed = self.is_confirmed or bool(np.all(np.diag(own) <= np.square(TUNING.doubt)))
         remembered = left * np.linalg.inv(self.covariance)
-        covariance = np.linalg.inv(remembered + information)
+        covariance = np.asarray(np.linalg.inv(remembered + information), dtype=np.float64)
         return covariance @ (remembered @ self.mean + right), covariance

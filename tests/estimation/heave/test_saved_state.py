@@ -16,6 +16,8 @@ from heaved.config import Config
 from heaved.estimation.heave import saved_state
 from heaved.estimation.heave.laser import correction
 from heaved.estimation.heave.laser.correction import SavedNetwork
+from heaved.estimation.heave.laser.geometry import Geometry
+from heaved.estimation.heave.laser.placement import LaserPlace, SavedPlace
 from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.heave.sea.model import SeaModel
 from heaved.estimation.hull import estimate as hull
@@ -39,6 +41,11 @@ FLEXURE = SavedFlexure(
 )
 HULL = SavedHull(rotation_rad=(0.01, 0.01, 0.5), scale=(1e-5, 0.0, 0.0), covariance=COVARIANCE, flexure=FLEXURE)
 ERROR = SavedAttitudeError(lean_per_s=0.12, late_s=0.04, covariance=(1e-4, 1e-5, 1e-4))
+PLACE = SavedPlace(
+    configured=Geometry(),
+    geometry=Geometry(forward_m=8.0, port_m=-3.0),
+    place=LaserPlace(is_elsewhere=True, ahead_m=8.0, ahead_std_m=0.1, port_m=-3.0, port_std_m=0.1),
+)
 LEARNED = SavedState(sea=SEA, lead_learned_s=0.05, gain_learned=1.02, correction=NETWORK)
 SOUND = {
     "nothing": SavedState(),
@@ -46,6 +53,7 @@ SOUND = {
     "a still sea": SavedState(sea=msgspec.structs.replace(SEA, level_m2phz=(0.0, 0.0))),
     "the harmonic observer's": SavedState(frequencies_hz=(0.08, 0.12)),
     "the hull's": SavedState(hull=HULL),
+    "the place of the laser": SavedState(laser_place=PLACE),
     "the attitude's errors": SavedState(attitude_error=ERROR),
     "none of an attitude, for sure": SavedState(
         attitude_error=SavedAttitudeError(lean_per_s=0.0, late_s=0.0, covariance=(0.0, 0.0, 0.0))
@@ -64,6 +72,10 @@ def of_hull(**changes: object) -> SavedState:
 
 def of_error(**changes: object) -> SavedState:
     return SavedState(attitude_error=msgspec.structs.replace(ERROR, **changes))
+
+
+def of_place(**changes: object) -> SavedState:
+    return SavedState(laser_place=msgspec.structs.replace(PLACE, **changes))
 
 
 def of_flexure(**changes: object) -> SavedState:
@@ -127,6 +139,17 @@ NONSENSE = {
     "errors whose covariance is none": (of_error(covariance=(1e-4, 2e-4, 1e-4)), "not positive"),
     "errors without a covariance": (of_error(covariance=(1e-4, nan, 1e-4)), "not positive"),
     "errors that were confirmed in the future": (of_error(unconfirmed_s=-1.0), "last confirmed -1 s"),
+    "a laser on the moon": (of_place(geometry=Geometry(up_m=4e8)), "place of the laser 4e+08 m"),
+    "a laser nowhere": (of_place(geometry=Geometry(port_m=nan)), "place of the laser nan m"),
+    "a beam that is level": (of_place(geometry=Geometry(beam=(1.0, 0.0, 0.0))), "beam of the laser is level"),
+    "a beam of no direction": (of_place(geometry=Geometry(beam=(0.0, 0.0, 0.0))), "beam of the laser is level"),
+    "a beam that is none": (of_place(geometry=Geometry(beam=(0.0, 0.0, nan))), "beam of the laser nan"),
+    "a laser that was found nowhere": (of_place(place=LaserPlace()), "place where the laser was found nan m"),
+    "a laser that was found nearly anywhere": (
+        of_place(place=msgspec.structs.replace(PLACE.place, ahead_std_m=inf)),
+        "uncertainty of the place of the laser inf m",
+    ),
+    "a laser that was seen in the future": (of_place(unconfirmed_s=-1.0), "last seen there -1 s"),
     "no spread": (of_network(input_std_m=nan), "heave that the correction was trained on nan"),
 }
 
@@ -160,6 +183,7 @@ NUMBERS = st.floats() | st.floats(0.01, 2.0) | st.sampled_from([0.0, -1.0, 1e300
 LISTS = st.lists(NUMBERS, max_size=5).map(tuple)
 SMALL = st.floats(-1e-8, 1e-8) | NUMBERS
 THREE = st.tuples(*[st.floats(1e-6, 0.2) | NUMBERS] * 3)
+GEOMETRY = st.builds(Geometry, forward_m=NUMBERS, port_m=NUMBERS, up_m=NUMBERS, beam=THREE)
 RECORD = simulate(SCENES["A1"], 1, duration_s=5.0)
 
 
@@ -168,10 +192,11 @@ def test_what_was_learned_is_restored_with_its_age() -> None:
     restored.restore(LEARNED, age_s=60.0)
     assert restored.state() == LEARNED
     with_hull = pipeline()
-    with_hull.restore(SavedState(hull=HULL, attitude_error=ERROR), age_s=60.0)
+    with_hull.restore(SavedState(hull=HULL, attitude_error=ERROR, laser_place=PLACE), age_s=60.0)
     assert with_hull.state() == SavedState(
         hull=msgspec.structs.replace(HULL, unconfirmed_s=60.0),
         attitude_error=msgspec.structs.replace(ERROR, unconfirmed_s=60.0),
+        laser_place=msgspec.structs.replace(PLACE, unconfirmed_s=60.0),
     )
 
 
@@ -209,15 +234,25 @@ def test_any_hull_is_tried_or_refused(hull_stored: SavedHull) -> None:
         hidden=st.sampled_from([10, -1]), output=st.sampled_from(["linear", "?"]), step_s=NUMBERS, input_std_m=NUMBERS,
         omega_radps=NUMBERS, limit_m=NUMBERS,
     ),
+    place=st.none() | st.builds(
+        SavedPlace, configured=st.just(Geometry()), geometry=GEOMETRY, unconfirmed_s=NUMBERS,
+        place=st.just(PLACE.place) | st.builds(
+            LaserPlace, ahead_m=NUMBERS, ahead_std_m=NUMBERS, port_m=NUMBERS, port_std_m=NUMBERS,
+        ),
+    ),
     error=st.none() | st.builds(
         SavedAttitudeError, lean_per_s=NUMBERS, late_s=NUMBERS, covariance=THREE, unconfirmed_s=NUMBERS
     ),
     others=st.fixed_dictionaries({"frequencies_hz": LISTS, "gain_learned": NUMBERS, "lead_learned_s": NUMBERS}),
 )  # fmt: skip
 def test_any_state_is_restored_or_refused(
-    sea: SeaModel | None, network: SavedNetwork | None, error: SavedAttitudeError | None, others: dict[str, Any]
+    sea: SeaModel | None,
+    network: SavedNetwork | None,
+    place: SavedPlace | None,
+    error: SavedAttitudeError | None,
+    others: dict[str, Any],
 ) -> None:
-    state = SavedState(sea=sea, correction=network, attitude_error=error, **others)
+    state = SavedState(sea=sea, correction=network, attitude_error=error, laser_place=place, **others)
     try:
         saved_state.check(state)
         restored = pipeline()
