@@ -179,6 +179,9 @@ class Pipeline:
             lead_learned_s=lead.learned_s if lead.updates else None,
             gain_learned=lead.gain,
             correction=self.heave.correction.saved(),
+            hull=self.stages.saved_hull(),
+            attitude_error=self.vertical.saved(),
+            laser_place=self.laser.placement.saved(),
         )
 
     def restore(self, state: SavedState, age_s: float = nan) -> None:
@@ -197,6 +200,12 @@ class Pipeline:
         self.heave.restore(observer, state.correction, age_s)
         if state.lead_learned_s is not None:
             self.laser.lead.restore(state.lead_learned_s, state.gain_learned)
+        if state.laser_place is not None and self.heave.has_laser:
+            self.laser.restore_place(state.laser_place, age_s)
+        if state.attitude_error is not None:
+            self.vertical.restore(state.attitude_error, age_s)
+        if state.hull is not None:
+            self.stages.restore_hull(state.hull, age_s)
 
     def summary(self) -> PipelineSummary:
         """What a person wants to know beside the frame."""

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from heaved.estimation.hull.refit import RefitJob, RefitResult
+    from heaved.estimation.hull.remembered import SavedHull
     from heaved.estimation.lever_arm import Crane, Vector
 
 NO_CRANE = Worth(HeaveState.INVALID, ("no [crane] is configured",))
@@ -130,7 +131,20 @@ class Stages:
                 return self.hull.accept(result)
         return False
 
+    def restore_hull(self, remembered: SavedHull, age_s: float) -> None:
+        """Begin with the deformation that an earlier run has found, see :meth:`HullDeformation.restore`."""
+        if self.hull is not None:
+            with self._guarded("hull"):
+                self.hull.restore(remembered, age_s)
+
     # --- output ------------------------------------------------------------------------------------------------------
+
+    def saved_hull(self) -> SavedHull | None:
+        """What a restart shall remember of the hull."""
+        if self.hull is not None:
+            with self._guarded("hull"):
+                return self.hull.saved()
+        return None
 
     @property
     def due_refit(self) -> RefitJob | None:

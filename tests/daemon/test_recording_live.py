@@ -7,6 +7,7 @@ import itertools
 import os
 import signal
 import sys
+import time
 from asyncio.subprocess import DEVNULL, PIPE
 from collections import Counter
 from contextlib import asynccontextmanager
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
+import numpy as np
 import pytest
 from running import PATIENCE_S, SWELL, demo_config, plant_of, running
 
@@ -23,9 +25,13 @@ from heaved.daemon import recording
 from heaved.daemon.recording import EXTRA, recording_directory
 from heaved.daemon.state import StateFile
 from heaved.estimation.heave import params as heave
+from heaved.estimation.heave.laser.geometry import Geometry
+from heaved.estimation.heave.laser.placement import LaserPlace, SavedPlace
 from heaved.estimation.heave.params import SeaParams
 from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.hull import estimate as hull
+from heaved.estimation.hull.remembered import SavedHull
+from heaved.estimation.imu.attitude_memory import SavedAttitudeError
 from heaved.outputs import wire
 from heaved.recorder.layout import FRAMES, Call
 from heaved.recorder.read import frame_values, open_recorded
@@ -48,6 +54,21 @@ LEARNS_SOON: dict[str, Any] = {
     "heave": heave.Params(sea=SeaParams(first_fit_s=30.0, refresh_s=5.0)),
     "hull": hull.Params(enabled=True, start_s=2.0, refit_after_s=8.0, converged_arcsec=3600.0, gyro_noise_deg_rth=0.3),
 }
+
+
+# As the plant is not, so that a replay that leaves them out does not make the same.
+HULL = SavedHull(
+    rotation_rad=(0.02, 0.0, 0.0),
+    scale=(0.0, 0.0, 0.0),
+    covariance=tuple((1e-6 * np.eye(6))[np.triu_indices(6)].tolist()),
+)
+ERROR = SavedAttitudeError(lean_per_s=0.1, late_s=0.05, covariance=(1e-4, 0.0, 1e-4))
+
+PLACE = SavedPlace(
+    configured=Geometry(),
+    geometry=Geometry(forward_m=8.0, port_m=-3.0),
+    place=LaserPlace(is_elsewhere=True, ahead_m=8.0, ahead_std_m=0.1, port_m=-3.0, port_std_m=0.1),
+)
 
 
 def recording_config(directory: Path, **changes: Any) -> Config:
@@ -125,7 +146,8 @@ def assert_same(found: list[MotionFrame], expected: list[MotionFrame]) -> None:
 async def test_a_replay_makes_the_very_frames_that_the_daemon_published(tmp_path: Path) -> None:
     config = recording_config(tmp_path, **LEARNS_SOON)
     (tmp_path / "state").mkdir()
-    StateFile(tmp_path / "state", SavedState).write(StateFile.encode(SavedState(sea=SWELL)))
+    learned = SavedState(sea=SWELL, hull=HULL, attitude_error=ERROR, laser_place=PLACE)
+    StateFile(tmp_path / "state", SavedState).write(StateFile.encode(learned, time.time()))
     async with published(config, imu_is_away_s=(6.0, 15.0)) as (daemon, frames):
         done = daemon.acquisition
         await until(lambda: done.last_fit)

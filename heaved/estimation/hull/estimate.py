@@ -41,6 +41,8 @@ class ResetReason(StrEnum):
     """The covariance was none any more, or something was not finite."""
     INCONSISTENT = "inconsistent"
     """Nothing was explained for too long."""
+    REMEMBERED = "remembered"
+    """The deformation of an earlier run is not that of now: an IMU was moved or replaced."""
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

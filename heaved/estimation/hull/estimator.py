@@ -42,8 +42,9 @@ from heaved.estimation.hull.refit import (
     refit,
     run,
 )
+from heaved.estimation.hull.remembered import SavedHull, Trial, saved
 from heaved.estimation.hull.slow_motion import COLUMNS, SlowMotion, SlowPair, SlowReading
-from heaved.estimation.hull.so3 import Noise
+from heaved.estimation.hull.so3 import Noise, So3Filter
 from heaved.estimation.hull.streams import RateCheck, RatePair, Stream, TwoStreams
 from heaved.estimation.hull.tuning import TUNING
 from heaved.samples import HullAngles
@@ -85,6 +86,12 @@ class HullDeformation:
         self.latest: HullEstimate | None = None
         self._t_s = self._published_s = -inf
         self._generation = 0
+        self._remembered: SavedHull | None = None
+        """Of an earlier run, while it is neither confirmed nor refuted,"""
+        self._remembered_age_s = 0.0
+        """and how old it was"""
+        self._heard_s = nan
+        """with the first pair."""
         self._take_rate(p.rate_hz)
 
     def _take_rate(self, rate_hz: float) -> None:
@@ -100,6 +107,8 @@ class HullDeformation:
 
     def _start_over(self) -> None:
         self._filter: Filter | None = None
+        self._trial: Trial | None = None
+        """The filter that begins with what is remembered; :attr:`_filter` knows nothing of it."""
         self._provisional = True
         self._pair, self._learned = self._new_pair(), False
         self._slow.clear()
@@ -119,6 +128,8 @@ class HullDeformation:
     def _reset(self, reason: ResetReason) -> None:
         self.resets[reason] += 1
         self._generation += 1
+        if reason is ResetReason.TIME:
+            self._remembered = None  # Nobody knows how old it is.
         self._ring.clear()
         self.latest = None
         self._start_over()
@@ -186,6 +197,8 @@ class HullDeformation:
         elif len(self._ring) and t_s - self._t_s > TUNING.longest_gap_s:
             self._break_record()
         self._t_s = t_s
+        if isnan(self._heard_s):
+            self._heard_s = t_s
         midships = self._checks[0].checked(t_s, pair.midships_radps)
         local = self._checks[1].checked(t_s, pair.local_radps)
         self._ring.push((t_s, *midships, *local, pair.midships_after_s, pair.local_after_s))
@@ -227,7 +240,9 @@ class HullDeformation:
             slow = reading[1]
             self._slow.push((t, *(slow.motion[0] if slow is not None else (nan, nan, nan))))
             if self._filter is not None and t > self._filtered_s:
-                self._judge(advance(self._filter, t - self._filtered_s, reading, t - self._began_s), t)
+                dt_s = t - self._filtered_s
+                self._judge(advance(self._filter, dt_s, reading, t - self._began_s), t)
+                self._weigh(dt_s, reading)
         self._filtered_s = max(t, self._filtered_s)
         if self._provisional and self._t_s - self._first_s >= self._next_try_s - 1e-6:
             self._try_to_start(t)
@@ -304,12 +319,66 @@ class HullDeformation:
         self._updated_s = self._filtered_s = record[-1][0]
         if final:
             self._begin(filter, record[0][0])
+            self._try_remembered(filter, record)
 
     def _begin(self, filter: Filter, began_s: float) -> None:
         self._filter, self._provisional = filter, False
         self._record_s = self._began_s = began_s
         self._whole = True
         self._consistency.began()
+
+    # --- what an earlier run has found -------------------------------------------------------------------------------
+
+    def restore(self, remembered: SavedHull, age_s: float) -> None:
+        """Begin with what an earlier run has found ``age_s`` ago (nan: not known), once it has been checked and for as
+        long as the readings agree with it. What is too old is not taken, nor anything once readings have come.
+        """
+        age_s += remembered.unconfirmed_s
+        if isfinite(self._t_s) or self._params.method != Method.SO3 or not age_s <= TUNING.remembered_s:
+            return
+        self._remembered, self._remembered_age_s = remembered, age_s
+
+    def saved(self) -> SavedHull | None:
+        """What a restart shall remember; None: nothing is known that is worth it."""
+        if (remembered := self._remembered) is not None:
+            return msgspec.structs.replace(remembered, unconfirmed_s=self._age_s())
+        if not isinstance(self._filter, So3Filter) or self._provisional:
+            return None
+        return saved(self._filter, None if self._flexure is self._prior else self._flexure)
+
+    def _age_s(self) -> float:
+        """Of what is remembered."""
+        return self._remembered_age_s + (self._t_s - self._heard_s if isfinite(self._heard_s) else 0.0)
+
+    def _try_remembered(self, cold: Filter, record: list[SlowReading]) -> None:
+        """Put what is remembered on trial beside a filter that has just begun."""
+        if self._remembered is None or not isinstance(cold, So3Filter):
+            return
+        if self._age_s() > TUNING.remembered_s:
+            self._remembered = None
+            return
+        self._trial = Trial(self._remembered, self._age_s(), cold, record)
+        self._decide(cold)
+
+    def _weigh(self, dt_s: float, reading: SlowReading) -> None:
+        """Take the trial on by a reading."""
+        if self._trial is not None and isinstance(self._filter, So3Filter):
+            self._trial.step(dt_s, reading)
+            self._decide(self._filter)
+
+    def _decide(self, cold: So3Filter) -> None:
+        trial = self._trial
+        if trial is None:
+            return
+        verdict = trial.weigh(cold)
+        if verdict.is_refuted:
+            self.resets[ResetReason.REMEMBERED] += 1
+        elif verdict.is_confirmed:
+            self._filter, self._flexure = trial.settled(), trial.filter.flexure
+            self._whole = False  # The record does not reach back to where this filter began.
+        else:
+            return
+        self._trial = self._remembered = None
 
     # --- refit -------------------------------------------------------------------------------------------------------
 
@@ -354,6 +423,8 @@ class HullDeformation:
         self._filter.noise = msgspec.structs.replace(
             self._filter.noise, sample_radps=new.sample_radps, left=new.left, ordinary=new.ordinary
         )
+        if self._trial is not None:
+            self._trial.filter.flexure, self._trial.filter.noise = result.flexure, self._filter.noise
         self._refits += 1
         self._consistency.began()
         return True
@@ -373,7 +444,7 @@ class HullDeformation:
     def _publish(self, t_s: float) -> HullEstimate:
         """The estimate as the filter stands, or as it will stand at ``t_s``, between two slow readings."""
         t = self._filtered_s if isfinite(self._filtered_s) else self._t_s
-        f = self._filter
+        f = self._filter if self._trial is None else self._trial.filter
         if f is not None and t_s > t:
             f, t = f.ahead(t_s - t), t_s
         if f is None:
@@ -390,6 +461,8 @@ class HullDeformation:
                 covariance_rad2=_UNKNOWN,
             )
         C, C0, covariance = f.total, f.static, f.covariance
+        if self._trial is not None:
+            covariance = covariance + self._trial.doubt_rad2
         std = np.hypot(np.sqrt(np.maximum(np.diag(covariance), 0.0)), self._params.coherent_floor_arcsec * ARCSEC)
         return HullEstimate(
             angles=HullAngles(

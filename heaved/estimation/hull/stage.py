@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections import Counter
 
     from heaved.estimation.hull.refit import RefitJob, RefitResult
+    from heaved.estimation.hull.remembered import SavedHull
 
 UNKNOWN: Final = (nan, nan, nan)
 
@@ -68,6 +69,14 @@ class HullStage:
         heading = yaw_rad if isfinite(yaw_rad) else 0.0
         base = crane_base_attitude(AttitudeAngles(roll_rad, pitch_rad, heading), estimate.local_from_midships)
         return base.roll_rad, base.pitch_rad, base.yaw_rad if isfinite(yaw_rad) else nan
+
+    def restore(self, remembered: SavedHull, age_s: float) -> None:
+        """As :meth:`HullDeformation.restore`."""
+        self._estimator.restore(remembered, age_s)
+
+    def saved(self) -> SavedHull | None:
+        """What a restart shall remember; None: nothing is known that is worth it."""
+        return self._estimator.saved()
 
     @property
     def angles(self) -> HullAngles | None:

@@ -192,5 +192,24 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     holding_s: float = 2.0
     """Without an update for so long the last static deformation is held."""
 
+    # --- remembered: what an earlier run has found -----------------------------------------------------------------
+    remembered_s: float = 3600.0
+    """What is older is not taken: in an hour a vessel is loaded, or somebody has been at the IMU."""
+    away_walk_arcsec_rth: float = 20.0
+    """Random walk of the static deformation while nobody looks, arcsec per root hour: ten times that of a vessel at
+    work, for pauses are when loads come on board, tanks are filled and IMUs warm up."""
+    away_scale_rth: float = 1e-5
+    """The same of the scales of the gyros, which go with their temperature."""
+    unlike_nis: float = 16.0
+    """Normalised square (3 degrees of freedom) of the difference from a cold start from which it is another mounting:
+    a thousandth by chance, and then nothing is lost but the remembered."""
+    in_doubt: float = 0.5
+    """Share of the cold start's deviations, and of what it differs by, in the published ones for as long as nothing is
+    decided."""
+    as_good: float = 2.0
+    """It is decided when the cold start knows the deformation to so many of the other's deviations."""
+    coherent_arcsec: float = 1.0
+    """Flexure coherent with the waves, by which what two seas show differs."""
+
 
 TUNING: Final = Tuning()

@@ -40,6 +40,8 @@ from numpy.typing import NDArray
 from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.imu import attitude_fit
 from heaved.estimation.imu.attitude_fit import MEANS, TUNING, Noise, Run, Unsized
+from heaved.estimation.imu.attitude_memory import TUNING as MEMORY
+from heaved.estimation.imu.attitude_memory import Memory, SavedAttitudeError
 from heaved.samples import GRAVITY_MPS2
 
 Array = NDArray[np.float64]
@@ -109,6 +111,9 @@ class AttitudeError:
         self._if_any: Array = np.hypot(self._belief.null, self._belief.spread)
         """Of the two, where they are not nothing: whoever wants the angles has one sensor, not the average of those
         that lean and those that do not."""
+        self._memory: Memory | None = None
+        """Of an earlier run, until the record has taken its place."""
+        self._has_looked = False
         self.noise: Noise | None = None
         self.unsized: Unsized | None = None
         self.amendment: Amendment | None = None
@@ -130,6 +135,30 @@ class AttitudeError:
         """Of the row that has begun."""
         self._are_rates_measured = True
         """In all of them."""
+
+    def restore(self, saved: SavedAttitudeError, age_s: float) -> None:
+        """Begin with what an earlier run has found ``age_s`` ago (nan: not known); call before the first
+        sample. The lean is taken out from the first look on: before that nobody knows the integrals it is made of.
+        """
+        if age_s + saved.unconfirmed_s > MEMORY.serves_s:
+            return
+        memory = self._memory = Memory(saved, age_s)
+        self.late_s = saved.late_s
+        of_lean = float(self.covariance[0, 0])
+        self.covariance = memory.covariance
+        self.covariance[0, 0] = max(of_lean, float(memory.covariance[0, 0]) + saved.lean_per_s**2)
+        self._if_any = np.sqrt(np.square(memory.mean) + np.diag(memory.covariance))
+
+    def saved(self) -> SavedAttitudeError | None:
+        """What a restart shall remember; None: nothing has been found."""
+        if self._memory is not None and not self._memory.is_confirmed:
+            return self._memory.unconfirmed
+        if not self._has_looked or np.all(np.diag(self.covariance) > np.square(MEMORY.doubt)):
+            return None
+        of_lean, of_both, _, of_lateness = self.covariance.ravel().tolist()
+        return SavedAttitudeError(
+            lean_per_s=self.lean_per_s, late_s=self.late_s, covariance=(of_lean, of_both, of_lateness)
+        )
 
     def step(
         self, t_s: float, x_mps2: float, y_mps2: float, up_mps2: float, roll_rad: float, pitch_rad: float,
@@ -270,7 +299,14 @@ class AttitudeError:
         belief, told = attitude_fit.turned(turned, self._belief), (np.zeros((2, 2)), np.zeros(2))
         if (found := attitude_fit.spectra(record)) is not None:
             told = attitude_fit.below_waves(found, belief)
-        solution, self.covariance, self._if_any = attitude_fit.averaged(belief, *told)
+        joined = None if self._memory is None else self._memory.joined(self._t_s, belief, *told)
+        if joined is not None:
+            solution, self.covariance = joined
+            self._if_any = np.sqrt(np.square(solution) + np.diag(self.covariance))
+        else:
+            self._memory = None
+            solution, self.covariance, self._if_any = attitude_fit.averaged(belief, *told)
+        self._has_looked = True
         solution[0] = max(solution[0], 0.0)
         self.lean_per_s, self.late_s = solution.tolist()
         self.noise = attitude_fit.noise(record, solution, self.covariance)

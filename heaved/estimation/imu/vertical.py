@@ -25,6 +25,7 @@ from heaved.samples import GRAVITY_MPS2, Fault, RockPrediction
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from heaved.estimation.imu.attitude_memory import SavedAttitudeError
 NO_LEVEL: Final = (nan, nan)
 NO_RATES: Final = (nan, nan, nan)
 TOO_TILTED: Final = "no attitude or no horizontal acceleration: too much tilt in the acceleration to use it"
@@ -220,6 +221,14 @@ class Vertical:
     def lean(self, t_s: float, omega_radps: float) -> Lean:
         """What the measured angles of a moment are off by, see :meth:`AttitudeError.lean`."""
         return self._attitude_error.lean(t_s, omega_radps)
+
+    def restore(self, saved: SavedAttitudeError, age_s: float) -> None:
+        """Begin with what an earlier run has found of the attitude's errors, see :meth:`AttitudeError.restore`."""
+        self._attitude_error.restore(saved, age_s)
+
+    def saved(self) -> SavedAttitudeError | None:
+        """What a restart shall remember of them."""
+        return self._attitude_error.saved()
 
     @property
     def late_s(self) -> float:

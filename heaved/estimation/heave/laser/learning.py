@@ -26,6 +26,7 @@ from heaved.samples import Fault, LaserSample
 from heaved.unchanged import StuckDetector
 
 if TYPE_CHECKING:
+    from heaved.estimation.heave.laser.placement import SavedPlace
     from heaved.estimation.heave.observer import HeaveObserver, LaserAided
 
 Array = NDArray[np.float64]
@@ -133,6 +134,13 @@ class LaserLearning:
             "" if self.placement.is_lost else self._remark or self.lead.remark,
         )
         return tuple([remark for remark in remarks if remark])
+
+    # --- memory ------------------------------------------------------------------------------------------------------
+
+    def restore_place(self, saved: SavedPlace, age_s: float) -> None:
+        """Begin where an earlier run has found the gauge, see :meth:`Placement.restore`."""
+        self.placement.restore(saved, age_s)
+        self._geometry = self.placement.geometry
 
     # --- input -------------------------------------------------------------------------------------------------------
 

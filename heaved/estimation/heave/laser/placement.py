@@ -9,7 +9,7 @@ not known where the gauge is, and then they are those of a gauge at the place th
 from __future__ import annotations
 
 from collections import deque
-from math import hypot, inf, isfinite, nan
+from math import hypot, inf, isfinite, isnan, nan
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -78,6 +78,9 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """nor is it with more of the heave left over than that share."""
     moved: float = 0.5
     """Another place is taken up that moves the reading by so many times its noise."""
+    remembered_s: float = 7.0 * 86400.0
+    """A place that an earlier run has found is not taken when it is older than this; a younger one the readings judge.
+    """
     no_distance: int = 20
     """So many readings that are not above zero are no distances."""
 
@@ -99,6 +102,18 @@ class LaserPlace(msgspec.Struct, frozen=True, kw_only=True):
     port_std_m: float = nan
 
 
+class SavedPlace(msgspec.Struct, frozen=True, kw_only=True):
+    """A gauge that was found elsewhere."""
+
+    configured: Geometry
+    """Where it was configured: with another configuration nothing is known."""
+    geometry: Geometry
+    """Where it was taken to be; as configured: it was not known where."""
+    place: LaserPlace
+    unconfirmed_s: float = 0.0
+    """For so long the run that saved it had not found out whether it is still there."""
+
+
 class Placement:
     """Give it each reading that is believed with the heave of its time as no laser has touched it, and the delayed
     heave as it comes: that is so much better that the place shows ten times as well.
@@ -116,7 +131,13 @@ class Placement:
 
     def __init__(self, configured: Geometry, noise_std_m: float) -> None:
         """``noise_std_m``: of one reading."""
-        self.configured = self.geometry = configured
+        self.configured = self.geometry = self._told = configured
+        self._remembered: SavedPlace | None = None
+        """Where an earlier run has found it, until the readings show it anew, or at another place,"""
+        self._remembered_s = 0.0
+        """and for how long nobody has looked,"""
+        self._first_s = nan
+        """when the first reading came."""
         self.fit: GeometryFit | None = None
         self.is_off = self.is_known = False
         self.changes = 0
@@ -151,6 +172,29 @@ class Placement:
 
     # --- where it is -------------------------------------------------------------------------------------------------
 
+    def restore(self, saved: SavedPlace, age_s: float) -> None:
+        """Begin where an earlier run has found the gauge ``age_s`` ago (nan: not known); call before the first reading.
+
+        It is said, and readings are taken for those of that place, but nothing is to be learned from them until they
+        show it anew. One that was configured otherwise says nothing.
+        """
+        unconfirmed_s = saved.unconfirmed_s + (age_s if isfinite(age_s) else 0.0)
+        if saved.configured != self._told or unconfirmed_s > TUNING.remembered_s:
+            return
+        self._remembered, self._remembered_s, self.is_off = saved, unconfirmed_s, True
+        self._set(saved.geometry)
+
+    def saved(self) -> SavedPlace | None:
+        """What a restart shall remember; None: the gauge is where it is configured, or nothing is known of it."""
+        if (remembered := self._remembered) is not None:
+            since_s = self._push_s - self._first_s if isfinite(self._first_s) else 0.0
+            return msgspec.structs.replace(remembered, unconfirmed_s=self._remembered_s + since_s)
+        place = self.shown
+        is_found = isfinite(place.ahead_m + place.ahead_std_m + place.port_m + place.port_std_m)
+        if not self.is_off or not is_found:
+            return None
+        return SavedPlace(configured=self._told, geometry=self.geometry, place=place)
+
     def trust(self, tilt_std_rad: tuple[float, float]) -> None:
         """How well roll and pitch are known; what was read while they were known much less is not worth keeping."""
         self._tilt_std_rad = tilt_std_rad
@@ -167,6 +211,8 @@ class Placement:
             self._set(msgspec.structs.replace(self.geometry, is_distance=False))
         if tilt is not None and t_s - self._push_s >= TUNING.every_s - 1e-3:
             self._push_s = t_s
+            if isnan(self._first_s):
+                self._first_s = t_s
             self._at_once.push((t_s, reading_m, heave_m, velocity_mps, *tilt, self._target))
             self._waiting.append((t_s, reading_m, *tilt, self._target))
 
@@ -214,6 +260,8 @@ class Placement:
 
     def _take(self, found: GeometryFit | None, rows: Array, heave_m: float, roll: float, pitch: float) -> None:
         """Decide what is known of the place; ``heave_m``, ``roll``, ``pitch``: standard deviations of the motion."""
+        if found is not None and self._is_no_longer_there(found, rows):
+            self._remembered, self.is_off = None, False
         ahead_m, across_m = (inf, inf) if found is None else (found.foot_forward_std_m, found.foot_port_std_m)
         is_elsewhere = found is not None and self._is_elsewhere(found, rows)
         at = self.configured.foot_m(0.0)
@@ -233,6 +281,10 @@ class Placement:
         if found is None:
             return
         self.fit = found
+        if is_known:
+            self._remembered = None
+        if self._remembered is not None:
+            return
         taken = found.geometry if is_elsewhere and is_known else self.configured
         reading, roll_rad, pitch_rad = rows[:, 1], rows[:, 4], rows[:, 5]
         now_m = self.geometry.heave_m(reading, roll_rad, pitch_rad)
@@ -242,26 +294,38 @@ class Placement:
 
     def _is_elsewhere(self, found: GeometryFit, rows: Array) -> bool:
         """Whether the gauge is not where it is configured."""
+        off = self._off(found, rows, found.off_m(self.configured), (found.foot_forward_std_m, found.foot_port_std_m))
+        return off > (TUNING.back if self.is_off else TUNING.surely)
+
+    def _is_no_longer_there(self, found: GeometryFit, rows: Array) -> bool:
+        """Whether it is not where an earlier run has found it."""
+        if self._remembered is None or len(rows) * TUNING.every_s < TUNING.known_s:
+            return False
+        place, (forward, port) = self._remembered.place, found.off_m(self.configured)
+        apart_m = forward - place.ahead_m, port - place.port_m
+        std_m = hypot(found.foot_forward_std_m, place.ahead_std_m), hypot(found.foot_port_std_m, place.port_std_m)
+        return self._off(found, rows, apart_m, std_m) > TUNING.surely
+
+    def _off(self, found: GeometryFit, rows: Array, apart_m: tuple[float, float], std_m: tuple[float, float]) -> float:
+        """Standard errors by which it is another place that is so far off, beyond what an imperfect heave makes."""
         heave_m, velocity_mps = np.maximum(np.std(rows[:, 2:4], axis=0), LEAST_STD_M).tolist()
         of_heave, of_scale, at_once = TUNING.like_heave
         crooked = hypot(found.scale - 1.0, found.late_s * velocity_mps / heave_m)
         least_m = TUNING.least_m[0] + TUNING.least_m[1] * crooked
         share = of_heave + of_scale * crooked
         share += at_once if self._delayed is None else 0.0
-        forward, port = found.off_m(self.configured)
-        off = max(
+        return max(
             _errors(
-                forward,
-                found.foot_forward_std_m,
+                apart_m[0],
+                std_m[0],
                 max(least_m, share * heave_m / max(found.foot_forward_alone, LEAST_ALONE)),
             ),
             _errors(
-                port,
-                found.foot_port_std_m,
+                apart_m[1],
+                std_m[1],
                 max(least_m, share * heave_m / max(found.foot_port_alone, LEAST_ALONE)),
             ),
         )
-        return off > (TUNING.back if self.is_off else TUNING.surely)
 
     def _set(self, geometry: Geometry) -> None:
         if geometry != self.geometry:
@@ -288,6 +352,8 @@ class Placement:
 
     def is_open(self, t_s: float) -> bool:
         """Whether nothing is to be learned from the readings: it is not known where the gauge is."""
+        if self._remembered is not None:
+            return True
         is_told = self.is_known and not (self.is_off and self.geometry == self.configured)
         is_waited_for = self.is_off or len(self._at_once) * TUNING.every_s < TUNING.patience_s
         return isfinite(self.unknown_m) and not is_told and is_waited_for and t_s - self._push_s < TUNING.gone_s
@@ -299,7 +365,9 @@ class Placement:
 
     @property
     def shown(self) -> LaserPlace:
-        """What the readings say."""
+        """What the readings say, or have said."""
+        if self._remembered is not None:
+            return self._remembered.place
         if self.fit is None:
             return LaserPlace()
         ahead, port = self.fit.off_m(self.configured)
@@ -314,8 +382,8 @@ class Placement:
     @property
     def remark(self) -> str:
         """For people; or nothing."""
-        if self.is_off and self.fit is not None:
-            forward, port = self.fit.off_m(self.configured)
+        forward, port = self.shown.ahead_m, self.shown.port_m
+        if self.is_off and isfinite(forward + port):
             ahead = f"{abs(forward):.1f} m {'ahead' if forward > 0.0 else 'aft'}"
             across = f"{abs(port):.1f} m to {'port' if port > 0.0 else 'starboard'}"
             return f"laser: {hypot(forward, port):.1f} m from where it is configured ({ahead}, {across})"

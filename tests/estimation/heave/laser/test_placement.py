@@ -6,17 +6,20 @@ import math
 import re
 from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
 import pytest
 
 from heaved.estimation.heave.laser.geometry import Geometry
-from heaved.estimation.heave.laser.placement import Placement, heaves_m
+from heaved.estimation.heave.laser.placement import Placement, SavedPlace, heaves_m
 from heaved.estimation.heave.laser.tilts import Tilt
 from heaved.samples import DelayedHeave
 from heaved.simulate.gauge import AT_THE_IMU, Gauge
 from heaved.simulate.seaway import seaway
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from heaved.simulate.vessel import Array
 
 ELSEWHERE = Gauge(at_m=(8.0, -3.0, 2.0))
@@ -33,14 +36,20 @@ def shown(
     scale: float = 1.0,
     has_tilt: bool = True,
     leap_s: float = math.inf,
+    remembered: SavedPlace | None = None,
+    watch: Callable[[float, Placement], None] = lambda _t_s, _placement: None,
 ) -> Placement:
-    """A placement after so many seconds of readings at 5 Hz; ``leap_s``: the target rises by a metre then."""
+    """A placement after so many seconds of readings at 5 Hz; ``leap_s``: the target rises by a metre then;
+    ``remembered``: of an earlier run, a minute ago; ``watch`` is told after each reading.
+    """
     t = np.arange(round(span_s * 5.0)) / 5.0
     truth = seaway(sea, 2).motion(t)
     reading = scale * gauge.read(truth) + NOISE_M * np.random.default_rng(1).standard_normal(len(t))
     reading[t >= leap_s] -= 1.0
     heave: Array = truth.heave_m + 0.003 * np.sin(0.5 * t) * np.sin(0.03 * t)
     placement = Placement(configured or Geometry(), NOISE_M)
+    if remembered is not None:
+        placement.restore(remembered, 60.0)
     was_before = True
     for i, now in enumerate(t.tolist()):
         tilt = Tilt(float(truth.roll_rad[i]), float(truth.pitch_rad[i])) if has_tilt else None
@@ -51,6 +60,7 @@ def shown(
         if (j := i - round(5.0 * delay_s)) >= 0:
             placement.push_delayed(DelayedHeave(t_s=float(t[j]), heave_m=float(heave[j]), std_m=0.003))
         placement.look(now)
+        watch(now, placement)
     return placement
 
 
@@ -135,3 +145,86 @@ def test_many_readings_at_once_are_as_each() -> None:
     assert math.isnan(found[1])
     for i in (0, 2):
         assert found[i] == placement.heave_m(float(reading[i]), Tilt(float(roll[i]), float(pitch[i])))
+
+
+# --- over a restart --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def remembered() -> SavedPlace:
+    saved = shown(ELSEWHERE).saved()
+    assert saved is not None
+    # Through the file.
+    return msgspec.json.decode(msgspec.json.encode(saved), type=SavedPlace)
+
+
+def test_a_place_that_was_found_is_said_and_used_at_once_and_nothing_learned_until_it_shows_again(
+    remembered: SavedPlace,
+) -> None:
+    truth, was_open, errors_m, remarks = seaway("S6", 2), {}, [], set()
+
+    def watch(t_s: float, placement: Placement) -> None:
+        was_open[t_s] = placement.is_open(t_s)
+        now = truth.at(t_s)
+        found_m = placement.heave_m(ELSEWHERE.read(now), Tilt(now.roll_rad, now.pitch_rad))
+        errors_m.append(found_m - 12.0 - now.heave_m)
+        remarks.add(placement.remark)
+        assert placement.shown.is_elsewhere
+        assert not placement.is_lost
+
+    placement = shown(ELSEWHERE, remembered=remembered, watch=watch)
+    assert np.max(np.abs(errors_m)) < 0.03
+    assert all(re.match(r"laser: 8\.[56] m from where it is configured", remark) for remark in remarks)
+    assert all(is_open for t_s, is_open in was_open.items() if t_s < 25.0)
+    assert not was_open[199.8]
+    assert placement.is_known
+    now = placement.saved()
+    assert now is not None
+    assert now.unconfirmed_s == 0.0
+
+
+@pytest.mark.parametrize(
+    ("gauge", "is_elsewhere"), [(AT_THE_IMU, False), (Gauge(at_m=(2.0, 4.0, 2.0)), True)], ids=["back", "elsewhere"]
+)
+def test_one_that_has_been_moved_since_is_found_out_and_teaches_nothing_before(
+    remembered: SavedPlace, gauge: Gauge, is_elsewhere: bool
+) -> None:
+    taught_at_the_old_place = []
+
+    def watch(t_s: float, placement: Placement) -> None:
+        if placement.geometry == remembered.geometry:
+            taught_at_the_old_place.append(not placement.is_open(t_s))
+
+    placement = shown(gauge, remembered=remembered, watch=watch)
+    alone = shown(gauge)
+    assert not any(taught_at_the_old_place)
+    assert placement.is_known
+    assert placement.is_off is is_elsewhere
+    assert placement.geometry == alone.geometry
+    assert placement.remark == alone.remark
+    assert (placement.saved() is not None) is is_elsewhere
+
+
+def test_until_it_shows_again_it_is_saved_as_it_was(remembered: SavedPlace) -> None:
+    placement = shown(ELSEWHERE, span_s=10.2, remembered=remembered)
+    found = placement.saved()
+    assert found is not None
+    assert found.unconfirmed_s == pytest.approx(70.0)
+    assert msgspec.structs.replace(found, unconfirmed_s=0.0) == remembered
+    still = Placement(Geometry(), NOISE_M)
+    still.restore(remembered, math.nan)
+    assert still.saved() == remembered
+
+
+def test_it_says_nothing_of_a_gauge_that_is_configured_otherwise_nor_when_it_is_old(remembered: SavedPlace) -> None:
+    for configured, age_s in ((Geometry(forward_m=8.0, port_m=-3.0, up_m=2.0), 60.0), (Geometry(), 8.0 * 86400.0)):
+        placement = Placement(configured, NOISE_M)
+        placement.restore(remembered, age_s)
+        assert not placement.is_off
+        assert placement.geometry == configured
+        assert placement.saved() is None
+
+
+def test_a_gauge_at_its_place_leaves_nothing_to_remember() -> None:
+    assert shown(AT_THE_IMU).saved() is None
+    assert Placement(Geometry(), NOISE_M).saved() is None
