@@ -217,7 +217,7 @@ class Campaign:
     def _check(self, life: Life, kept: Sequence[Kept], remarks: Sequence[str], tail_s: float) -> None:
         if not kept:
             self.failures.append(f"{life.name}: nothing is recorded: {'; '.join(remarks)}")
-        if tail_s > SECOND_S:
+        if tail_s > max(SECOND_S, life.most_gap_s):
             self.failures.append(f"{life.name}: the last {tail_s:.1f} s before an end are not in the recording")
         for run in kept:
             if run.missing and run.longest_gap_s > life.most_gap_s:
