@@ -101,7 +101,7 @@ def causal_filters(spectra: Spectra, horizons_s: Sequence[float] = (0.0,)) -> li
     transposed = factor.transpose(0, 2, 1)
     count = 2 * (spectra.f_hz.size - 1)
     return [
-        np.linalg.solve(transposed, np.fft.rfft(response, count, axis=0)[:, :, None])[:, :, 0]
+        np.linalg.solve(transposed, np.fft.rfft(response, count, axis=0)[:, :, None])[:, :, 0].astype(np.complex128)
         for response in _of_innovations(spectra, factor, horizons_s)
     ]
 
