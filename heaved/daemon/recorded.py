@@ -223,7 +223,8 @@ class FramePacker:
             self._new("attitude", frame.attitude),
             self._new("mru", frame.reference_mru),
         )
-        if hull is not None and hull.state != self._hull_state:
+        # While a new configuration is taken up there may be frames of the hull of before.
+        if hull is not None and hull.state != self._hull_state and "hull_state" in self._text:
             self._hull_state = hull.state
             before += packed(Kind.TEXT, self._text["hull_state"] + hull.state.encode())
         if self._points:

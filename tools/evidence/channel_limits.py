@@ -100,10 +100,12 @@ def causal_filters(spectra: Spectra, horizons_s: Sequence[float] = (0.0,)) -> li
     factor = spectral_factor(spectra.measured / 2.0)
     transposed = factor.transpose(0, 2, 1)
     count = 2 * (spectra.f_hz.size - 1)
-    return [
-        np.linalg.solve(transposed, np.fft.rfft(response, count, axis=0)[:, :, None])[:, :, 0].astype(np.complex128)
-        for response in _of_innovations(spectra, factor, horizons_s)
-    ]
+    filters: list[Complex] = []
+    for response in _of_innovations(spectra, factor, horizons_s):
+        whitened = np.asarray(np.fft.rfft(response, count, axis=0), dtype=np.complex128)
+        filter_ = np.linalg.solve(transposed, whitened[:, :, None])[:, :, 0]
+        filters.append(np.asarray(filter_, dtype=np.complex128))
+    return filters
 
 
 def error_of(filter_: Complex, spectra: Spectra, horizon_s: float = 0.0) -> float:
