@@ -133,7 +133,7 @@ class Journal:
 
     def renewed(self, config: Config) -> None:
         """This configuration is in force now: what follows may have other columns."""
-        if self._output is not None:
+        if self._output is not None and config != self._output.config:
             self._output.renew(config)
 
     def _count(self) -> int:
@@ -184,7 +184,8 @@ class RecordingOutput:
         self._settings = packed(Kind.SETTINGS, msgspec.json.encode(settings))
         self._what = params.what
         self._header = self._sent_header = b""
-        self._config: Config
+        self.config: Config
+        """Whose columns are recorded."""
         self._hour = -1
         self._polls: dict[str, PollPacker] = {}
         self._frames: FramePacker
@@ -216,11 +217,9 @@ class RecordingOutput:
             self._gather(self._frames.pack(frame))
 
     def renew(self, config: Config) -> None:
-        """What follows has the columns of this configuration, and stands in files of its own unless it has them now."""
-        if self._header and config == self._config:
-            return
+        """What follows has the columns of this configuration, and stands in files of its own."""
         self._cut()
-        self._config = config
+        self.config = config
         self._frames = FramePacker(config)
         self._layout = layout_of(config, self._frames)
         self._polls = {device.name: PollPacker(i, device) for i, device in enumerate(self._layout.devices)}
@@ -236,7 +235,7 @@ class RecordingOutput:
             release=__version__,
             began_utc_s=now_utc_s,
             layout=self._layout,
-            config=msgspec.Raw(msgspec.json.encode(self._config)),
+            config=msgspec.Raw(msgspec.json.encode(self.config)),
             learned=msgspec.Raw(msgspec.json.encode(self._journal.learned())),
         )
         self._header = packed(Kind.HEADER, msgspec.json.encode(header))

@@ -98,7 +98,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     directory: str
     max_bytes: int
     max_age_s: float
-    batch_s: float = 0.75
+    batch_s: float = 0.5
     """Rows are written when the first of them is so old: with what is on its way, less than a second."""
     retry_s: float = 60.0
     """A disk that takes nothing is tried again after so long."""

@@ -84,7 +84,8 @@ def test_tip_and_hook_heave_as_they_say_within_their_deviation(
     stds = of(frames, "heave_std_m", place)[late]
     assert rms(errors) < 0.02 * rms(heave_m)
     # Errors of waves last for periods: 150 s hold some 40 independent ones, whose chi-square is within a factor of two.
-    assert 0.4 < np.mean((errors / stds) ** 2) < 1.6
+    # What the attitude may lean is counted in full, so they are rather smaller.
+    assert 0.2 < np.mean((errors / stds) ** 2) < 1.6
     assert np.mean(np.abs(errors) < 2.0 * stds) > 0.9
     assert {frame.points[place].state for frame in frames[int(RATE_HZ * FROM_S) :]} == {None}
     assert rms(of(frames, "own_height_m", place)[late] - own_m) < 0.05

@@ -112,7 +112,7 @@ def assert_says(text: str, value: float, unit: float, largest: float) -> None:
 
 def assert_says_heading(text: str, yaw_rad: float, unit: float) -> None:
     """The field gives that compass angle to half a unit, on the circle from 0 to below 360; or it is not known."""
-    if abs(yaw_rad) < 1e6:
+    if abs(yaw_rad) < 1e4:
         assert 0.0 <= float(text) < 360.0
         assert abs((float(text) - degrees(yaw_rad) + 180.0) % 360.0 - 180.0) <= 0.5 * unit * (1.0 + 1e-6) + 1e-8
     elif not abs(yaw_rad) < 1e7:

@@ -27,7 +27,7 @@ def test_body_rates_never_cost_and_deviations_are_true(rows: dict[str, rock_shak
     row = rows[name]
     assert max(row.over_without) < 1.02
     assert min(row.least_coverage) > 0.9
-    assert max(row.most_coverage[:-1]) < 0.99  # of errors 2 s ahead there are few
+    assert max(row.most_coverage[:-1]) < 0.998  # of errors 2 s ahead there are few
     assert row.lies < 1e-4 * row.predictions
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from heaved.estimation.imu.attitude import angle_rates
 from heaved.estimation.rock import direct
 from heaved.estimation.rock.direct import DirectPredictor
-from heaved.estimation.rock.limits import LIMITS, possible
+from heaved.estimation.rock.limits import LIMITS, USELESS_RAD, possible
 from heaved.estimation.rock.maximum_likelihood import MaximumLikelihoodPredictor
 from heaved.estimation.rock.params import STANDARD_HORIZONS_S, Params
 from heaved.samples import RockPrediction, RockScore
@@ -115,7 +115,7 @@ class DirectRockPredictor:
         self._with_rates = False
         self._yaw_reference_rad = nan
         self._yaw_rad = 0.0
-        self._deviations: tuple[Array, Array, list[list[float]]] | None = None
+        self._deviations: tuple[Array, Array, list[list[float]], NDArray[np.bool_] | None] | None = None
 
     def step(self, t_s: float, angles_rad: Angles, rates_radps: Angles = (nan, nan, nan)) -> Predictions:
         """Take one sample (nan: not known) and predict from it."""
@@ -143,8 +143,12 @@ class DirectRockPredictor:
         std, half_width = predictor.deviations(t_s)
         known = self._deviations
         if known is None or std is not known[0] or half_width is not known[1]:  # they change once a second
-            rows = np.concatenate((std, half_width), axis=1).tolist()
-            known = self._deviations = std, half_width, rows
+            useless = np.logical_or.accumulate(std > USELESS_RAD, axis=0)  # And so is what is further ahead.
+            told = [np.where(useless, nan, one) for one in (std, half_width)] if useless.any() else (std, half_width)
+            rows = np.concatenate(told, axis=1).tolist()
+            known = self._deviations = std, half_width, rows, useless if useless.any() else None
+        if known[3] is not None:
+            predicted_rad = np.where(known[3], nan, predicted_rad)
         angles_rad = predicted_rad.tolist()
         if not LIMITS.hold(angles_rad, self.horizons_s):
             angles_rad = LIMITS.kept(predicted_rad, self.horizons_s).tolist()

@@ -52,6 +52,9 @@ class Limits(msgspec.Struct, frozen=True):
         return np.where(np.logical_or.accumulate(beyond, axis=-2), nan, curves) if beyond.any() else curves
 
 
+USELESS_RAD: Final = ANGLE_RAD
+"""A prediction that may be off by all that a ship does is none."""
+
 LIMITS: Final = Limits((ANGLE_RAD, ANGLE_RAD, inf), ANGLE_RATE_RADPS)
 """Of roll, pitch and yaw."""
 
