@@ -1,6 +1,6 @@
 """The whole chain against a known truth, live: a recording through Modbus registers, the daemon, a TCP client.
 
-    python tools/live.py hebrides ../shared/data/hebrides_waverider/buoy_2005-07-01T00h00Z.raw [--duration 300]
+    python tools/live.py hebrides buoy_2005-07-01T00h00Z.raw [--duration 300]
     python tools/live.py sea S4 --laser 50%
 
 The recording is served by simulated slaves (IMU at 100 Hz, laser at 20 Hz, Modbus TCP on loopback) from this process;
