@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.heave.laser.geometry import Geometry, GeometryFit, fit_geometry
+from heaved.samples import GRAVITY_MPS2
 
 if TYPE_CHECKING:
     from heaved.estimation.heave.laser.tilts import Tilt
@@ -43,10 +44,12 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Standard errors by which the place must be another one,"""
     back: float = 1.5
     """and below which it is the configured one again."""
-    least_m: tuple[float, float] = (0.1, 1.0)
-    """Nor is it another one that is no further off than hands measure, and so many metres times what scale and phase of
-    the heave are off by: a sensor that is no better is crooked, too,"""
-    like_heave: tuple[float, float, float] = (0.004, 0.3, 0.05)
+    least_m: float = 0.1
+    """Nor is it another one that is no further off than hands measure,"""
+    crooked: float = 0.8
+    """nor than what an accelerometer makes of gravity that is crooked, rad, by such a share of what the scale and the
+    phase of its heave are off by: in a long swell, metres (a tilt a reads as a lever arm of g a / omega^2),"""
+    like_heave: tuple[float, float, float] = (0.004, 0.03, 0.05)
     """or moves the reading by no more than such a share of the heave: what the delayed heave is off by goes with roll
     and pitch as the heave does; and that share of how far its scale and its phase are off, which then differ from wave
     to wave; and more, where there is a heave in real time alone."""
@@ -310,9 +313,10 @@ class Placement:
         """Standard errors by which it is another place that is so far off, beyond what an imperfect heave makes."""
         heave_m, velocity_mps = np.maximum(np.std(rows[:, 2:4], axis=0), LEAST_STD_M).tolist()
         of_heave, of_scale, at_once = TUNING.like_heave
-        crooked = hypot(found.scale - 1.0, found.late_s * velocity_mps / heave_m)
-        least_m = TUNING.least_m[0] + TUNING.least_m[1] * crooked
-        share = of_heave + of_scale * crooked
+        omega_radps = velocity_mps / heave_m
+        imperfect = hypot(found.scale - 1.0, found.late_s * omega_radps)
+        least_m = TUNING.least_m + TUNING.crooked * imperfect * GRAVITY_MPS2 / omega_radps**2
+        share = of_heave + of_scale * imperfect
         share += at_once if self._delayed is None else 0.0
         return max(
             _errors(
