@@ -2,11 +2,13 @@
 
 :class:`Unchanged` counts for how long anything, one number or a whole block of registers, has been the same; whoever
 knows how long that may be needs no more. :class:`StuckDetector` finds out for itself how long it may be: from the
-resolution of the readings, from how often they are the same when all is well, and from whether the vessel moves. Pure.
+resolution of the readings, from how often they are the same when all is well, and from whether the vessel moves.
+:class:`OldReadings` knows those of before that stand between new ones. Pure.
 """
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from math import exp, inf, isfinite, nan, sqrt
 from typing import TYPE_CHECKING, Final
 
@@ -42,6 +44,97 @@ class Unchanged:
             self.repeats += 1
         self.t_s = t_s
         return t_s - self.since_s
+
+
+class OldTuning(msgspec.Struct, frozen=True, kw_only=True):
+    """Of :class:`OldReadings`."""
+
+    memory_s: float = 5.0
+    """A reading that is not heard again for so long is forgotten: a gateway that serves its memory serves it sooner."""
+    chance: float = 0.004
+    """Where fewer readings than that are by chance the same as one of before, one that is has not been measured."""
+    repeating: float = 0.02
+    """Nor has one that repeats the last, where fewer than that do."""
+    weight: float = 0.0005
+    """Of one reading in either share (the last 2000)."""
+    refused_weight: float = 1e-5
+    """Of one that was refused and does not leap: a memory that is served for a minute does not become usual."""
+    refused: float = 0.002
+    """Weight of one reading in the share that is refused (the last 500)."""
+    width: float = 4.0
+    """Where more are, in coarse registers, it must also leap by so many RMS steps."""
+    step_weight: float = 0.005
+    """Of one step in their mean square (the last 200)."""
+    learned: int = 50
+    """Steps from which that is known."""
+    stale_s: float = 0.5
+    """After a gap this long the last reading says nothing about the next."""
+
+
+OLD: Final = OldTuning()
+
+
+class OldReadings:
+    """Tells a reading of before that comes again between new ones: of a gateway, or a device, that serves its memory.
+
+    A sensor has noise: what is the same to the last bit in several numbers is the same reading, unless its registers
+    are coarse and it hardly moves, which the readings themselves show. So is one that repeats the last, unless that is
+    usual: then the sensor is slow, or hangs.
+    """
+
+    def __init__(self) -> None:
+        self._heard_s: OrderedDict[Hashable, float] = OrderedDict()
+        """When each of the last readings was heard last, the oldest first."""
+        self._last: Hashable = nan
+        self._is_old = False
+        self._heard, self._new = 0, 0
+        self._repeating = self._chance = 1.0
+        """Shares of readings that repeat the last, and, of the others, that are the same as one of before."""
+        self._t_s = self._value = nan
+        self._steps, self._mean_square = 0, 0.0
+        self.share = 0.0
+        """Of the last readings that were old ones."""
+
+    def step(self, t_s: float, content: Hashable, value: float) -> bool:
+        """Whether the reading at ``t_s`` is an old one. ``content``: all of it; ``value``: what leaps."""
+        is_old = self._is_one(t_s, content, value)
+        self.share += OLD.refused * (is_old - self.share)
+        return is_old
+
+    def _is_one(self, t_s: float, content: Hashable, value: float) -> bool:
+        heard_s = self._heard_s
+        while heard_s and t_s - next(iter(heard_s.values())) > OLD.memory_s:
+            heard_s.popitem(last=False)
+        repeats, was_heard = content == self._last, content in heard_s
+        heard_s[content] = t_s
+        heard_s.move_to_end(content)
+        self._last = content
+        usually, self._heard = self._repeating, self._heard + 1
+        if self._heard > 1:
+            self._repeating += max(OLD.weight, 1.0 / (self._heard - 1)) * (repeats - usually)
+        if repeats:
+            return self._is_old or usually < OLD.repeating
+        leaps = self._leaps(t_s, value)
+        self._is_old = was_heard and (leaps or self._chance < OLD.chance)
+        if not self._is_old:
+            self._new += 1
+            self._chance += max(OLD.weight, 1.0 / self._new) * (was_heard - self._chance)
+            self._t_s, self._value = t_s, value
+        elif not leaps:
+            # Where the vessel has come to rest on coarse registers, all are as one of before: for 400 readings.
+            self._chance += OLD.refused_weight * (1.0 - self._chance)
+        return self._is_old
+
+    def _leaps(self, t_s: float, value: float) -> bool:
+        """Whether the step from the last reading that was believed is none of the usual ones."""
+        if not t_s - self._t_s <= OLD.stale_s:
+            return False
+        square, most = (value - self._value) ** 2, OLD.width**2 * self._mean_square
+        leaps = self._steps >= OLD.learned and square > most
+        if not leaps:
+            self._steps += 1
+            self._mean_square += max(OLD.step_weight, 1.0 / self._steps) * (square - self._mean_square)
+        return leaps
 
 
 class Tuning(msgspec.Struct, frozen=True, kw_only=True):

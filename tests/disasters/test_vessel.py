@@ -47,6 +47,7 @@ DISASTERS: dict[str, dict[Record, float | None]] = {
     "wild_1_in_200": {SHORT: None},
     "attitude_frozen": {ROUGH: 55.0, SHORT: None},
     "acceleration_frozen": {SHORT: 60.0},
+    "old_readings": {ROUGH: 5.0},
     "az_step_0.5": {ROUGH: 60.0, SHORT: 60.0},
     "az_in_g": {SHORT: None},
     "attitude_signs": {ROUGH: None, SHORT: None},

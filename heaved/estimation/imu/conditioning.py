@@ -18,7 +18,7 @@ from heaved.estimation.imu.gates import AngleGate, SpikeGate, wrapped
 from heaved.estimation.imu.mounting import SignCheck, UnitsCheck
 from heaved.estimation.imu.sensor_clock import SensorClock
 from heaved.samples import GRAVITY_MPS2, Fault, ImuSample
-from heaved.unchanged import StuckDetector
+from heaved.unchanged import OldReadings, StuckDetector
 
 
 class Tuning(msgspec.Struct, frozen=True, kw_only=True):
@@ -36,6 +36,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Accelerations and angles no further apart are held against each other: a small part of a wave."""
     notes_every_s: float = 0.2
     """What there is to say is renewed so often."""
+    old_share: float = 0.05
+    """Readings of before that come again are spoken of from this share on: coarse registers make some by chance."""
     hangs_s: float = 5.0
     """A sensor that has not shown a second reading for so long hangs."""
 
@@ -141,6 +143,7 @@ class Conditioner:
 
     def __init__(self) -> None:
         self._forces, self._angles, self._rates = _Channels(), _Channels(), _Channels()
+        self._old = OldReadings()
         # Without ax or ay the tilt is not removed: what is measured counts as measured otherwise.
         self._ax = _Accelerometer(StuckDetector(rests=True, by_chance=True), TUNING.sideways_mps2)
         self._ay = _Accelerometer(StuckDetector(rests=True, by_chance=True), TUNING.sideways_mps2)
@@ -162,6 +165,10 @@ class Conditioner:
         t_s = sample.t_s
         if sample.fault is not Fault.NONE:
             return self._none(t_s, sample.fault, sample.fault)
+        forces = sample.ax_mps2, sample.ay_mps2, sample.az_mps2
+        # Of fewer numbers a slam may come back to one that has been before.
+        if isfinite(sum(forces)) and self._old.step(t_s, forces, sample.az_mps2):
+            return self._none(t_s, Fault.STALE, Fault.STALE)
         force_t_s, ax, ay, az, fault = self._judge_forces(sample)
         if fault is Fault.OUT_OF_RANGE or self._units.reason:
             return self._none(t_s, Fault.NONE, Fault.OUT_OF_RANGE)
@@ -287,6 +294,8 @@ class Conditioner:
         found = [f"imu: {' and '.join(names)} stuck" for names in (angles, forces) if names]
         if not angles and self._angles.hangs:
             found.append("imu: attitude stuck")
+        if (share := self._old.share) > TUNING.old_share:
+            found.append(f"imu: {100.0 * share:.0f} % of the readings are old ones that come again")
         remarks = [r for r in (self._forces.remark("accelerations"), self._angles.remark("attitude")) if r]
         notes = Notes(
             unusable=self._units.reason,

@@ -288,6 +288,21 @@ def frozen(names: tuple[str, ...]) -> Deed:
     return deed
 
 
+def old_readings(share: float, each_s: float, of_s: float) -> Deed:
+    """For ``each_s`` of every ``of_s`` that share of the rows are an old one: a gateway serves its memory."""
+
+    def deed(recording: Recording, span: Span, rng: np.random.Generator) -> Recording:
+        inside = span.holds(recording.t_s)
+        begun_s = np.floor(recording.t_s / of_s) * of_s
+        is_old = inside & (recording.t_s - begun_s < each_s) & (rng.random(len(inside)) < share)
+        old = np.searchsorted(recording.t_s, begun_s)
+        return changed(recording, {
+            name: np.where(is_old, values[old], values) for name in IMU for values in [getattr(recording, name)]
+        })  # fmt: skip
+
+    return deed
+
+
 def wild(value: float, nth: int) -> Deed:
     """All readings of one row in so many are this one."""
 
@@ -456,6 +471,9 @@ DISASTERS: Final[dict[str, Disaster]] = {
     "attitude_frozen": Disaster(what="angles frozen for 30 s", deed=frozen(ANGLES), lasts_s=30.0),
     "roll_frozen": Disaster(what="roll alone frozen for 30 s", deed=frozen(("roll_rad",)), lasts_s=30.0),
     "acceleration_frozen": Disaster(what="accelerations frozen for 30 s", deed=frozen(FORCES), lasts_s=30.0),
+    "old_readings": Disaster(
+        what="for 60 s half of the rows an old one, 1.5 s of every 5", deed=old_readings(0.5, 1.5, 5.0), lasts_s=60.0
+    ),
     "az_step_0.05": Disaster(what="az + 0.05 m/s2 from then on", deed=raised("az_mps2", 0.05), is_step=True),
     "az_step_0.5": Disaster(what="az + 0.5 m/s2 from then on", deed=raised("az_mps2", 0.5), is_step=True),
     "az_pulse_1": Disaster(what="az + 1 m/s2 for 3 s", deed=raised("az_mps2", 1.0), lasts_s=3.0),
