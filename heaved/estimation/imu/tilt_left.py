@@ -53,6 +53,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     enough: int = 60
     """and of so many something is said, each time that there are a few more:"""
     often: int = 5
+    sure: int = 90
+    """From so many on what is told counts as measured: in a shorter record long waves count as well."""
     below_hz: float = 0.022
     """what is below the longest swell is none of it: 25 s, and the width of the window."""
     fewest: float = 3.7
@@ -124,7 +126,7 @@ class TiltLeft:
         self._mean += share * off
         self._lean_square += share * (off * off - self._lean_square)
         below = self._below.square
-        self.is_measured = is_across or isfinite(below)
+        self.is_measured = is_across or self._below.is_sure
         self.square = self._lean_square if is_across or not isfinite(below) else below
 
 
@@ -156,10 +158,11 @@ class _BelowTheWaves:
     Attributes:
         square: mean square of what the tilt makes of it, by what there is below the waves; nan: that does not show yet.
         density: of all that there is at ``TILT_HZ``; inf, likewise.
+        is_sure: the record is long enough to tell the waves from it.
     """
 
     def __init__(self) -> None:
-        self.square = nan
+        self.square, self.is_sure = nan, False
         self.density: Array = np.full(len(TILT_HZ), inf)
         self._means: deque[float] = deque(maxlen=TUNING.kept)
         self._t_s = self._z = nan
@@ -185,6 +188,7 @@ class _BelowTheWaves:
         if len(self._means) >= TUNING.enough and self._new >= TUNING.often:
             self._new = 0
             self.square, self.density = low_spectrum(np.array(self._means))
+            self.is_sure = len(self._means) >= TUNING.sure
 
 
 def low_spectrum(means: Array) -> tuple[float, Array]:
