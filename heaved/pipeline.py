@@ -87,7 +87,6 @@ class Pipeline:
         self.quiet = quiet
         self._t_s = nan
         self._out_of_order = 0
-        self._accepted_t_s = self._fitted_t_s = nan
         self._trained: Counter[Verdict] = Counter()
         self._fitted: Counter[Verdict] = Counter()
 
@@ -141,8 +140,6 @@ class Pipeline:
         """Judge what the trainer made of a window."""
         verdict = self.heave.correction.accept(network)
         self._trained[verdict] += 1
-        if verdict is Verdict.ACCEPTED:
-            self._accepted_t_s = self.heave.t_s
         return verdict
 
     def fit_due(self) -> SeaWindow | None:
@@ -153,8 +150,6 @@ class Pipeline:
         """Change over to a fitted sea; one that comes too late is rejected."""
         verdict = self.heave.observer.accept(fit)
         self._fitted[verdict] += 1
-        if verdict is Verdict.ACCEPTED:
-            self._fitted_t_s = fit.t_s
         return verdict
 
     def rock_scores(self) -> tuple[RockScore, ...]:
@@ -225,9 +220,7 @@ class Pipeline:
             trained_accepted=self._trained[Verdict.ACCEPTED],
             trained_rejected=self._trained[Verdict.REJECTED],
             trained_failed=self._trained[Verdict.FAILED],
-            last_accepted_t_s=self._accepted_t_s,
             fitted={verdict.value: count for verdict, count in self._fitted.items()},
-            last_fitted_t_s=self._fitted_t_s,
             out_of_order=self._out_of_order,
             spikes=self.conditioner.spikes,
             rejected=observer.rejected,
@@ -289,10 +282,8 @@ class PipelineSummary(msgspec.Struct, frozen=True, kw_only=True):
     trained_accepted: int
     trained_rejected: int
     trained_failed: int
-    last_accepted_t_s: float
     fitted: dict[str, int]
     """Fits of the sea by what became of them."""
-    last_fitted_t_s: float
     out_of_order: int
     spikes: int
     rejected: int

@@ -147,7 +147,7 @@ class MotionFrames:
         heave = estimator.at(shift_s) if shift_s <= QUALITY.coast_s else None
         if heave is not None:
             heave = self._possible(heave)
-        beyond = observer.resets[BEYOND] + self.resets["frame", BEYOND]
+        beyond = observer.resets.get(BEYOND, 0) + self.resets.get(("frame", BEYOND), 0)
         if not self._ran_away.is_believed(t_s, beyond):
             heave = None
         now = None

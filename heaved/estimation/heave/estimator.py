@@ -128,13 +128,14 @@ class HeaveEstimator:
         found = observer.forecast(shift_s, taught.learned_s, scale, taught.gain)
         if not taught.updates:
             return found
+        omega_radps = observer.omega_radps
         return tuple(
             [
-                msgspec.structs.replace(
-                    one,
+                HeaveForecast(
+                    horizon_s=one.horizon_s,
+                    heave_m=one.heave_m,
                     std_m=hypot(
-                        one.std_m,
-                        taught.error_std_m(one.heave_m, hypot(velocity_mps, observer.omega_radps * one.heave_m)),
+                        one.std_m, taught.error_std_m(one.heave_m, hypot(velocity_mps, omega_radps * one.heave_m))
                     ),
                 )
                 for one in found

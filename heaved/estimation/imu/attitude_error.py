@@ -97,6 +97,7 @@ class AttitudeError:
         lean_per_s: k, 1/s; 0: the angles do not lean.
         late_s: by which the angles are later than the accelerations.
         covariance: (2, 2) of the two.
+        angles_late_s: by which the angles are late; where it is less than nothing it is the accelerometers that are.
         noise: what not knowing them better leaves in the vertical acceleration, as of the last look; take it away.
         unsized: what it leaves in the row that has just ended, by the two; take it away.
         amendment: what has been found out that is worth amending the past for; take it away.
@@ -111,6 +112,7 @@ class AttitudeError:
         self._if_any: Array = np.hypot(self._belief.null, self._belief.spread)
         """Of the two, where they are not nothing: whoever wants the angles has one sensor, not the average of those
         that lean and those that do not."""
+        self._know()
         self._memory: Memory | None = None
         """Of an earlier run, until the record has taken its place."""
         self._has_looked = False
@@ -148,6 +150,7 @@ class AttitudeError:
         self.covariance = memory.covariance
         self.covariance[0, 0] = max(of_lean, float(memory.covariance[0, 0]) + saved.lean_per_s**2)
         self._if_any = np.sqrt(np.square(memory.mean) + np.diag(memory.covariance))
+        self._know()
 
     def saved(self) -> SavedAttitudeError | None:
         """What a restart shall remember; None: nothing has been found."""
@@ -226,12 +229,12 @@ class AttitudeError:
         since_s = t_s - self._t_s
         if not -TUNING.hole_s <= since_s:
             return Lean()
-        std = sqrt(float(self.covariance[0, 0]))
+        std = self._lean_std
         k = self.lean_per_s if self.lean_per_s > SHOWN * std else 0.0
-        late2 = float(self.covariance[1, 1] if self.angles_late_s else self._if_any[1] ** 2)
+        late2 = self._late_square
         late_roll2, late_pitch2 = late2 * self._square_roll_rate, late2 * self._square_pitch_rate
         if k == 0.0:
-            k2 = float(self._if_any[0] ** 2)
+            k2 = self._lean_square
             return Lean(
                 0.0, 0.0, sqrt(k2 * self._square_across + late_roll2), sqrt(k2 * self._square_along + late_pitch2)
             )
@@ -251,11 +254,13 @@ class AttitudeError:
             sqrt(lost2 * self._square_along + late_pitch2),
         )
 
-    @property
-    def angles_late_s(self) -> float:
-        """By which the angles are late. Where it is less than nothing it is the accelerometers that are."""
+    def _know(self) -> None:
+        """What is asked for with every sample, from what has been found: that changes once in ten seconds."""
+        self._lean_std = sqrt(float(self.covariance[0, 0]))
         is_known = self._belief.null[1] > 0.0 or self.late_s > SHOWN * sqrt(float(self.covariance[1, 1]))
-        return max(self.late_s, 0.0) if is_known else 0.0
+        self.angles_late_s = max(self.late_s, 0.0) if is_known else 0.0
+        self._late_square = float(self.covariance[1, 1] if self.angles_late_s else self._if_any[1] ** 2)
+        self._lean_square = float(self._if_any[0] ** 2)
 
     def _close(self, t_s: float) -> None:
         """Keep the row that has ended, and look at them all when it is time to."""
@@ -309,5 +314,6 @@ class AttitudeError:
         self._has_looked = True
         solution[0] = max(solution[0], 0.0)
         self.lean_per_s, self.late_s = solution.tolist()
+        self._know()
         self.noise = attitude_fit.noise(record, solution, self.covariance)
         return solution

@@ -14,7 +14,7 @@ import msgspec
 
 from heaved.estimation.common.ring import History
 from heaved.estimation.common.sample_rate import Arrivals
-from heaved.estimation.imu.attitude import Attitude, AttitudePropagator, level_acceleration
+from heaved.estimation.imu.attitude import UNKNOWN, AttitudePropagator, level_acceleration
 from heaved.estimation.imu.attitude_error import Amendment, AttitudeError, Lean
 from heaved.estimation.imu.attitude_fit import Noise, Unsized
 from heaved.estimation.imu.conditioning import NOTHING, Conditioned
@@ -81,6 +81,7 @@ class Vertical:
         notes: what there is to say of the IMU beside that.
         withheld: why accelerations that are there are not given; empty: they are.
         force_std_s: how well the time is known at which the accelerations were measured.
+        attitude: roll, pitch and yaw of the last sample, or of when they were last known.
         level_mps2: acceleration forward and to port in the level frame, of the last sample; nan: not known.
     """
 
@@ -92,6 +93,7 @@ class Vertical:
         self.withheld = ""
         self.force_std_s = 0.0
         self.level_mps2 = NO_LEVEL
+        self.attitude = UNKNOWN
         self._propagator = AttitudePropagator()
         self._attitudes = History(int(max_rate_hz))
         self._rates = History(int(max_rate_hz))
@@ -119,13 +121,14 @@ class Vertical:
         if (attitude := readings.attitude) is not None:
             self._attitudes.push((attitude.t_s, attitude.roll_rad, attitude.pitch_rad))
         self._propagator.step(readings.sample, attitude, rock)
+        self.attitude = self._propagator.latest
         if self._propagator.are_rates_measured:
             self._rates.push((readings.sample.t_s, *self._propagator.rates))
         t_s, sample = readings.force_t_s, readings.sample
         if not isfinite(t_s):
             return None
         ax, ay, az = sample.ax_mps2, sample.ay_mps2, sample.az_mps2
-        has_tilt = t_s - self._propagator.latest.t_s <= TUNING.attitude_hold_s and isfinite(ax + ay)
+        has_tilt = t_s - self.attitude.t_s <= TUNING.attitude_hold_s and isfinite(ax + ay)
         if not has_tilt:
             self._left.step(t_s, ax, ay, az)
         is_of_another_kind = self._is_of_another_kind(t_s, has_tilt)
@@ -199,11 +202,6 @@ class Vertical:
         self._t_s = t_s
         if share > 0.0:
             self._tilt_square += share * (tilt_mps2**2 - self._tilt_square)
-
-    @property
-    def attitude(self) -> Attitude:
-        """Roll, pitch and yaw of the last sample, or of when they were last known."""
-        return self._propagator.latest
 
     @property
     def rates_radps(self) -> tuple[float, float, float]:

@@ -169,6 +169,8 @@ class DirectPredictor:
         self._horizons = np.array([*self.horizons_s, *more_s])
         """And one more, where the curve of a moment without a sample would end too soon."""
         self._published = slice(0, len(self.horizons_s))
+        self._shown = slice(1, 1 + len(self.horizons_s))
+        """The same of a curve, which begins with now."""
         self._n = channels
         self._with_rates = rates
         self._no_rates = [0.0] * channels
@@ -212,7 +214,7 @@ class DirectPredictor:
         self._switch = Switch(self._horizons, count, self._n, first_choice(self._horizons))
         self._curve = self._unknown_curve
         """What is known of the latest sample (filled where it was missing) and of the horizons."""
-        self.values = self._unknown_curve[1:][self._published]
+        self.values = self._unknown_curve[self._shown]
         """What is predicted."""
 
     # -- what is known of the errors -------------------------------------------------------------------------------
@@ -361,7 +363,7 @@ class DirectPredictor:
     def at(self, t_s: float) -> Array:
         """Predictions as seen from a moment without a sample, a little after the last one."""
         if self._clock is None or not 0.0 <= t_s - self.t_s <= self._params.max_gap_s:
-            return self._unknown_curve[1:][self._published]
+            return self._unknown_curve[self._shown]
         at_s = t_s - self.t_s + self._clock.late_s + self._horizons[self._published]
         end_s = float(self._horizons[-1])
         seen: Array = self._curve_spline(np.minimum(at_s, end_s)) @ self._curve
@@ -443,7 +445,7 @@ class DirectPredictor:
         ahead_s = interval_s * np.arange(1, ceil(horizons[-1] / interval_s) + 2)
         gap_weights = self._curve_spline(np.minimum(ahead_s, horizons[-1]))
         self._one_step = gap_weights[:1]
-        self._slopes = self._curve_spline.slope(horizons)
+        self._slopes = self._curve_spline.slope(horizons)[self._published]
         self._seen = np.zeros((n, count + 3, 1))
         self._lowest, self._highest = np.full(self._seen.shape, -inf), np.full(self._seen.shape, inf)
         """Of what is seen, while there are limits: of the curves, that is."""
@@ -473,7 +475,7 @@ class DirectPredictor:
     def _mapped(self) -> Array:
         """(n, H + 3, width) from the vectors to the latest sample, the predictions, one step on, the slope."""
         regressors, n = self._regressors, self._n
-        now, slope = (np.tile(row, (n, 1, 1)) for row in (regressors.sample, regressors.taps[-1]))
+        now, slope = (np.broadcast_to(row, (n, 1, len(row))) for row in (regressors.sample, regressors.taps[-1]))
         curve = np.concatenate([now, self._learner.weights], axis=1)
         return np.concatenate([curve, self._one_step @ curve, slope], axis=1)
 
@@ -699,6 +701,6 @@ class DirectPredictor:
             self._levels, self._level = levels, np.array(levels)
         curves = self._curves.T
         self._curve = curves + self._level
-        self.values = self._curve[1:][self._published]
+        self.values = self._curve[self._shown]
         if abs(late_s) > TUNING.late_s:
-            self.values = self.values + late_s * (self._slopes[self._published] @ curves)
+            self.values = self.values + late_s * (self._slopes @ curves)

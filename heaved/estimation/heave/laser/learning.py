@@ -115,7 +115,7 @@ class LaserLearning:
             return 1.0
         scale = self.reference.scale.at(t_s)
         # What agrees with it is right wherever the gauge is; what does not may be so by the gauge's place.
-        return min(scale, 1.0) if self.placement.is_open(t_s) else scale
+        return 1.0 if scale > 1.0 and self.placement.is_open(t_s) else scale
 
     def is_fresh(self, t_s: float) -> bool:
         """Whether there is a reading young enough to be published, of a laser that shows the heave."""
