@@ -7,13 +7,16 @@ that moves, each puts something into the vertical acceleration that is no heave,
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
 
 from heaved.samples import GRAVITY_MPS2
-from heaved.simulate.sensors import Recording
-from heaved.simulate.vessel import Array
+
+if TYPE_CHECKING:
+    from heaved.simulate.sensors import Recording
+    from heaved.simulate.vessel import Array
 
 
 class Wrong(msgspec.Struct, frozen=True, kw_only=True):

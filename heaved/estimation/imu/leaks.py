@@ -6,11 +6,13 @@ row u of the rotation from body to level axes, so that the vertical acceleration
 
     u (M - 1) f = sum over i, j of m_ij u_i f_j,
 
-and by k u_z a^2 / g where the upright axis shows a share k more for each g. That is linear in what is not known, for
-any attitude and any motion. Four of the columns are waves (m_zx fx, m_xz g pitch, and those across); products of two
-waves have their difference frequency, far below both, where a millimetre per second squared is decimetres of heave.
+and by k sum over i of u_i f_i |f_i| / g where axes show a share k more for each g. That is linear in what is not known,
+for any attitude and any motion. Four of the columns are waves (m_zx fx, m_xz g pitch, and those across); products of
+two waves have their difference frequency, far below both, where a millimetre per second squared is decimetres of heave.
 
-The scale of the upright axis is not among them: it is a gain of the heave, which is learned as such.
+The scale is not among them, nor what a bend makes of it (2 k): that is a gain of the heave, which is learned as such.
+Differences between the scales of the axes are left out too: 1 % is a product with the square of a tilt, a tenth of a
+millimetre per second squared, and half a minute of waves tells it badly.
 """
 
 from __future__ import annotations
@@ -25,18 +27,17 @@ NAMES: Final = (
     "port shown upright",
     "upright shown forward",
     "upright shown to port",
-    "scale forward",
-    "scale to port",
     "forward and port shown in each other",
-    "upright, more per g",
+    "more per g",
 )
-"""Of the columns; scales are over that of the upright axis."""
-Leaks = tuple[float, float, float, float, float, float, float, float]
+"""Of the columns."""
+Leaks = tuple[float, float, float, float, float, float]
 
 
 def leaks_mps2(fx: float, fy: float, fz: float, roll_rad: float, pitch_rad: float) -> Leaks:
     """The columns for a specific force (m/s2, body axes) and the attitude of its moment, for 1 of each unknown."""
     c = cos(pitch_rad)
     x, y, z = sin(pitch_rad), sin(roll_rad) * c, cos(roll_rad) * c
-    more = fz - GRAVITY_MPS2
-    return z * fx, z * fy, x * fz, y * fz, x * fx, y * fy, x * fy + y * fx, z * more * more / GRAVITY_MPS2
+    along = x * fx + y * fy + z * fz - GRAVITY_MPS2
+    bent = (x * fx * abs(fx) + y * fy * abs(fy) + z * fz * abs(fz)) / GRAVITY_MPS2 - GRAVITY_MPS2 - 2.0 * along
+    return z * fx, z * fy, x * fz, y * fz, x * fy + y * fx, bent

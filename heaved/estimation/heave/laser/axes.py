@@ -23,7 +23,7 @@ Without roll and pitch nothing of this is known: nothing is learned, and nothing
 from __future__ import annotations
 
 from collections import deque
-from math import inf, isfinite
+from math import inf, isfinite, sqrt
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -80,8 +80,6 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """The same of triads that are askew, rad: three degrees,"""
     leaking: float = 0.02
     """of the leak of an axis into another: one per cent is in data sheets,"""
-    scaled: float = 0.01
-    """of the scale of an axis over that of the upright one,"""
     bent: float = 0.01
     """and of what an axis shows more for each g."""
     most: float = 0.15
@@ -123,14 +121,14 @@ def _hypotheses() -> tuple[Columns, ...]:
     leaking = np.column_stack((turned, forward_up + up_forward, port_up + up_port))
     t = TUNING
     of_turned, of_leaking = np.full(2, t.turned), np.array((t.turned, t.turned, t.leaking, t.leaking))
+    bent = one[:, [5]], np.array((t.bent,))
+    crossed = np.hstack((leaking, one[:, [4]])), np.append(of_leaking, t.leaking)
     return (
         Columns(turned, of_turned),
-        Columns(one[:, [4, 5, 7]], np.array((t.scaled, t.scaled, t.bent))),
+        Columns(*bent),
         Columns(leaking, of_leaking),
-        Columns(np.hstack((leaking, one[:, [6]])), np.append(of_leaking, t.leaking)),
-        Columns(
-            np.hstack((leaking, one[:, 4:])), np.concatenate((of_leaking, (t.scaled, t.scaled, t.leaking, t.bent)))
-        ),
+        Columns(*crossed),
+        Columns(np.hstack((crossed[0], bent[0])), np.concatenate((crossed[1], bent[1]))),
     )
 
 
@@ -148,13 +146,15 @@ class AxisErrors:
         weights: (COUNT,) what has been found of each unknown; 0: nothing.
         is_in_use: whether anything has been found.
         changes: how often what is taken out has changed,
-        begun: and how often something was, and nothing before.
+        moved_m: RMS by which that has moved the heave, and
+        begun: how often something was, and nothing before.
         amendment: what has been found of the past; take it away.
     """
 
-    def __init__(self, max_rate_hz: float, *, enabled: bool) -> None:
-        """``max_rate_hz``: of the IMU; pieces of a faster one are shorter."""
+    def __init__(self, max_rate_hz: float, noise_std_m: float, *, enabled: bool) -> None:
+        """``max_rate_hz``: of the IMU; a faster one is not looked at. ``noise_std_m``: of one reading."""
         self._enabled = enabled
+        self._noise_std_m = noise_std_m
         rows = int((TUNING.piece_s + 5.0) * max_rate_hz) if enabled else 1
         self._forces = RingBuffer(rows, 2 + COUNT)
         """Time, acceleration as measured, leaks."""
@@ -170,6 +170,7 @@ class AxisErrors:
         self._weights: list[float] = [0.0] * COUNT
         self.is_in_use = self.is_applied = False
         self.changes = self.begun = 0
+        self.moved_m = 0.0
         self.amendment: Amendment | None = None
 
     def step(self, up: VerticalAcceleration) -> float:
@@ -190,7 +191,7 @@ class AxisErrors:
         if up.amendment is not None:
             self._forces.add(1, up.amendment.t_s, up.amendment.more_mps2)
         self._forces.push((t_s, up.up_mps2, *leaks))
-        if t_s - self._past_s >= TUNING.past_every_s:
+        if t_s - self._past_s >= TUNING.past_every_s - 1e-3:
             self._past_s = t_s
             self._past.push((t_s, *leaks))
         self.is_applied = self.is_in_use
@@ -210,7 +211,7 @@ class AxisErrors:
 
     def push(self, t_s: float, reading_m: float, tilt: Tilt | None, configured: Geometry) -> bool:
         """Take a reading of the target, with the attitude of its time, by a gauge that is held to be where it is
-        configured. True: what is taken out of the acceleration has changed.
+        configured. True: the heave is another one from now on, by more than a laser's noise.
         """
         if not self._enabled or tilt is None or not self._since_s <= t_s <= self._t_s:
             return False
@@ -223,7 +224,7 @@ class AxisErrors:
         return is_new
 
     def _end_piece(self, configured: Geometry) -> bool:
-        """A piece is over: take it, and look at all there are. True: what is taken out has changed."""
+        """A piece is over: take it, and look at all there are. True: what is taken out has changed by much."""
         readings = np.array(self._readings)
         self._readings.clear()
         if len(readings) * TUNING.every_s < TUNING.least_seen * TUNING.piece_s:
@@ -280,7 +281,7 @@ class AxisErrors:
             found = _fitted(_Sums(everything[0][None], np.array([float(everything[1])])), best)[0, :COUNT]
             if float(np.max(np.abs(found))) <= TUNING.most:
                 return self._take(found)
-        if self.is_in_use and not _is_better(left(NOTHING, self.weights), nothing, 1.0):
+        if self.is_in_use and float(np.mean(left(NOTHING, self.weights))) > float(np.mean(nothing)):
             # It is another IMU, or stands otherwise: what the older pieces say is of before.
             while len(self._pieces) > TUNING.least:
                 self._pieces.popleft()
@@ -291,6 +292,9 @@ class AxisErrors:
         if np.array_equal(weights, self.weights):
             return False
         more = weights - self.weights
+        self.moved_m = sqrt(
+            max(float(np.mean([more @ gram[:COUNT, :COUNT] @ more / n for gram, n in self._pieces])), 0.0)
+        )
         was_in_use = self.is_in_use
         self.weights, self._weights = weights, weights.tolist()
         self.is_in_use = bool(np.any(weights != 0.0))
@@ -298,7 +302,7 @@ class AxisErrors:
         self.begun += self.is_in_use and not was_in_use
         past = self._past.last(len(self._past))
         self.amendment = Amendment(past[:, 0].copy(), -past[:, 1:] @ more)
-        return True
+        return self.moved_m > self._noise_std_m or self.is_in_use is not was_in_use
 
 
 def _integral(t_s: Array, rates: Array) -> Array:

@@ -48,6 +48,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """The heave must be larger than what is not known of it by that for a laser to be told not to follow it."""
     elsewhere: float = 3.0
     """A gauge that is found elsewhere moves its readings by that many standard deviations of one."""
+    straightened: float = 0.3
+    """What is learned of what is left is begun anew when the axes have moved the heave by that share of it."""
     longest_pause_s: float = 0.5
     """Between readings further apart than this there was no laser."""
 
@@ -87,7 +89,7 @@ class LaserLearning:
         self.placement = Placement(laser.geometry, laser.noise_std_m)
         self.tilts = Tilts(int((TUNING.late_s + 1.0) * max_rate_hz))
         self.reference = Reference(laser)
-        self.axes = AxisErrors(max_rate_hz, enabled=network.enabled)
+        self.axes = AxisErrors(max_rate_hz, laser.noise_std_m, enabled=network.enabled)
         self.lead = LeadTracker(comparison)
         self.correction = ResidualCorrection(network, self._outputs)
         self.delayed = DelayedScale(laser.noise_std_m)
@@ -210,16 +212,19 @@ class LaserLearning:
         self.correction.reset_rows()
 
     def _straighten(self) -> None:
-        """What is taken out of the acceleration by the axes has changed, and the heave with it."""
+        """What the axes are taken to put into the acceleration has changed, and the heave with it."""
         self.reference.rebase(self._output_t_s)
-        self.correction.reset_rows()
-        if self.axes.begun == self._begun:
+        is_much = self.axes.moved_m > TUNING.straightened * self.reference.error_rms_m()
+        if is_much:
+            self.correction.reset_rows()
+        if self.axes.begun == self._begun or not is_much:
             return
-        # What was found of the gauge's place by a heave that had leaks in it was some of them.
         self._begun = self.axes.begun
         self._compared.clear()
-        self.placement.restart()
         self.reference.move(self._output_t_s, 0.0, is_elsewhere=True)
+        if self.placement.is_off or not self.placement.is_known:
+            # What a heave with leaks in it shows of the gauge's place is some of them.
+            self.placement.restart()
 
     def _aided(self, observer: HeaveObserver) -> LaserAided | None:
         """The observer that readings go into as measurements; None: they are compared with it."""
