@@ -23,7 +23,7 @@ Without roll and pitch nothing of this is known: nothing is learned, and nothing
 from __future__ import annotations
 
 from collections import deque
-from math import inf, isfinite, sqrt
+from math import inf, isfinite, isnan, nan, sqrt
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -88,11 +88,23 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """What is found is taken out of so much of the past: the sea is fitted to it."""
     past_every_s: float = 0.2
     """Which is kept in steps of that: no wave moves within it."""
+    remembered_s: float = 7.0 * 86400.0
+    """What an earlier run has found is not taken out when nothing has borne it out for longer: an IMU may have been
+    mounted anew. A younger one the next three pieces judge."""
     rounds: int = 3
     """For what is left to weigh the rows by, which depends on the solution."""
 
 
 TUNING: Final = Tuning()
+
+
+class SavedAxes(msgspec.Struct, frozen=True, kw_only=True):
+    """What a restart remembers of the axes."""
+
+    weights: tuple[float, ...]
+    """As :attr:`AxisErrors.weights`."""
+    unconfirmed_s: float = 0.0
+    """Since a laser last bore them out."""
 
 
 class Columns(msgspec.Struct, frozen=True, eq=False):
@@ -172,6 +184,32 @@ class AxisErrors:
         self.changes = self.begun = 0
         self.moved_m = 0.0
         self.amendment: Amendment | None = None
+        self._unconfirmed_s, self._first_s = 0.0, nan
+        """What is in use had not been borne out for so long when this run began; and its first moment."""
+        self._confirmed_s = nan
+        """When it last was, in this run."""
+
+    # --- memory ------------------------------------------------------------------------------------------------------
+
+    def saved(self) -> SavedAxes | None:
+        """What a restart shall remember; None: nothing has been found."""
+        if not self.is_in_use:
+            return None
+        before_s = self._unconfirmed_s if isnan(self._confirmed_s) else 0.0
+        last_s = self._first_s if isnan(self._confirmed_s) else self._confirmed_s
+        since_s = self._t_s - last_s if isfinite(self._t_s - last_s) else 0.0
+        return SavedAxes(weights=tuple(self._weights), unconfirmed_s=before_s + since_s)
+
+    def restore(self, saved: SavedAxes, age_s: float) -> None:
+        """Begin with what an earlier run has found ``age_s`` ago (nan: not known); call before the first sample."""
+        unconfirmed_s = saved.unconfirmed_s + (age_s if isfinite(age_s) else 0.0)
+        if not self._enabled or unconfirmed_s > TUNING.remembered_s or len(saved.weights) != COUNT:
+            return
+        self._unconfirmed_s = unconfirmed_s
+        self.weights, self._weights = np.array(saved.weights), list(saved.weights)
+        self.is_in_use = any(saved.weights)
+
+    # --- input -------------------------------------------------------------------------------------------------------
 
     def step(self, up: VerticalAcceleration) -> float:
         """The vertical acceleration without what has been found of the axes."""
@@ -188,6 +226,8 @@ class AxisErrors:
             self._since_s = t_s
             self._readings.clear()
         self._t_s = t_s
+        if isnan(self._first_s):
+            self._first_s = t_s
         if up.amendment is not None:
             self._forces.add(1, up.amendment.t_s, up.amendment.more_mps2)
         self._forces.push((t_s, up.up_mps2, *leaks))
@@ -280,12 +320,16 @@ class AxisErrors:
         if best is not None:
             found = _fitted(_Sums(everything[0][None], np.array([float(everything[1])])), best)[0, :COUNT]
             if float(np.max(np.abs(found))) <= TUNING.most:
+                self._confirmed_s = self._t_s
                 return self._take(found)
-        if self.is_in_use and float(np.mean(left(NOTHING, self.weights))) > float(np.mean(nothing)):
+        if not self.is_in_use:
+            return False
+        if float(np.mean(left(NOTHING, self.weights))) > float(np.mean(nothing)):
             # It is another IMU, or stands otherwise: what the older pieces say is of before.
             while len(self._pieces) > TUNING.least:
                 self._pieces.popleft()
             return self._take(np.zeros(COUNT))
+        self._confirmed_s = self._t_s
         return False
 
     def _take(self, weights: Array) -> bool:

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from heaved.estimation.heave.laser.axes import TUNING, AxisErrors
+from heaved.estimation.heave.laser.axes import TUNING, AxisErrors, SavedAxes
 from heaved.estimation.heave.laser.geometry import Geometry
 from heaved.estimation.heave.laser.tilts import Tilt
 from heaved.estimation.imu.attitude import up_acceleration
@@ -144,6 +144,30 @@ def test_an_imu_that_is_put_right_is_let_go() -> None:
     axes, _ = shown(crooked(Recording(**after, truth=later.truth), RIGHT), axes)
     assert not axes.is_in_use
     assert not axes.weights.any()
+
+
+def test_a_restart_remembers_for_a_week_and_the_laser_judges() -> None:
+    saved = shown(crooked(right(), ASKEW))[0].saved()
+    assert saved is not None
+    assert 0.0 <= saved.unconfirmed_s < 2.0 * TUNING.piece_s
+    later = AxisErrors(RATE_HZ, 0.002, enabled=True)
+    later.restore(saved, TUNING.remembered_s / 2.0)
+    up, _, _ = next(readings(crooked(right(), ASKEW)))
+    assert later.step(up) != up.up_mps2
+    assert later.saved() == SavedAxes(
+        weights=saved.weights, unconfirmed_s=saved.unconfirmed_s + TUNING.remembered_s / 2.0
+    )
+    shown(crooked(right(), ASKEW), later)
+    again = later.saved()
+    assert again is not None
+    assert again.unconfirmed_s < 2.0 * TUNING.piece_s
+    old = AxisErrors(RATE_HZ, 0.002, enabled=True)
+    old.restore(saved, 1.1 * TUNING.remembered_s)
+    assert not old.is_in_use
+    wrong = AxisErrors(RATE_HZ, 0.002, enabled=True)
+    wrong.restore(saved, 60.0)
+    shown(right(), wrong)
+    assert not wrong.is_in_use
 
 
 def test_what_is_not_enabled_touches_nothing() -> None:
