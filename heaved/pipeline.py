@@ -177,6 +177,7 @@ class Pipeline:
             hull=self.stages.saved_hull(),
             attitude_error=self.vertical.saved(),
             laser_place=self.laser.placement.saved(),
+            axes=self.laser.axes.saved(),
         )
 
     def restore(self, state: SavedState, age_s: float = nan) -> None:
@@ -197,6 +198,8 @@ class Pipeline:
             self.laser.lead.restore(state.lead_learned_s, state.gain_learned)
         if state.laser_place is not None and self.heave.has_laser:
             self.laser.restore_place(state.laser_place, age_s)
+        if state.axes is not None and self.heave.has_laser:
+            self.laser.axes.restore(state.axes, age_s)
         if state.attitude_error is not None:
             self.vertical.restore(state.attitude_error, age_s)
         if state.hull is not None:

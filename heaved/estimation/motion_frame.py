@@ -428,7 +428,7 @@ class MotionFrames:
         return Quality(
             heave=state,
             laser=LaserState.OFF if not has_laser else LaserState.VALID if fresh else LaserState.STALE,
-            correction=estimator.correction.state(laser_is_fresh=fresh) if has_laser else CorrectionState.OFF,
+            correction=estimator.correction_state(laser_is_fresh=fresh) if has_laser else CorrectionState.OFF,
             reasons=reasons,
         )
 

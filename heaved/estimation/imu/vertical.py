@@ -18,6 +18,7 @@ from heaved.estimation.imu.attitude import UNKNOWN, AttitudePropagator, level_ac
 from heaved.estimation.imu.attitude_error import Amendment, AttitudeError, Lean
 from heaved.estimation.imu.attitude_fit import Noise, Unsized
 from heaved.estimation.imu.conditioning import NOTHING, Conditioned
+from heaved.estimation.imu.leaks import Leaks, leaks_mps2
 from heaved.estimation.imu.level_bias import LevelBias
 from heaved.estimation.imu.tilt_left import TILT_HZ, TILT_SHAPE, TiltLeft
 from heaved.samples import GRAVITY_MPS2, Fault, RockPrediction
@@ -70,6 +71,8 @@ class VerticalAcceleration(msgspec.Struct, frozen=True, gc=False):
     """Noise that the acceleration has and does not show."""
     unsized: Unsized | None = None
     """The same of the last quarter of a second, as it came."""
+    leaks_mps2: Leaks | None = None
+    """What an IMU that is not as it is held to be would put into it; None: without an attitude nobody knows."""
 
 
 class Vertical:
@@ -141,7 +144,8 @@ class Vertical:
         lag_s = lag_s if lag_s >= TUNING.lag_s else 0.0
         roll, pitch = self._attitude_of_acceleration(t_s - lag_s)
         level_bias, propagator, error = self._level_bias, self._propagator, self._attitude_error
-        x, y, up = level_acceleration(ax - level_bias.x_mps2, ay - level_bias.y_mps2, az, roll, pitch)
+        fx, fy = ax - level_bias.x_mps2, ay - level_bias.y_mps2
+        x, y, up = level_acceleration(fx, fy, az, roll, pitch)
         self.level_mps2 = x, y
         # Angles moved back to where the accelerometers are would seem late against the gyroscopes.
         are_of_gyros = propagator.are_rates_measured and lag_s == 0.0
@@ -152,7 +156,8 @@ class Vertical:
         level_bias.step(t_s, ax, ay, az, roll, pitch)
         amendment, noise, unsized = error.amendment, error.noise, error.unsized
         error.amendment = error.noise = error.unsized = None
-        return VerticalAcceleration(t_s, up, is_of_another_kind, amendment, noise, unsized)
+        leaks = leaks_mps2(fx, fy, az, roll, pitch)
+        return VerticalAcceleration(t_s, up, is_of_another_kind, amendment, noise, unsized, leaks)
 
     def _is_of_another_kind(self, t_s: float, has_tilt: bool) -> bool:
         """Whether the tilt is removed from now on and was not, or the other way round; and whether the acceleration had
