@@ -4,7 +4,7 @@ Start: listen, restore the state, poll, train, then READY once frames flow (with
 Stop (SIGTERM, SIGINT): no more polls, clients get what is queued, the state is saved; within two seconds.
 SIGHUP: the configuration file is read again; ``[[device]]``, the tables of the estimators and of the outputs beside the
 stream take effect at once, the others (``[stream]``, ``[http]``, ``[state]``, ``[runtime]``) with the next start. A
-file with faults changes nothing.
+file with faults changes nothing. The certificates of ``[tls]`` are read again, too, for connections to come.
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ from heaved.estimation.stages import Stages
 from heaved.outputs.http import HttpServer, liveness, readiness
 from heaved.outputs.listen import ListenError
 from heaved.outputs.stream import Publisher
+from heaved.outputs.tls import Certificates, TlsParams
 from heaved.pipeline import Pipeline, assemble
 from heaved.recorder.layout import Call
 
@@ -97,8 +98,10 @@ class Daemon:
 
         Raises:
             ValueError: a server would listen beyond this machine without networks that may connect.
+            ListenError: the certificates that a server needs cannot be used.
         """
         self.config = config
+        self._certificates = _certificates_of(config)
         self.addresses: dict[str, tuple[str, int]] = {}
         self.metrics = Metrics(__version__)
         self.utc = UtcClock(clock, realtime)
@@ -165,6 +168,9 @@ class Daemon:
         await self.workers.have(self.config)
         self._heartbeat.start(self.acquisition.period_s)
         self._supervise("housekeeping", self._keep_house)
+        if self._certificates is not None:
+            self.metrics.show_certificates(self._certificates.spans)
+            self._supervise("certificates", self._certificates.keep_warning)
         self._supervise("state", partial(self.memory.keep_saving, self.config.state.save_period_s))
         devices = [device.name for device in self.config.device]
         where = {name: f"{host}:{port}" for name, (host, port) in self.addresses.items()}
@@ -237,6 +243,8 @@ class Daemon:
         self.config = msgspec.structs.replace(new, **later)
         for table in later:
             _log.warning(f"[{table}] has changed: restart the daemon to bring it into force")
+        if self._certificates is not None and new.wants_tls:
+            await self._renew_certificates(self._certificates, new.tls)
         # The devices are those of before until they are polled otherwise.
         self._journal.renewed(msgspec.structs.replace(self.config, device=old.device))
         at_once = (*_AT_ONCE, "has_laser", "mounting")
@@ -262,6 +270,15 @@ class Daemon:
             await self._poll_devices()
             self._heartbeat.start(self.acquisition.period_s)
         _log.info("configuration read again", devices=",".join(device.name for device in new.device) or "none")
+
+    async def _renew_certificates(self, certificates: Certificates, files: TlsParams) -> None:
+        try:
+            await asyncio.to_thread(certificates.renew, files)
+        except ValueError as error:  # They were well when the configuration was read, a moment ago.
+            _log.error("new certificates refused, the old ones stay", fault=str(error))
+            return
+        certificates.warn(self.utc.utc_s(self._clock()))
+        self.metrics.show_certificates(certificates.spans)
 
     def _take_up(self, state: SavedState, age_s: float) -> None:
         """Start from a saved state.
@@ -390,6 +407,7 @@ class Daemon:
             metrics=self.metrics,
             utc_s=self.utc.utc_s,
             clock=self._clock,
+            certificates=self._certificates if stream.tls else None,
         )
 
     def _make_http(self) -> HttpServer:
@@ -402,7 +420,15 @@ class Daemon:
             alive=lambda: liveness(self.acquisition.last_frame, now_s=self._clock(), started_s=self._started_s),
             ready=lambda: readiness(self.acquisition.last_frame, now_s=self._clock()),
             count_client_error=self.metrics.count_client_error,
+            certificates=self._certificates if http.tls else None,
         )
+
+
+def _certificates_of(config: Config) -> Certificates | None:
+    try:
+        return Certificates(config.tls) if config.wants_tls else None
+    except ValueError as error:
+        raise ListenError(f"[tls] {error}") from error
 
 
 def make_pipeline(config: Config, stages: Stages | None = None) -> Pipeline:

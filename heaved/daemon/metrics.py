@@ -40,9 +40,10 @@ from heaved.samples import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
     from heaved.outputs.output import OutputHealth
+    from heaved.outputs.tls import Span
 
 _SHORT_S: Final = (0.00005, 0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.1)
 """Work on the event loop: 50 µs is well, 10 ms is a whole sample period."""
@@ -329,11 +330,15 @@ class Metrics:
             "heaved_frames_dropped_total", "Lines dropped before they were sent.", "slow_client", label="reason"
         )
         reasons = (
-            "bad_request", "line_too_long", "not_allowed", "request_too_slow", "stuck", "too_fast",
+            "bad_request", "line_too_long", "not_allowed", "request_too_slow", "stuck", "tls", "too_fast",
             "too_many_clients", "too_many_of_one_address",
         )  # fmt: skip
         self.client_errors = table.results(
             "heaved_client_errors_total", "Clients turned away or misunderstood.", *reasons, label="reason"
+        )
+
+        self.certificate_end = table.gauge(
+            "heaved_certificate_end_timestamp_seconds", "When the first certificate of a file of [tls] ends.", "file"
         )
 
     def _have_daemon(self, table: _Table) -> None:
@@ -464,6 +469,11 @@ class Metrics:
     def count_client_error(self, reason: str) -> None:
         """A client was turned away or misunderstood."""
         self.client_errors.labels(reason).inc()
+
+    def show_certificates(self, spans: Collection[Span]) -> None:
+        """Those of ``[tls]``; not called without."""
+        for key in {span.key for span in spans}:
+            self.certificate_end.labels(key).set(min(span.ends_s for span in spans if span.key == key))
 
     def render(self) -> bytes:
         """Everything, in the text format of Prometheus, version 0.0.4."""

@@ -17,6 +17,8 @@ from heaved.text import printable
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from heaved.outputs.tls import Certificates
+
 _METRICS_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
 _MAX_CONNECTIONS: Final = 32
 """More would leave no file descriptor for a client of the stream or for a sensor that comes back."""
@@ -71,21 +73,24 @@ class HttpServer:
         alive: Callable[[], Verdict],
         ready: Callable[[], Verdict],
         count_client_error: Callable[[str], None],
+        certificates: Certificates | None = None,
     ) -> None:
-        """``metrics``: the text of ``/metrics``.
+        """``metrics``: the text of ``/metrics``. With ``certificates`` it is HTTPS.
 
         Raises:
-            ValueError: ``host`` reaches beyond this machine and ``allow`` names no network, or an entry is none.
+            ValueError: ``host`` reaches beyond this machine, ``allow`` names no network and there are no
+                ``certificates``, or an entry is none.
         """
         self._listener = HttpListener(
             "http",
             host,
             port,
-            networks=checked_networks("http", host, allow),
+            networks=checked_networks("http", host, allow, wants_certificates=certificates is not None),
             refusal="is not in a network of [http] allow",
             most=_MAX_CONNECTIONS,
             answer=self._answer,
             complain=self._complain,
+            certificates=certificates,
         )
         self._metrics = metrics
         self._alive = alive

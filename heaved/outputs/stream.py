@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import time
-from functools import partial
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import structlog
@@ -18,7 +17,7 @@ from heaved.networks import checked_networks, is_allowed
 from heaved.outputs import wire
 from heaved.outputs.listen import Listener
 from heaved.outputs.records import ErrorRecord, StatusRecord, VersionRecord
-from heaved.outputs.shares import TOO_FAST, TOO_MANY, Shares
+from heaved.outputs.shares import TOO_MANY, Shares
 from heaved.outputs.subscriber import Subscriber
 from heaved.samples import CraftMotion, DelayedHeave, HullAngles, MotionFrame, MruComparison, SeaState
 
@@ -26,6 +25,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     import msgspec
+
+    from heaved.outputs.tls import Certificates
 
 Slow = TypeVar("Slow", DelayedHeave, HullAngles, CraftMotion, MruComparison, SeaState)
 
@@ -69,12 +70,14 @@ class Publisher:
         utc_s: Callable[[float], float],
         stuck_s: float = 10.0,
         clock: Callable[[], float] = time.monotonic,
+        certificates: Certificates | None = None,
     ) -> None:
         """``clock``: the monotonic clock that ``MotionFrame.t_s`` is read from; ``utc_s``: UTC, seconds since 1970, of
-        a time on it.
+        a time on it. With ``certificates`` TLS is spoken.
 
         Raises:
-            ValueError: ``host`` reaches beyond this machine and ``allow`` names no network, or an entry is none.
+            ValueError: ``host`` reaches beyond this machine, ``allow`` names no network and there are no
+                ``certificates``, or an entry is none.
         """
         self.dropped = 0
         self.queue_frames = queue_frames
@@ -82,10 +85,11 @@ class Publisher:
         self.clock = clock
         self._metrics = metrics
         self._utc_s = utc_s
-        self._networks = checked_networks("stream", host, allow)
+        self._networks = checked_networks("stream", host, allow, wants_certificates=certificates is not None)
         self._listener = Listener(
-            "stream", host, port, lambda address: Subscriber(self, address), partial(self.refusal, TOO_FAST)
-        )
+            "stream", host, port, lambda address: Subscriber(self, address), self.refusal,
+            certificates=certificates, networks=self._networks,
+        )  # fmt: skip
         self._max_clients = max_clients
         self._shares = Shares(max_clients)
         self._version = version

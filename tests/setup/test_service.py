@@ -30,6 +30,7 @@ link = "{link}"
 profile = "witmotion-wt901c485"
 rate_hz = 20.0
 """
+TLS = '[tls]\ncertificate_file = "/c"\nkey_file = "/etc/heaved/server.key"\nclient_ca_file = "/a"'
 USB = "rtu:///dev/ttyUSB0?baudrate=115200"
 FTDI = Adapter(
     path="/dev/ttyUSB0",
@@ -180,6 +181,9 @@ def test_systemd_and_udev_are_told_only_of_what_is_new(root: Path, tmp_path: Pat
         ('[stream]\nhost = "0.0.0.0"\nallow = ["192.168.10.0/24"]', ["IPAddressAllow=192.168.10.0/24"]),
         ('[http]\nenabled = false\nallow = ["192.168.11.0/24"]', []),
         ('[http]\nhost = "::"\nallow = ["fd00::/64"]', ["IPAddressAllow=fd00::/64"]),
+        ('[stream]\nhost = "0.0.0.0"\ntls = true\n' + TLS, ["IPAddressAllow=any"]),
+        ('[stream]\nhost = "::"\ntls = true\nallow = ["fd00::/64"]\n' + TLS, ["IPAddressAllow=fd00::/64"]),
+        ("[http]\ntls = true\n" + TLS, []),
         ('[registers]\nenabled = true\nmode = "push"\nlink = "tcp://10.1.1.1:502"', ["IPAddressAllow=10.1.1.1"]),
         ('[registers]\nlink = "tcp://10.1.1.1:502"\nmode = "push"', []),
         (
@@ -234,6 +238,7 @@ def test_a_network_that_is_not_wanted_any_more_is_taken_back(root: Path, tmp_pat
             '[mqtt]\nenabled = true\nusername = "us"\npassword_file = "/etc/heaved/secret"',
             "LoadCredential=mqtt:/etc/heaved/secret",
         ),
+        ("[http]\ntls = true\n" + TLS, "LoadCredential=tls:/etc/heaved/server.key"),
     ],
 )
 def test_what_no_drop_in_can_do_is_said(more: str, said: str, root: Path, tmp_path: Path) -> None:
