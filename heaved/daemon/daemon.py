@@ -66,6 +66,8 @@ _AT_ONCE: Final = ("heave", "laser", "correction", "rock", "point", "compensatio
 _AT_RESTART: Final = ("stream", "http", "state", "runtime")
 _CANCEL_S: Final = 0.4
 """What a task may take to be cancelled."""
+_OUTPUTS_S: Final = 0.7
+"""And an output, which may have something to say at its end: within the time that all parts have."""
 _STOP_S: Final = 0.8
 """What each part may take to stop; they stop side by side."""
 _EXIT_S: Final = 1.8
@@ -160,7 +162,7 @@ class Daemon:
             raise
         await self.memory.restore(self._take_up)
         self._is_restored = True
-        await self._outputs.have(self.config, _CANCEL_S)  # Before the first poll: a recording has all of them.
+        await self._outputs.have(self.config, _OUTPUTS_S)  # Before the first poll: a recording has all of them.
         await self._poll_devices()
         await self.workers.have(self.config)
         self._heartbeat.start(self.acquisition.period_s)
@@ -181,7 +183,7 @@ class Daemon:
             "stream": self._publisher.close(0.5 * _STOP_S),
             **({"state": self.memory.save()} if self._is_restored else {}),  # Else there is nothing new to save.
             **self.workers.stopping(),
-            "outputs": self._outputs.stop(_CANCEL_S),
+            "outputs": self._outputs.stop(_OUTPUTS_S),
         }
         if self._http is not None:
             parts["http"] = self._http.close()
@@ -257,7 +259,7 @@ class Daemon:
             self.acquisition.pipeline.stages.configure_reference_mru(new.reference_mru)
             self._journal.configured(Call.REFERENCE_MRU, self.config)
         if any(getattr(new, table) != getattr(old, table) for table in TABLES):
-            await self._outputs.have(self.config, _CANCEL_S)
+            await self._outputs.have(self.config, _OUTPUTS_S)
         if new.device != old.device:
             await self._poll_devices()
             self._heartbeat.start(self.acquisition.period_s)

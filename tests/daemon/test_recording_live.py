@@ -11,6 +11,7 @@ import time
 from asyncio.subprocess import DEVNULL, PIPE
 from collections import Counter
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,7 @@ from running import PATIENCE_S, SWELL, demo_config, plant_of, running
 from heaved.config import RecordingParams
 from heaved.config.read import data_directory, load
 from heaved.daemon import recording
-from heaved.daemon.recording import EXTRA, recording_directory
+from heaved.daemon.recording import EXTRA, RecordingOutput, recording_directory
 from heaved.daemon.state import StateFile
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser.geometry import Geometry
@@ -307,6 +308,30 @@ async def test_a_recorder_that_takes_nothing_costs_the_daemon_nothing(
         assert health.lost["full"] < lost + 2000
     _, _, _, remarks = again(recording_directory(config))
     assert any("calls are missing" in remark for remark in remarks)
+
+
+@pytest.mark.parametrize("command", ["import time; time.sleep(100)", "raise SystemExit('no memory')"])
+async def test_a_daemon_that_stops_before_its_recorder_has_begun_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    """One that still loads, and one that does not start: the next one has the rows."""
+    config = recording_config(tmp_path)
+    with monkeypatch.context() as patch:
+        made = partial(RecordingOutput, command=(sys.executable, "-c", command))
+        patch.setattr(recording, "RecordingOutput", made)
+        async with published(config) as (_, frames):
+            await until(lambda: len(frames) > 150)
+    assert len(list(recording_directory(config).iterdir())) == 1
+    async with published(config) as (daemon, _):
+        await until(lambda: health_of(daemon).is_up)
+    source = LiveRecording(recording_directory(config))
+    assert source.remarks == []
+    emitted: list[MotionFrame] = []
+    hour, rows = next(iter(source.runs()))
+    rerun = Rerun(hour, None, emitted.append, lambda what, result: None, None)
+    for row in rows:
+        rerun.take(row)
+    assert_same(emitted, frames)
 
 
 async def test_without_the_extra_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
