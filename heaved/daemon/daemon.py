@@ -27,6 +27,8 @@ from heaved.config.read import ConfigError, load_to_run
 from heaved.config.rules import rate_faults
 from heaved.daemon.acquisition import Acquisition
 from heaved.daemon.learning import Workers
+from heaved.daemon.load import TUNING as LOAD
+from heaved.daemon.load import Load, Relief
 from heaved.daemon.logs import configure_logging
 from heaved.daemon.metrics import RENEWED_S, Metrics
 from heaved.daemon.outputs import TABLES, Outputs
@@ -119,6 +121,7 @@ class Daemon:
             journal=self._journal,
         )
         self._heartbeat = Heartbeat(self._beat)
+        self._load = Load()
         self.memory = Memory(
             StateFile(state_directory(config.state.directory), SavedState, saved_state.check),
             self._learned,
@@ -167,6 +170,7 @@ class Daemon:
         await self.workers.have(self.config)
         self._heartbeat.start(self.acquisition.period_s)
         self._supervise("housekeeping", self._keep_house)
+        self._supervise("load", self._watch_load)
         self._supervise("state", partial(self.memory.keep_saving, self.config.state.save_period_s))
         devices = [device.name for device in self.config.device]
         where = {name: f"{host}:{port}" for name, (host, port) in self.addresses.items()}
@@ -291,6 +295,8 @@ class Daemon:
             self.acquisition.accepted_s = self.acquisition.fitted_s = nan
         self.acquisition.pipeline = pipeline
         self._journal.configured(Call.PIPELINE, self.config)
+        if self._load.relief is Relief.LEFT_OUT:
+            self._relieve_pipeline(is_relieved=True)
         self._resets_seen.clear()
 
     # ---- periodic work -----------------------------------------------------------------------------------------------
@@ -335,6 +341,8 @@ class Daemon:
         if frame is not None:
             self._publisher.publish_slow(frame)
         self._keep_gauges(frame)
+        if self._load.relief is not Relief.NONE:
+            self.metrics.overloaded.labels(self._load.relief.name.lower()).inc()
         self._notifier.notify(f"STATUS={status_line(status)}")
 
     def _keep_gauges(self, frame: MotionFrame | None) -> None:
@@ -349,6 +357,32 @@ class Daemon:
         metrics.record_quiet(frame.quiet)
         metrics.record_training(frame, now_s - self.acquisition.accepted_s)
         metrics.record_rock(self.acquisition.rock_scores())
+
+    # ---- what the machine cannot do all of ---------------------------------------------------------------------------
+
+    async def _watch_load(self) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            due_s = loop.time() + LOAD.probe_s
+            await asyncio.sleep(LOAD.probe_s)
+            now_s, before = loop.time(), self._load.relief
+            if self._load.step(now_s, now_s - due_s, self.acquisition.period_s):
+                self._relieve(before, self._load.relief)
+
+    def _relieve(self, before: Relief, now: Relief) -> None:
+        self._publisher.together = now.value
+        if (now is Relief.LEFT_OUT) is not (before is Relief.LEFT_OUT):
+            self._relieve_pipeline(is_relieved=now is Relief.LEFT_OUT)
+        self.metrics.show_relief(now.value)
+        if now.value > before.value:
+            hint = "fewer clients or a lower rate_hz; [runtime] fifo_priority where other programs take the time"
+            _log.warning("the machine does not keep up: less is done", frames_at_once=now.value, hint=hint)
+        else:
+            _log.info("the machine keeps up: more is done again", frames_at_once=now.value)
+
+    def _relieve_pipeline(self, *, is_relieved: bool) -> None:
+        self.acquisition.pipeline.relieve(is_relieved=is_relieved)
+        self._journal.relieved(is_relieved=is_relieved)
 
     # ---- for the parts -----------------------------------------------------------------------------------------------
 

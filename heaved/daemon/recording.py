@@ -127,6 +127,10 @@ class Journal:
         """The hull's stage is given a refit, or told that it came to nothing."""
         self._call(Call.REFIT if is_made else Call.REFIT_FAILED, nan)
 
+    def relieved(self, *, is_relieved: bool) -> None:
+        """The pipeline does without what it can do without, or no longer."""
+        self._call(Call.RELIEVED if is_relieved else Call.RESUMED, nan)
+
     def configured(self, call: Call, config: Config) -> None:
         """The pipeline, or a stage, begins anew with this configuration."""
         self._call(call, nan, msgspec.json.encode(config))

@@ -129,6 +129,10 @@ class Call(Enum):
     ATTITUDE = "attitude"
     CRANE = "crane"
     REFERENCE_MRU = "reference mru"
+    RELIEVED = "relieved"
+    """The machine could not do all: from here on predictions of roll, pitch and yaw are left out ..."""
+    RESUMED = "resumed"
+    """... and from here on no more."""
 
 
 CALLS: Final = tuple(Call)

@@ -23,6 +23,7 @@ from running import PATIENCE_S, SWELL, demo_config, plant_of, running
 from heaved.config import RecordingParams
 from heaved.config.read import data_directory, load
 from heaved.daemon import recording
+from heaved.daemon.load import Relief
 from heaved.daemon.recording import EXTRA, RecordingOutput, recording_directory
 from heaved.daemon.state import StateFile
 from heaved.estimation.heave import params as heave
@@ -33,6 +34,7 @@ from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.hull import estimate as hull
 from heaved.estimation.hull.remembered import SavedHull
 from heaved.estimation.imu.attitude_memory import SavedAttitudeError
+from heaved.estimation.motion_frame import LEFT_OUT
 from heaved.outputs import wire
 from heaved.recorder.layout import FRAMES, Call
 from heaved.recorder.read import frame_values, open_recorded
@@ -202,6 +204,32 @@ async def test_a_replay_follows_a_new_configuration_where_the_daemon_did(tmp_pat
     assert remarks == []
     assert calls[Call.PIPELINE] == 2
     assert calls[Call.HULL] == 2
+    assert_same(found, frames)
+
+
+async def test_a_replay_leaves_out_what_the_daemon_left_out(tmp_path: Path) -> None:
+    """On a machine that did not keep up for a while, and read its configuration again meanwhile."""
+    config, path = recording_config(tmp_path), tmp_path / "heaved.toml"
+    async with published(config, path) as (daemon, frames):
+        await until(lambda: len(frames) > 100)
+        daemon._load.relief = Relief.LEFT_OUT
+        daemon._relieve(Relief.NONE, Relief.LEFT_OUT)
+        told = len(frames)
+        await until(lambda: len(frames) > told + 50)
+        tables = f'[stream]\nport = 0\n[http]\nport = 0\n[state]\ndirectory = "{tmp_path / "state"}"\n'
+        tables += '[recording]\nenabled = true\nvessel = "Test"\n[heave]\nforecast_horizons_s = [1.0]\n'
+        path.write_text(tables + device_tables(daemon.config))
+        await daemon.reload()
+        assert len(daemon.config.heave.forecast_horizons_s) == 1
+        told = len(frames)
+        await until(lambda: len(frames) > told + 50)
+        daemon._relieve(Relief.LEFT_OUT, Relief.NONE)
+        told = len(frames)
+        await until(lambda: len(frames) > told + 50)
+    assert sum(LEFT_OUT[0] in frame.quality.reasons for frame in frames) >= 100
+    found, calls, _, remarks = again(recording_directory(config))
+    assert remarks == []
+    assert (calls[Call.RELIEVED], calls[Call.RESUMED]) == (2, 1)
     assert_same(found, frames)
 
 

@@ -21,6 +21,7 @@ from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.seaway import seaway
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from multiprocessing.connection import Connection
 
 TELEGRAMS: Final = {
@@ -242,3 +243,10 @@ def count_for_ever(core: int, pipe: Connection) -> None:
     number = 0
     while number % 1_000_000 or not pipe.poll():
         number += 1
+
+
+def as_if_elsewhere(target: Callable[..., None], *arguments: object) -> None:
+    """``target`` at a priority that other programs of this machine do not disturb, where that is allowed."""
+    with suppress(PermissionError):
+        os.nice(-10)
+    target(*arguments)
