@@ -15,6 +15,7 @@ import sys
 import threading
 import time
 from contextlib import suppress
+from math import inf, nan
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Final
@@ -50,6 +51,11 @@ _TICK_S: Final = 0.25
 """It looks around so often when nothing comes."""
 _LIMITS_S: Final = 60.0
 """Sizes are looked at so often."""
+STEADY_S: Final = 86_400.0
+"""What is old by a clock that was not stepped for so long is. One that is set wrong would have all recordings deleted,
+and one that is set right those of before."""
+_STEP_S: Final = 60.0
+"""A greater change of UTC against the monotonic clock between two looks is a step."""
 _IN_USE_S: Final = 1.0
 _LOOK_S: Final = 1.0
 """A disk that takes nothing is looked at so often."""
@@ -86,6 +92,8 @@ class Recorder:
         self._look_s = 0.0
         self._limits_s = 0.0
         self._size_bytes = 0
+        self._utc_offset_s, self._steady_since_s = nan, 0.0
+        """UTC minus the monotonic clock at the last look, and since when it has not been stepped."""
         self._fault = ""
 
     @property
@@ -147,7 +155,7 @@ class Recorder:
             self.write(now_s)
         if now_s >= self._limits_s:
             self._limits_s = now_s + _LIMITS_S
-            self._limit()
+            self._limit(now_s)
 
     def write(self, now_s: float) -> None:
         """Write what waits; what the disk does not take is lost, and said."""
@@ -268,16 +276,21 @@ class Recorder:
             self._stem = ""
             self._wake()
 
-    def _limit(self) -> None:
+    def _limit(self, now_s: float) -> None:
         assert self.settings is not None
+        now_utc_s = time.time()
+        offset_s, before_s = now_utc_s - now_s, self._utc_offset_s
+        self._utc_offset_s = offset_s
+        if not abs(offset_s - before_s) < _STEP_S:
+            self._steady_since_s = now_s
         if self._lock is None:  # Not ours to delete in.
             return
         try:
             gone = delete_old(
                 self.directory,
                 max_bytes=self.settings.max_bytes,
-                max_age_s=self.settings.max_age_s,
-                now_utc_s=time.time(),
+                max_age_s=self.settings.max_age_s if now_s - self._steady_since_s >= STEADY_S else inf,
+                now_utc_s=now_utc_s,
                 keep=self.current,
             )
             self._size_bytes = sum(pair.size_bytes for pair in pairs(self.directory))

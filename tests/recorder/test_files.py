@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import time
 from typing import TYPE_CHECKING, Any
 
 import pyarrow.parquet as pq
@@ -164,6 +165,36 @@ def test_no_two_pairs_have_one_name(tmp_path: Path) -> None:
         (tmp_path / f"{names[-1]}.samples.arrows").touch()
     assert len(set(names)) == 3
     assert all(files.NAME.fullmatch(f"{name}.samples.arrows") for name in names)
+
+
+def test_a_clock_that_is_stepped_deletes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A year ahead, by a wrong fix; a day of it is another matter, and by then somebody knows."""
+    out = tmp_path / "out"
+    write_recording(out, Scribe(tmp_path), 1)
+    (old,) = pairs(out)
+    utc_s = [old.began_utc_s + 60.0]
+    monkeypatch.setattr(time, "time", lambda: utc_s[0])
+    scribe = Scribe(tmp_path, run="next")
+    desk = Desk(out, scribe, max_age_s=30.0 * 86400.0)
+
+    def passes(seconds: float, step_s: float = 0.0) -> list[str]:
+        utc_s[0] += seconds + step_s
+        desk.told(scribe.header() + scribe.offset() + scribe.instants(0, 10), elapsed_s=seconds)
+        desk.told(b"", elapsed_s=0.0)
+        return [pair.stem for pair in pairs(out)]
+
+    passes(1.0)
+    desk.recorder.write(desk.now_s)
+    assert old.stem in passes(100.0)
+    assert old.stem in passes(100.0, step_s=365.0 * 86400.0)
+    for _ in range(10):
+        assert old.stem in passes(3600.0)
+    assert old.stem in passes(100.0, step_s=-365.0 * 86400.0)
+    for _ in range(30):
+        assert old.stem in passes(3600.0)
+    for _ in range(31):
+        there = passes(86400.0)
+    assert old.stem not in there
 
 
 # ---- a disk that does not do its part --------------------------------------------------------------------------------
