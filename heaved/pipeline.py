@@ -30,7 +30,7 @@ from heaved.estimation.heave.observer import SavedObserver, Verdict
 from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.imu.conditioning import Conditioner
 from heaved.estimation.imu.vertical import Vertical
-from heaved.estimation.motion_frame import MotionFrames
+from heaved.estimation.motion_frame import LEFT_OUT, MotionFrames
 from heaved.estimation.quiescence import PointQuiescence
 from heaved.estimation.rock.estimator import RockEstimator
 from heaved.estimation.stages import Stages
@@ -86,6 +86,7 @@ class Pipeline:
         self.check = check
         self.quiet = quiet
         self._t_s = nan
+        self._is_relieved = self._leaves_out = False
         self._out_of_order = 0
         self._trained: Counter[Verdict] = Counter()
         self._fitted: Counter[Verdict] = Counter()
@@ -105,7 +106,9 @@ class Pipeline:
             return None
         t_s = self._t_s = sample.t_s
         readings = self.conditioner.step(sample)
-        rock = self.rock.step(readings)
+        # Of a sensor that measures angles more slowly than it is polled, tilt is carried on by what is predicted.
+        self._leave_out(self._is_relieved and not readings.attitude_is_slow)
+        rock = self.rock.unknown if self._leaves_out else self.rock.step(readings)
         up = self.vertical.step(readings, rock, lag_s=self.laser.lag_s, bias_mps2=self.heave.observer.bias_mps2)
         if up is not None:
             self.heave.step(up)
@@ -117,14 +120,26 @@ class Pipeline:
         frame = self._frame(t_s, rock)
         if self.check is not None:
             self.check.step(t_s, frame.observer_m, frame.forecast)
-        if self.quiet is not None:
+        if self.quiet is not None and not self._leaves_out:
             self.quiet.step(readings.sample, frame)
         self.stages.push_frame(frame)
         return frame
 
     def coast(self, t_s: float) -> MotionFrame:
         """A frame for a moment without a sample: extrapolated, nothing is advanced."""
-        return self._frame(t_s, self.rock.at(t_s))
+        return self._frame(t_s, self.rock.unknown if self._leaves_out else self.rock.at(t_s))
+
+    def relieve(self, *, is_relieved: bool) -> None:
+        """Do without what the heave does without, rock predictions and quiet windows, or no longer: for a machine that
+        cannot do all. Not where points are published ahead of time: it takes the predictions.
+        """
+        needs_rock = self.heave.lead_s > 0.0 and self.frames.has_points
+        self._is_relieved = is_relieved and not needs_rock
+
+    def _leave_out(self, leaves_out: bool) -> None:
+        if leaves_out is not self._leaves_out:
+            self._leaves_out = leaves_out
+            self.frames.remarks = LEFT_OUT if leaves_out else ()
 
     def _frame(self, t_s: float, rock: Sequence[RockPrediction]) -> MotionFrame:
         quiet = None if self.quiet is None else self.quiet.at(t_s)

@@ -27,6 +27,8 @@ from heaved.config.read import ConfigError, load_to_run
 from heaved.config.rules import rate_faults
 from heaved.daemon.acquisition import Acquisition
 from heaved.daemon.learning import Workers
+from heaved.daemon.load import TUNING as LOAD
+from heaved.daemon.load import Load, Relief
 from heaved.daemon.logs import configure_logging
 from heaved.daemon.metrics import RENEWED_S, Metrics
 from heaved.daemon.outputs import TABLES, Outputs
@@ -67,6 +69,8 @@ _AT_ONCE: Final = ("heave", "laser", "correction", "rock", "point", "compensatio
 _AT_RESTART: Final = ("stream", "http", "state", "runtime")
 _CANCEL_S: Final = 0.4
 """What a task may take to be cancelled."""
+_OUTPUTS_S: Final = 0.7
+"""And an output, which may have something to say at its end: within the time that all parts have."""
 _STOP_S: Final = 0.8
 """What each part may take to stop; they stop side by side."""
 _EXIT_S: Final = 1.8
@@ -120,6 +124,7 @@ class Daemon:
             journal=self._journal,
         )
         self._heartbeat = Heartbeat(self._beat)
+        self._load = Load()
         self.memory = Memory(
             StateFile(state_directory(config.state.directory), SavedState, saved_state.check),
             self._learned,
@@ -163,7 +168,7 @@ class Daemon:
             raise
         await self.memory.restore(self._take_up)
         self._is_restored = True
-        await self._outputs.have(self.config, _CANCEL_S)  # Before the first poll: a recording has all of them.
+        await self._outputs.have(self.config, _OUTPUTS_S)  # Before the first poll: a recording has all of them.
         await self._poll_devices()
         await self.workers.have(self.config)
         self._heartbeat.start(self.acquisition.period_s)
@@ -171,6 +176,7 @@ class Daemon:
         if self._certificates is not None:
             self.metrics.show_certificates(self._certificates.spans)
             self._supervise("certificates", self._certificates.keep_warning)
+        self._supervise("load", self._watch_load)
         self._supervise("state", partial(self.memory.keep_saving, self.config.state.save_period_s))
         devices = [device.name for device in self.config.device]
         where = {name: f"{host}:{port}" for name, (host, port) in self.addresses.items()}
@@ -187,7 +193,7 @@ class Daemon:
             "stream": self._publisher.close(0.5 * _STOP_S),
             **({"state": self.memory.save()} if self._is_restored else {}),  # Else there is nothing new to save.
             **self.workers.stopping(),
-            "outputs": self._outputs.stop(_CANCEL_S),
+            "outputs": self._outputs.stop(_OUTPUTS_S),
         }
         if self._http is not None:
             parts["http"] = self._http.close()
@@ -265,7 +271,7 @@ class Daemon:
             self.acquisition.pipeline.stages.configure_reference_mru(new.reference_mru)
             self._journal.configured(Call.REFERENCE_MRU, self.config)
         if any(getattr(new, table) != getattr(old, table) for table in TABLES):
-            await self._outputs.have(self.config, _CANCEL_S)
+            await self._outputs.have(self.config, _OUTPUTS_S)
         if new.device != old.device:
             await self._poll_devices()
             self._heartbeat.start(self.acquisition.period_s)
@@ -306,6 +312,8 @@ class Daemon:
             self.acquisition.accepted_s = self.acquisition.fitted_s = nan
         self.acquisition.pipeline = pipeline
         self._journal.configured(Call.PIPELINE, self.config)
+        if self._load.relief is Relief.LEFT_OUT:
+            self._relieve_pipeline(is_relieved=True)
         self._resets_seen.clear()
 
     # ---- periodic work -----------------------------------------------------------------------------------------------
@@ -350,6 +358,8 @@ class Daemon:
         if frame is not None:
             self._publisher.publish_slow(frame)
         self._keep_gauges(frame)
+        if self._load.relief is not Relief.NONE:
+            self.metrics.overloaded.labels(self._load.relief.name.lower()).inc()
         self._notifier.notify(f"STATUS={status_line(status)}")
 
     def _keep_gauges(self, frame: MotionFrame | None) -> None:
@@ -364,6 +374,32 @@ class Daemon:
         metrics.record_quiet(frame.quiet)
         metrics.record_training(frame, now_s - self.acquisition.accepted_s)
         metrics.record_rock(self.acquisition.rock_scores())
+
+    # ---- what the machine cannot do all of ---------------------------------------------------------------------------
+
+    async def _watch_load(self) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            due_s = loop.time() + LOAD.probe_s
+            await asyncio.sleep(LOAD.probe_s)
+            now_s, before = loop.time(), self._load.relief
+            if self._load.step(now_s, now_s - due_s, self.acquisition.period_s):
+                self._relieve(before, self._load.relief)
+
+    def _relieve(self, before: Relief, now: Relief) -> None:
+        self._publisher.together = now.value
+        if (now is Relief.LEFT_OUT) is not (before is Relief.LEFT_OUT):
+            self._relieve_pipeline(is_relieved=now is Relief.LEFT_OUT)
+        self.metrics.show_relief(now.value)
+        if now.value > before.value:
+            hint = "fewer clients or a lower rate_hz; [runtime] fifo_priority where other programs take the time"
+            _log.warning("the machine does not keep up: less is done", frames_at_once=now.value, hint=hint)
+        else:
+            _log.info("the machine keeps up: more is done again", frames_at_once=now.value)
+
+    def _relieve_pipeline(self, *, is_relieved: bool) -> None:
+        self.acquisition.pipeline.relieve(is_relieved=is_relieved)
+        self._journal.relieved(is_relieved=is_relieved)
 
     # ---- for the parts -----------------------------------------------------------------------------------------------
 

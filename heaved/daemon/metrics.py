@@ -343,6 +343,15 @@ class Metrics:
 
     def _have_daemon(self, table: _Table) -> None:
         self.clock_steps = table.counter("heaved_clock_steps_total", "Steps of the system's UTC.")
+        self.frames_at_once = table.gauge(
+            "heaved_frames_at_once", "That go to clients of the stream; more than 1: the machine does not keep up."
+        )
+        self.frames_at_once.set(1)
+        self.overloaded = table.results(
+            "heaved_overloaded_seconds_total",
+            "For which the machine did not keep up, by what gave way: frames gathered, and predictions left out.",
+            "gathered", "left_out", label="relief",
+        )  # fmt: skip
         self.state_saves = table.results(
             "heaved_state_saves_total", "Saves of the state file by result.", "saved", "failed"
         )
@@ -451,6 +460,10 @@ class Metrics:
         window = quiet.window if quiet is not None else None
         self.quiet_confidence.set(quiet.best if quiet is not None else nan)
         self.quiet_start.set(window.start_s if window is not None else nan)
+
+    def show_relief(self, frames_at_once: int) -> None:
+        """What gives way is another now."""
+        self.frames_at_once.set(frames_at_once)
 
     # What the stream's publisher counts.
 

@@ -77,6 +77,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
 
 
 TUNING: Final = Tuning()
+LEFT_OUT: Final = ("overloaded: rock predictions and quiet windows left out",)
 BEYOND: Final = "beyond physics"
 """Why an estimator begins anew."""
 ORDER: Final = 3
@@ -109,6 +110,7 @@ class MotionFrames:
 
     Attributes:
         resets: of what was found beyond physics, times that it began.
+        remarks: to be added to the reasons; they change no state.
     """
 
     def __init__(
@@ -124,6 +126,7 @@ class MotionFrames:
         self._vertical, self._heave, self._stages = vertical, heave, stages
         self._points = PointMotions(point, stages) if point else None
         self.resets: Counter[tuple[str, str]] = Counter()
+        self.remarks: tuple[str, ...] = ()
         self._is_beyond = False
         self._ran_away = _RunAway()
         self._delayed: tuple[DelayedHeave, DelayedHeave | None] | None = None
@@ -132,6 +135,11 @@ class MotionFrames:
         self._rate_between = tuple(rock_horizons_s.index(h) for h in STANDARD_HORIZONS_S[:2])
         self._bend = _Bend.of(rock_horizons_s)
         self._parabola = _Parabola.of(rock_horizons_s, heave.lead_s)
+
+    @property
+    def has_points(self) -> bool:
+        """Whether points are published."""
+        return self._points is not None
 
     def at(
         self,
@@ -429,7 +437,7 @@ class MotionFrames:
             heave=state,
             laser=LaserState.OFF if not has_laser else LaserState.VALID if fresh else LaserState.STALE,
             correction=estimator.correction_state(laser_is_fresh=fresh) if has_laser else CorrectionState.OFF,
-            reasons=reasons,
+            reasons=(*reasons, *self.remarks) if self.remarks else reasons,
         )
 
 

@@ -81,6 +81,8 @@ CONTRACT = {
     ("heaved_tick_lateness_seconds", "histogram", ()),
     ("heaved_certificate_end_timestamp_seconds", "gauge", ("file",)),
     ("heaved_clock_steps", "counter", ()),
+    ("heaved_frames_at_once", "gauge", ()),
+    ("heaved_overloaded_seconds", "counter", ("relief",)),
     ("heaved_state_saves", "counter", ("result",)),
     ("heaved_state_loads", "counter", ("result",)),
     ("heaved_client_errors", "counter", ("reason",)),
@@ -359,7 +361,7 @@ def test_every_gauge_of_the_estimators_can_become_nan() -> None:
     """A new one must be in the table above."""
     kept = {
         "heaved_build_info", "heaved_device_up", "heaved_output_up", "heaved_quality", "heaved_clients",
-        "heaved_certificate_end_timestamp_seconds",
+        "heaved_certificate_end_timestamp_seconds", "heaved_frames_at_once",
     }  # fmt: skip
     assert {name for name, kind, _ in CONTRACT if kind == "gauge"} - kept == ALL
 
