@@ -74,6 +74,11 @@ class Lean(msgspec.Struct, frozen=True, gc=False):
     pitch_rad: float = 0.0
     roll_std_rad: float = 0.0
     pitch_std_rad: float = 0.0
+    late_std_s: float = 0.0
+    """How well it is known by how much the angles are late: off by as much of their own rates, both at once,"""
+    late_roll_std_rad: float = 0.0
+    """and what that comes to on average."""
+    late_pitch_std_rad: float = 0.0
 
 
 MEAN_S: Final = 60.0
@@ -85,7 +90,10 @@ makes of the integrals is no straight line."""
 SETTLED: Final = 7.0
 """So many times as long it takes to know that; before, it is known less by as much as is lacking."""
 SHOWN: Final = 2.0
-"""Standard deviations from which the record has shown a lean, or a lateness, to whoever wants the angles themselves."""
+"""Standard deviations from which the record has shown a lean to whoever wants the angles themselves,"""
+LATE_SHOWN: Final = 3.0
+"""and a lateness, which moves the end of a long arm by centimetres: of a sensor that is not late, two are shown once in
+a few records of ten minutes, for it is looked at every ten seconds."""
 COHERENT: Final = 3.0
 """Radians of the waves over which they have lost most of what they have in common with now."""
 
@@ -232,12 +240,10 @@ class AttitudeError:
         std = self._lean_std
         k = self.lean_per_s if self.lean_per_s > SHOWN * std else 0.0
         late2 = self._late_square
-        late_roll2, late_pitch2 = late2 * self._square_roll_rate, late2 * self._square_pitch_rate
+        late = sqrt(late2), sqrt(late2 * self._square_roll_rate), sqrt(late2 * self._square_pitch_rate)
         if k == 0.0:
             k2 = self._lean_square
-            return Lean(
-                0.0, 0.0, sqrt(k2 * self._square_across + late_roll2), sqrt(k2 * self._square_along + late_pitch2)
-            )
+            return Lean(0.0, 0.0, sqrt(k2 * self._square_across), sqrt(k2 * self._square_along), *late)
         settling = max(SETTLED * MEAN_S / max(self._followed_s, MEAN_S), 1.0)
         doubt = hypot(std, OF_LEAN * k * settling)
         turned = omega_radps * max(since_s, 0.0)
@@ -247,17 +253,12 @@ class AttitudeError:
         along = c * along + s * (self._off_x - self._rise_x)
         across = c * across + s * (self._off_y - self._rise_y)
         lost2 = doubt**2 + k * k * (1.0 - left * left)
-        return Lean(
-            k * across,
-            k * along,
-            sqrt(lost2 * self._square_across + late_roll2),
-            sqrt(lost2 * self._square_along + late_pitch2),
-        )
+        return Lean(k * across, k * along, sqrt(lost2 * self._square_across), sqrt(lost2 * self._square_along), *late)
 
     def _know(self) -> None:
         """What is asked for with every sample, from what has been found: that changes once in ten seconds."""
         self._lean_std = sqrt(float(self.covariance[0, 0]))
-        is_known = self._belief.null[1] > 0.0 or self.late_s > SHOWN * sqrt(float(self.covariance[1, 1]))
+        is_known = self._belief.null[1] > 0.0 or self.late_s > LATE_SHOWN * sqrt(float(self.covariance[1, 1]))
         self.angles_late_s = max(self.late_s, 0.0) if is_known else 0.0
         self._late_square = float(self.covariance[1, 1] if self.angles_late_s else self._if_any[1] ** 2)
         self._lean_square = float(self._if_any[0] ** 2)
