@@ -11,6 +11,7 @@ from aiohttp import web
 
 from heaved.networks import checked_networks
 from heaved.outputs.http_listener import HttpListener
+from heaved.outputs.listen import alike
 from heaved.samples import HeaveState, MotionFrame
 from heaved.text import printable
 
@@ -111,7 +112,7 @@ class HttpServer:
 
     def _complain(self, reason: str, message: str) -> None:
         self._count_client_error(reason)
-        _log.warning("http client error", reason=reason, error=message, alike=reason)
+        _log.warning("http client error", reason=reason, error=message, alike=alike(reason, message))
 
     async def _answer(self, request: web.BaseRequest) -> web.Response:
         if request.path not in _PATHS:

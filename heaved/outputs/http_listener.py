@@ -63,7 +63,7 @@ class HttpListener:
         self._most, self._answer, self._complain = most, answer, complain
         self._listener = Listener(
             section, host, port, self._admit, lambda reason, _address, message: complain(reason, message),
-            certificates=certificates, networks=networks,
+            certificates=certificates, networks=networks, outsider=refusal,
         )  # fmt: skip
         self._server: _BoundedServer | None = None
         self._refused: set[_Refusal] = set()

@@ -40,6 +40,11 @@ _EXHAUSTED: Final = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 _log = structlog.get_logger(__name__)
 
 
+def alike(reason: str, message: str) -> str:
+    """By what two refusals are one line of the log and a count: of a handshake, whose and why."""
+    return message if reason == TLS else reason
+
+
 class ListenError(OSError):
     """A server cannot listen where it was told to; the message says where and what to do."""
 
@@ -62,11 +67,12 @@ class Listener:
         *,
         certificates: Certificates | None = None,
         networks: tuple[Network, ...] = (),
+        outsider: str = "",
     ) -> None:
         """``section`` of the configuration, for messages; ``protocol``: makes what serves a peer, told its address;
         ``refuse``: told of one that is not let in, a reason for statistics, its address, and why in words.
-        With ``certificates`` TLS is spoken, and only with who is in one of ``networks`` or on this machine; without,
-        it is up to what serves them.
+        With ``certificates`` TLS is spoken, and only with who is in one of ``networks`` or on this machine; of others
+        it is said that their address ``outsider``. Without, it is up to what serves them.
         """
         self._section = section
         self._host = host
@@ -74,7 +80,7 @@ class Listener:
         self._protocol = protocol
         self._arrivals = Arrivals()
         self._refuse = refuse
-        self._certificates, self._networks = certificates, networks
+        self._certificates, self._networks, self._outsider = certificates, networks, outsider
         self._handshakes = Shares(MOST_HANDSHAKES)
         self._under_way = 0
         self._shaking: set[TlsConnection] = set()
@@ -142,7 +148,7 @@ class Listener:
     def _may_shake_hands(self, address: str) -> bool:
         """Whether a handshake is begun with ``address``; then it has a place, to be given back."""
         if not is_allowed(address, self._networks):
-            self._refuse("not_allowed", address, f"{address} is not in a network of [{self._section}] allow")
+            self._refuse("not_allowed", address, f"{address} {self._outsider}")
             return False
         if self._under_way >= MOST_HANDSHAKES:
             self._refuse("too_many_clients", address, f"{MOST_HANDSHAKES} connections are about to agree on TLS")

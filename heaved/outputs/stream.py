@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import asyncio
 import time
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 import structlog
 
 from heaved.networks import checked_networks, is_allowed
 from heaved.outputs import wire
-from heaved.outputs.listen import Listener
+from heaved.outputs.listen import Listener, alike
 from heaved.outputs.records import ErrorRecord, StatusRecord, VersionRecord
 from heaved.outputs.shares import TOO_MANY, Shares
 from heaved.outputs.subscriber import Subscriber
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from heaved.outputs.tls import Certificates
 
 Slow = TypeVar("Slow", DelayedHeave, HullAngles, CraftMotion, MruComparison, SeaState)
+
+_OUTSIDER: Final = "is not in a network of [stream] allow"
 
 _log = structlog.get_logger(__name__)
 
@@ -90,7 +92,7 @@ class Publisher:
         self._networks = checked_networks("stream", host, allow, wants_certificates=certificates is not None)
         self._listener = Listener(
             "stream", host, port, lambda address: Subscriber(self, address), self.refusal,
-            certificates=certificates, networks=self._networks,
+            certificates=certificates, networks=self._networks, outsider=_OUTSIDER,
         )  # fmt: skip
         self._max_clients = max_clients
         self._shares = Shares(max_clients)
@@ -202,7 +204,7 @@ class Publisher:
         """Serve ``client``, or say why not."""
         address = client.address
         if not is_allowed(address, self._networks):
-            return self.refusal("not_allowed", address, f"{address} is not in a network of [stream] allow")
+            return self.refusal("not_allowed", address, f"{address} {_OUTSIDER}")
         if self.clients >= self._max_clients:
             message = f"{self._max_clients} clients are connected and no more are served ([stream] max_clients)"
             return self.refusal("too_many_clients", address, message)
@@ -217,7 +219,7 @@ class Publisher:
     def refusal(self, reason: str, address: str, message: str) -> ErrorRecord:
         """Count and log what a client did wrong, and make the record that tells it."""
         self._metrics.count_client_error(reason)
-        _log.warning("stream client error", reason=reason, peer=address, error=message, alike=reason)
+        _log.warning("stream client error", reason=reason, peer=address, error=message, alike=alike(reason, message))
         return ErrorRecord(message=message)
 
     def linger(self, client: Subscriber) -> bool:

@@ -20,7 +20,7 @@ from aiohttp import web
 
 from heaved.networks import EVERYWHERE, is_loopback_host, parse_networks
 from heaved.outputs.http_listener import HttpListener
-from heaved.outputs.listen import ListenError
+from heaved.outputs.listen import ListenError, alike
 from heaved.outputs.shares import TOO_MANY, Shares
 from heaved.outputs.tls import Certificates
 from heaved.page.follower import Follower
@@ -220,7 +220,7 @@ class PageServer:
         await self._following
 
     def _complain(self, reason: str, message: str) -> None:
-        _log.warning("page client error", reason=reason, error=message, alike=reason)
+        _log.warning("page client error", reason=reason, error=message, alike=alike(reason, message))
 
     async def _answer(self, request: web.BaseRequest) -> web.StreamResponse:
         if not is_own_host(request.headers.get("Host", ""), self._names):
