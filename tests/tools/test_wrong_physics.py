@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from math import nan, sqrt
 
+import numpy as np
 import pytest
+from evidence.heave.left_over import lagged, least_left
 from evidence.heave.wrong_physics import CASES, Found, Line, Run, report, run
 
-LASER = "200+60"
-"""It has been there for two minutes when the heave has settled, and is away for one."""
+LASER = "200+40"
+"""It has been there for two minutes when the heave has settled, and is away for a while."""
 
 
 def rms_m(found: Found) -> float:
@@ -22,7 +24,18 @@ def test_what_a_fault_puts_in_is_taken_out_and_right_physics_costs_nothing() -> 
     right, askew = (case for case in CASES if case.name in ("right physics", "IMU askew by 2.5° twice"))
     runs = ((right, True), (askew, False), (askew, True))
     of_right, without, corrected = (
-        run(Run(case=case, sea="S6-bow-0.8", seed=1, corrected=is_on, laser=LASER, duration_s=300.0, from_s=180.0))
+        run(
+            Run(
+                case=case,
+                sea="S6-bow-0.8",
+                seed=1,
+                corrected=is_on,
+                trained=False,
+                laser=LASER,
+                duration_s=270.0,
+                from_s=180.0,
+            )
+        )
         for case, is_on in runs
     )
     print(of_right, without, corrected)
@@ -53,3 +66,19 @@ def test_a_line_says_what_was_put_in_and_what_was_taken_out() -> None:
         delayed_m=(0.004, 0.004), within=0.95, active=0.0, first_s=nan, published=1.0,
     )  # fmt: skip
     assert "| 1% | – | 1.000 | 1.000 |" in report([nothing])
+
+
+def test_a_regression_leaves_what_its_inputs_do_not_hold() -> None:
+    rng = np.random.default_rng(1)
+    known, hidden = rng.standard_normal((2, 4000))
+    inputs = np.column_stack((known, rng.standard_normal(4000)))
+    error = known + 0.5 * hidden
+    left = least_left(inputs[:2000], error[:2000] + 3.0, inputs[2000:], error[2000:])
+    assert left == pytest.approx(0.5 / np.sqrt(1.25), rel=0.05)
+    assert least_left(inputs[:2000, 1:], error[:2000], inputs[2000:, 1:], error[2000:]) == pytest.approx(1.0, abs=0.01)
+
+
+def test_what_lies_behind_is_not_known_before_the_beginning() -> None:
+    found = lagged(np.arange(30.0), (0.0, 1.0))
+    assert found[25].tolist() == [25.0, 15.0]
+    assert np.isnan(found[9, 1])

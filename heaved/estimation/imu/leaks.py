@@ -17,20 +17,29 @@ millimetre per second squared, and half a minute of waves tells it badly.
 
 from __future__ import annotations
 
+from enum import IntEnum
 from math import cos, sin
-from typing import Final
 
 from heaved.samples import GRAVITY_MPS2
 
-NAMES: Final = (
-    "forward shown upright",
-    "port shown upright",
-    "upright shown forward",
-    "upright shown to port",
-    "forward and port shown in each other",
-    "more per g",
-)
-"""Of the columns."""
+
+class Leak(IntEnum):
+    """The columns, in their order."""
+
+    FORWARD_UPRIGHT = 0
+    """m_zx: the upright axis shows a share of the forward one,"""
+    PORT_UPRIGHT = 1
+    """m_zy: of the one to port;"""
+    UPRIGHT_FORWARD = 2
+    """m_xz: the forward axis shows a share of the upright one,"""
+    UPRIGHT_PORT = 3
+    """m_yz: so does the one to port;"""
+    ACROSS = 4
+    """m_xy = m_yx: these two show each other;"""
+    BEND = 5
+    """k: each axis shows more for each g."""
+
+
 Leaks = tuple[float, float, float, float, float, float]
 
 

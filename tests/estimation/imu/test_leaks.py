@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from heaved.estimation.imu.attitude import up_acceleration
-from heaved.estimation.imu.leaks import NAMES, leaks_mps2
+from heaved.estimation.imu.leaks import Leak, leaks_mps2
 from heaved.samples import GRAVITY_MPS2
 
 tilts = st.floats(-0.6, 0.6)
@@ -18,20 +18,26 @@ parts = st.floats(-3.0, 3.0)
 SMALL = 1e-6
 
 
-@given(roll=tilts, pitch=tilts, fx=parts, fy=parts, more=parts, which=st.integers(0, len(NAMES) - 1))
+@given(roll=tilts, pitch=tilts, fx=parts, fy=parts, more=parts, which=st.sampled_from(Leak))
 def test_a_column_is_what_its_fault_adds(
-    roll: float, pitch: float, fx: float, fy: float, more: float, which: int
+    roll: float, pitch: float, fx: float, fy: float, more: float, which: Leak
 ) -> None:
     force = np.array((fx, fy, GRAVITY_MPS2 + more))
-    places = {0: [(2, 0)], 1: [(2, 1)], 2: [(0, 2)], 3: [(1, 2)], 4: [(0, 1), (1, 0)]}
+    places = {
+        Leak.FORWARD_UPRIGHT: [(2, 0)],
+        Leak.PORT_UPRIGHT: [(2, 1)],
+        Leak.UPRIGHT_FORWARD: [(0, 2)],
+        Leak.UPRIGHT_PORT: [(1, 2)],
+        Leak.ACROSS: [(0, 1), (1, 0)],
+    }
     shown = force.copy()
     for to, of in places.get(which, []):
         shown[to] += SMALL * force[of]
-    if which == 5:
+    if which is Leak.BEND:
         shown = force * (1.0 + SMALL * np.abs(force) / GRAVITY_MPS2)
     right, wrong = (up_acceleration(x, y, z, roll, pitch) for x, y, z in (force.tolist(), shown.tolist()))
     added = (wrong - right) / SMALL
-    if which == 5:  # A scale of 2 and a level of g are learned elsewhere.
+    if which is Leak.BEND:  # A scale of 2 and a level of g are learned elsewhere.
         added -= GRAVITY_MPS2 + 2.0 * right
     assert leaks_mps2(fx, fy, GRAVITY_MPS2 + more, roll, pitch)[which] == pytest.approx(added, abs=1e-4)
 

@@ -19,7 +19,7 @@ from evidence.commands import (
     positive,
     seeds_of,
 )
-from evidence.heave import asked, correction, estimators, evaluate, gates, shake, tables, wrong_physics
+from evidence.heave import asked, correction, estimators, evaluate, gates, left_over, shake, tables, wrong_physics
 from evidence.results import LINES, Output, Report
 from evidence.scenarios import Setting
 from heaved.simulate import directional
@@ -161,7 +161,10 @@ def run_correction(options: Options, output: Output) -> Report:
     output.write("wrong physics", lines)
     outcomes = correction.table(seeds, options.jobs)
     output.write("correction", outcomes)
-    return Report(f"{wrong_physics.report(lines)}\n\n{correction.report(outcomes)}", tuple(seeds))
+    left = left_over.table(seeds[0], options.jobs)
+    output.write("left over", left)
+    parts = wrong_physics.report(lines), correction.report(outcomes), left_over.report(left)
+    return Report("\n\n".join(parts), tuple(seeds))
 
 
 # --- options ---------------------------------------------------------------------------------------------------------

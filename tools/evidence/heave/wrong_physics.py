@@ -25,6 +25,7 @@ from evidence.learning import learn
 from evidence.scenarios import limits_of
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser import correction, reference
+from heaved.estimation.heave.sea.refit import look
 from heaved.estimation.rock import params as rock
 from heaved.pipeline import assemble
 from heaved.samples import CorrectionState
@@ -35,6 +36,8 @@ from heaved.simulate.wrong_physics import RIGHT, Wrong, crooked
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from heaved.simulate.sensors import Recording
 
 Array = NDArray[np.float64]
 
@@ -75,6 +78,8 @@ class Run(msgspec.Struct, frozen=True, kw_only=True):
     sea: str
     seed: int
     corrected: bool
+    trained: bool = True
+    """The network, too, where it is worth it; it takes seconds to load what does that."""
     laser: str = LASER
     duration_s: float = DURATION_S
     from_s: float = FROM_S
@@ -139,15 +144,20 @@ class Line(msgspec.Struct, frozen=True, kw_only=True):
         return self.corrected_m[2] / self.without_m[2]
 
 
+def recording(case: Case, sea: str, seed: int, laser: str, duration_s: float) -> Recording:
+    """The record of a case."""
+    return crooked(
+        record(
+            seaway(sea, seed, start_s=37.0 * seed), duration_s, imu_rate_hz=RATE_HZ, sensor=case.sensor, laser=laser,
+            gauge=case.gauge, seed=1000 + seed,
+        ),
+        case.wrong,
+    )  # fmt: skip
+
+
 def run(task: Run) -> Found:
     """Through the pipeline of the daemon; what is due to be learned is learned before the next sample."""
-    made = crooked(
-        record(
-            seaway(task.sea, task.seed, start_s=37.0 * task.seed), task.duration_s, imu_rate_hz=RATE_HZ,
-            sensor=task.case.sensor, laser=task.laser, gauge=task.case.gauge, seed=1000 + task.seed,
-        ),
-        task.case.wrong,
-    )  # fmt: skip
+    made = recording(task.case, task.sea, task.seed, task.laser, task.duration_s)
     pipe = assemble(
         heave=heave.Params(forecast_horizons_s=()),
         laser=reference.Params(),
@@ -160,7 +170,10 @@ def run(task: Run) -> Found:
     first_s = nan
     for sample in made.samples():
         frame = pipe.step(sample)
-        learn(pipe)
+        if task.trained:
+            learn(pipe)
+        elif (past := pipe.fit_due()) is not None:
+            pipe.accept_fit(look(past))
         if frame is None:
             continue
         is_active = frame.quality.correction is CorrectionState.ACTIVE

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.heave.laser.placement import heaves_m
 from heaved.estimation.imu.attitude_error import Amendment
-from heaved.estimation.imu.leaks import NAMES
+from heaved.estimation.imu.leaks import Leak
 
 if TYPE_CHECKING:
     from heaved.estimation.heave.laser.geometry import Geometry
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-COUNT: Final = len(NAMES)
+COUNT: Final = len(Leak)
 NUISANCES: Final = 5
 """Gain, lag, spread, and the lever arm forward and to port."""
 SIZE: Final = COUNT + NUISANCES + 1
@@ -128,13 +128,13 @@ class _Sums(msgspec.Struct, frozen=True, eq=False):
 def _hypotheses() -> tuple[Columns, ...]:
     """From the plainest to all that there may be."""
     one = np.eye(COUNT)
-    forward_up, port_up, up_forward, up_port = one[:, :4].T
+    forward_up, port_up, up_forward, up_port = one[:, : Leak.ACROSS].T
     turned = np.column_stack((forward_up - up_forward, port_up - up_port))
     leaking = np.column_stack((turned, forward_up + up_forward, port_up + up_port))
     t = TUNING
     of_turned, of_leaking = np.full(2, t.turned), np.array((t.turned, t.turned, t.leaking, t.leaking))
-    bent = one[:, [5]], np.array((t.bent,))
-    crossed = np.hstack((leaking, one[:, [4]])), np.append(of_leaking, t.leaking)
+    bent = one[:, [Leak.BEND]], np.array((t.bent,))
+    crossed = np.hstack((leaking, one[:, [Leak.ACROSS]])), np.append(of_leaking, t.leaking)
     return (
         Columns(turned, of_turned),
         Columns(*bent),

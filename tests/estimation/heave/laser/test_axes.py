@@ -22,7 +22,9 @@ from heaved.simulate.sensors import SENSORS, ImuModel, Recording, record
 from heaved.simulate.wrong_physics import RIGHT, Wrong, crooked
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
+
+    from heaved.simulate.vessel import Array
 
 RATE_HZ = 10.0
 ASKEW = Wrong(askew_roll_rad=math.radians(2.5), askew_pitch_rad=math.radians(-2.0))
@@ -144,6 +146,39 @@ def test_an_imu_that_is_put_right_is_let_go() -> None:
     axes, _ = shown(crooked(Recording(**after, truth=later.truth), RIGHT), axes)
     assert not axes.is_in_use
     assert not axes.weights.any()
+
+
+def stuck(laser_m: Array, rng: np.random.Generator) -> Array:
+    return np.full_like(laser_m, 12.0) + 0.002 * rng.standard_normal(laser_m.size)
+
+
+def of_another_ship(laser_m: Array, rng: np.random.Generator) -> Array:
+    return 12.0 + np.roll(laser_m - 12.0, 777)
+
+
+LASERS_THAT_LIE: dict[str, Callable[[Array, np.random.Generator], Array]] = {
+    "wrong sign": lambda laser_m, _: 24.0 - laser_m,
+    "feet": lambda laser_m, _: 3.281 * laser_m,
+    "nothing moves": stuck,
+    "another ship": of_another_ship,
+    "a metre of noise": lambda laser_m, rng: laser_m + rng.standard_normal(laser_m.size),
+}
+
+
+@pytest.mark.parametrize("lie", LASERS_THAT_LIE)
+def test_no_laser_that_lies_makes_leaks(lie: str) -> None:
+    # One direction of the waves: all motions go with the heave, and a leak could be made of any of it.
+    made = record(seaway("S6", 4), 200.0, imu_rate_hz=RATE_HZ, sensor=UNBIASED, seed=7)
+    laser_m = LASERS_THAT_LIE[lie](made.laser_m, np.random.default_rng(3))
+    axes, _ = shown(msgspec.structs.replace(made, laser_m=laser_m))
+    assert not axes.is_in_use
+
+
+def test_a_step_of_the_level_spoils_no_more_than_its_piece() -> None:
+    made = crooked(right(duration_s=260.0), ASKEW)
+    up = made.az_mps2 + np.where(made.t_s > 105.0, 1.0, 0.0)
+    axes, _ = shown(msgspec.structs.replace(made, az_mps2=up))
+    assert axes.weights[1] == pytest.approx(-ASKEW.askew_roll_rad, abs=0.006)
 
 
 def test_a_restart_remembers_for_a_week_and_the_laser_judges() -> None:
