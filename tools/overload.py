@@ -6,8 +6,8 @@
 The daemon and all its processes have one core: two devices (IMU and laser) at --rate, every telegram, registers that
 a PLC reads, lines for a database, points, quiet windows, the recorder, fits of the sea and trainings as often as can
 be, and --clients clients of the stream, --slow of which take a line a second. Slaves, clients and consumers run on the
-other cores, as root at a higher priority than other programs: in the field they are other machines. In each phase so
-many other programs, which do nothing but count, are on the daemon's core with it, at the same priority: with two of
+other cores, as root at a priority that no other program disturbs: in the field they are other machines. In each phase
+so many other programs, which do nothing but count, are on the daemon's core with it, at the same priority: with two of
 them it has a third, unless --fifo puts it above them. Each phase is a column.
 """
 
@@ -41,6 +41,8 @@ if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
 CORE: Final = 0
+LOOKING: Final = 4
+"""Clients that look at what they get."""
 LEARNING: Final = "[heave.sea]\nrefresh_s = 5\n[correction]\nmin_laser_s = 20\nperiod_s = 5\n"
 WARM_UP_S: Final = 75.0
 """The first fit needs 40 s of samples, the first training as much."""
@@ -106,7 +108,8 @@ async def run(options: argparse.Namespace, folder: Path) -> list[Phase]:
         http, stream = daemon.addresses["http"], daemon.addresses["stream"]
         stack.enter_context(child(load.read_registers, registers))
         listening = partial(load.as_if_elsewhere, load.listen)
-        clients = stack.enter_context(child(listening, *stream, options.clients - options.slow, options.slow))
+        counts = (LOOKING, options.slow, options.clients - options.slow - LOOKING)
+        clients = stack.enter_context(child(listening, *stream, *counts))
         await asyncio.sleep(WARM_UP_S)
         return [
             await asyncio.to_thread(measure, daemon.pid, http, clients, hogs, options.seconds) for hogs in options.hogs
@@ -128,9 +131,9 @@ def table(phases: list[Phase]) -> str:
         ("polls of the IMU with an answer, per second (missed)", lambda p: polls(p, "imu")),
         ("polls of the laser, likewise", lambda p: polls(p, "laser")),
         ("lateness of polls, p50 / p99 (ms)", lambda p: f"{p.lateness_ms[0]:.2g} / {p.lateness_ms[1]:.3g}"),
-        ("frames per second at a quick client", lambda p: f"{p.heard.frames / p.heard.seconds:.1f}"),
+        (f"frames per second at clients that look ({LOOKING})", lambda p: f"{p.heard.frames / p.heard.seconds:.1f}"),
         ("age there, p50 / p99 / p99.9 (ms)", lambda p: " / ".join(f"{age:.3g}" for age in p.heard.ages_ms[:3])),
-        ("frames that all quick clients lost", lambda p: f"{p.heard.lost}"),
+        ("frames that they lost", lambda p: f"{p.heard.lost}"),
         ("lines dropped for slow clients, per second", lambda p: f"{of(p, 'heaved_frames_dropped') / p.seconds:.0f}"),
         ("heave valid (% of the frames)", lambda p: f"{100.0 * p.heard.valid:.1f}"),
         ("telegrams and the like, per second", lambda p: f"{of(p, 'heaved_output_messages') / p.seconds:.0f}"),
@@ -160,6 +163,8 @@ def main() -> int:
     parser.add_argument("--out", type=Path, metavar="DIR", help="keep everything there")
     parser.add_argument("--record", action="store_true", help="put the table into tools/RESULTS.md")
     options = parser.parse_args()
+    if options.slow + LOOKING > options.clients:
+        parser.error(f"--clients has room for the slow ones and {LOOKING} more")
     made_with, begun_s = results.provenance(), time.monotonic()
     with tempfile.TemporaryDirectory(prefix="heaved-overload-") as made:
         folder = options.out or Path(made)

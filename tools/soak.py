@@ -137,7 +137,7 @@ async def soak(options: argparse.Namespace, folder: Path) -> list[Sample]:
         begun_s = time.monotonic()
         stack.enter_context(child(load.read_registers, registers))
         stack.enter_context(child(load.watch_page, stack.enter_context(page(stream[1], folder))))
-        clients = stack.enter_context(child(load.listen, *stream, options.clients, 0))
+        clients = stack.enter_context(child(load.listen, *stream, options.clients, 0, 0))
         scraping = asyncio.create_task(scrape(daemon.addresses["http"]))
         file = stack.enter_context((folder / LINES).open("ab"))
         probe = await asyncio.to_thread(Probe, daemon, clients, begun_s)

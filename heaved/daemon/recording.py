@@ -325,6 +325,8 @@ class RecordingOutput:
 
     async def _carry(self, process: Process) -> None:
         assert process.stdin is not None
+        # What is under way is lost with a process that is killed: as little as can be, the rest waits here.
+        process.stdin.transport.set_write_buffer_limits(high=0)
         process.stdin.write(self._settings)
         self._sent_header = b""
         # What has left us before it reads would be lost with it, and with us: until then all is kept here.

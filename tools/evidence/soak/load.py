@@ -128,6 +128,24 @@ class _Quick:
         return found
 
 
+class _Taking(asyncio.Protocol):
+    """A client that takes all and looks at nothing: what it would cost to look is not the daemon's."""
+
+    def __init__(self) -> None:
+        self.gone = asyncio.get_running_loop().create_future()
+
+    def connection_lost(self, _error: Exception | None) -> None:
+        self.gone.set_result(None)
+
+
+async def _take(host: str, port: int) -> None:
+    while True:
+        with suppress(OSError):
+            _, client = await asyncio.get_running_loop().create_connection(_Taking, host, port)
+            await client.gone
+        await asyncio.sleep(0.2)
+
+
 async def _dawdle(host: str, port: int) -> None:
     """A client that takes :data:`SLOW_BYTES_PER_S`; one that is disconnected comes again."""
     while True:
@@ -140,14 +158,17 @@ async def _dawdle(host: str, port: int) -> None:
         await asyncio.sleep(0.5)
 
 
-def listen(host: str, port: int, quick: int, slow: int, pipe: Connection) -> None:
-    """Clients of the stream; answers each question with a :class:`Heard`, and ends with the pipe."""
+def listen(host: str, port: int, quick: int, slow: int, taking: int, pipe: Connection) -> None:
+    """Clients of the stream: ``quick`` that look at each line, ``slow`` ones, and ``taking`` that take all. Answers
+    each question with a :class:`Heard`, of those that look, and ends with the pipe.
+    """
     leave_signals_to_the_tool()
 
     async def run() -> None:
         clients = _Quick()
         tasks = [asyncio.create_task(clients.follow(host, port)) for _ in range(quick)]
         tasks += [asyncio.create_task(_dawdle(host, port)) for _ in range(slow)]
+        tasks += [asyncio.create_task(_take(host, port)) for _ in range(taking)]
         since_s = time.monotonic()
         with suppress(EOFError):
             while await asyncio.to_thread(pipe.recv):
@@ -246,7 +267,7 @@ def count_for_ever(core: int, pipe: Connection) -> None:
 
 
 def as_if_elsewhere(target: Callable[..., None], *arguments: object) -> None:
-    """``target`` at a priority that other programs of this machine do not disturb, where that is allowed."""
+    """``target`` at a priority that no program of this machine disturbs, where that is allowed."""
     with suppress(PermissionError):
-        os.nice(-10)
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
     target(*arguments)
