@@ -68,8 +68,11 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Pieces before anything is concluded."""
     judging: int = 6
     """The newest of them, each of which is held out in turn."""
+    early: float = 0.5
+    """While there are fewer, more columns must leave less than that of the mean square of held-out pieces, which fewer
+    columns leave: a little that is won within the waves may cost more below them,"""
     worth: float = 0.8
-    """More columns must leave less than that of the mean square of held-out pieces, which fewer of them leave,"""
+    """and less than that later,"""
     nearly: float = 0.75
     """and less than they do in that share of the pieces; in all, while there are few."""
     independent_s: float = 2.0
@@ -312,10 +315,11 @@ class AxisErrors:
             return _left(judging, _fitted(others, hypothesis, given))
 
         nothing = plain = left(NOTHING)
+        worth = TUNING.worth if len(newest) == TUNING.judging else TUNING.early
         best: Columns | None = None
         for hypothesis in HYPOTHESES:
             more = left(hypothesis)
-            if _is_better(more, plain, TUNING.worth):
+            if _is_better(more, plain, worth):
                 best, plain = hypothesis, more
         if best is not None:
             found = _fitted(_Sums(everything[0][None], np.array([float(everything[1])])), best)[0, :COUNT]
