@@ -29,12 +29,12 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
 
     probe_s: float = 0.05
     """The loop is asked so often how late it is."""
-    late_periods: float = 0.5
-    """Late: by more than so many periods of the IMU. From there on polls wait for one another."""
+    late_periods: float = 1.0
+    """Late: by more than so many periods of the IMU. A poll that is due then is not made."""
     late_least_s: float = 2e-3
     """And by more than the loop's own timers may be."""
-    busy: float = 0.5
-    """Share of a second's answers that are late, from which it does not keep up ..."""
+    busy: float = 0.25
+    """Share of a second's answers that are late, from which it does not keep up: so many polls are not made ..."""
     calm: float = 0.1
     """... and up to which there is room."""
     busy_s: int = 3

@@ -25,7 +25,7 @@ class Clock:
         return changes
 
 
-LATE_S, IN_TIME_S = 0.6 * PERIOD_S, 0.1 * PERIOD_S
+LATE_S, IN_TIME_S = 1.2 * PERIOD_S, 0.8 * PERIOD_S
 
 
 def test_more_gives_way_for_as_long_as_the_loop_does_not_keep_up_and_comes_back_step_by_step() -> None:

@@ -27,7 +27,7 @@ def draw(samples: Sequence[Sample], path: Path, title: str) -> None:
     minutes = [sample.t_s / 60.0 for sample in samples]
     figure = Figure(figsize=(9.0, 13.0), layout="constrained")
     FigureCanvasAgg(figure)
-    figure.suptitle(title)
+    figure.suptitle(title, fontsize="small", wrap=True)
     panels: list[Axes] = list(figure.subplots(7, 1, sharex=True))
     memory, counts, ages, lateness, processor, frames, lost = panels
     memory.plot(minutes, [sample.rss_mb for sample in samples], label="daemon (RSS)")
@@ -54,7 +54,7 @@ def draw(samples: Sequence[Sample], path: Path, title: str) -> None:
     ):  # fmt: skip
         panel.set_ylabel(label)
         panel.grid(alpha=0.3)
-        panel.legend(loc="upper right", fontsize="small", ncols=4)
+        panel.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize="small", ncols=4, frameon=False)
     for panel in (memory, counts, processor, frames, lost):
         panel.set_ylim(bottom=0.0)
     panels[-1].set_xlabel("minutes")
