@@ -28,9 +28,9 @@ import msgspec
 from evidence import results
 from evidence.commands import count, positive
 from evidence.daemon import running_daemon
+from evidence.processes import child, free_port
 from evidence.results import Report
 from evidence.soak import load
-from evidence.soak.processes import child, free_port
 from evidence.soak.use import LATENESS, grown, metrics, percentile_s, use
 
 from heaved.config.read import data_directory

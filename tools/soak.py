@@ -31,10 +31,10 @@ import msgspec
 from evidence import results
 from evidence.commands import count, positive
 from evidence.daemon import Running, running_daemon
+from evidence.processes import child, free_port, page
 from evidence.results import Report
 from evidence.soak import load
 from evidence.soak.judge import Sample, is_flat, judge, table
-from evidence.soak.processes import child, free_port, page
 from evidence.soak.use import LATENESS, Use, grown, metrics, percentile_s, use
 
 from heaved.config.read import data_directory

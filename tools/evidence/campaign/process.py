@@ -7,7 +7,6 @@ import contextlib
 import os
 import resource
 import signal
-import socket
 import struct
 import sys
 import time
@@ -50,14 +49,6 @@ class Use(NamedTuple):
     rss_mb: float
     descriptors: int
     threads: int
-
-
-def free_port() -> int:
-    """A TCP port of 127.0.0.1 that nobody has now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 class DaemonProcess:

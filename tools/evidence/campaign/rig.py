@@ -13,9 +13,10 @@ from math import inf
 from typing import TYPE_CHECKING, Final
 
 from evidence.campaign.far_ends import FarEnd
-from evidence.campaign.process import Clock, DaemonProcess, free_port
+from evidence.campaign.process import Clock, DaemonProcess
 from evidence.campaign.slaves import SerialSlave, Slave, TcpSlave
 from evidence.campaign.truth import ClockRegisters, Truth
+from evidence.processes import free_port
 
 if TYPE_CHECKING:
     import random
