@@ -393,7 +393,7 @@ class SeaObserver:
         if heave.mistaken_m2 and self._mistakes.are_over(self.t_s):
             heave.mistaken_m2 = 0.0
         heave.moved()
-        self._consistency.step(heave.filter.surprise, heave.is_recovering, self.sea)
+        self._consistency.step(heave.filter.surprise, heave.is_recovering, self.sea, heave.state_std_m)
         factor = self._consistency.factor
         if heave.filter.rate is not None:
             factor = max(factor, DRIFT.changes)
