@@ -10,10 +10,11 @@ none by
 
 (Bayes' factor of a normal rate), and with as many beginnings in an hour as sensors have, all of them have a
 probability. Innovations in which there are waves that the model does not know make a rate less certain by as much as
-those are larger than what it has (:mod:`heaved.estimation.heave.sea.long_waves`): a swell that arrives is no drift. While it is small, what each would do to the heave is in the standard deviation, as far as it is probable.
-When none is no longer likely, the filter is given the rate as one more state: with the mean and the covariance of the
-mixture of them all, which it had kept no account of (the bias as a second stage: Friedland 1969; a mixture taken for
-one normal: Blom & Bar-Shalom 1988).
+those are larger than what it has (:mod:`heaved.estimation.heave.sea.long_waves`): a swell that arrives is no drift.
+While it is small, what each would do to the heave is in the standard deviation, as far as it is probable. When none is
+no longer likely, the filter is given the rate as one more state: with the mean and the covariance of the mixture of
+them all, which it had kept no account of (the bias as a second stage: Friedland 1969; a mixture taken for one normal:
+Blom & Bar-Shalom 1988).
 
 The past with a drift in it has no spectrum: :func:`removed` takes it out of the record, as steps of its rate every
 quarter of a minute, found from the innovations in the same way.
@@ -161,8 +162,8 @@ class DriftDetector:
 
     Attributes:
         probability: that there is one.
-        doubt_m: standard deviation of what one that is not certain makes of the heave, and waves that the model does not
-            know.
+        doubt_m: standard deviation of what one that is not certain, and waves that the model does not know, make of the
+            heave.
         usual: (len(began),) by how much the rates scatter more than innovations of unit variance would make them.
     """
 

@@ -12,8 +12,8 @@ off by
 beside what the model says. By chance the sum is not zero either; as much as that does is left out. A short past shows
 one that grows quickly, a longer one less of it.
 
-A bias that goes on in one direction leaves next to nothing at these frequencies, once the ramp that it is has been taken
-out of them: so they tell, too, how far a ramp that is found is to be believed.
+A bias that goes on in one direction leaves next to nothing at these frequencies, once the ramp that it is has been
+taken out of them: so they tell, too, how far a ramp that is found is to be believed.
 """
 
 from __future__ import annotations
@@ -53,8 +53,7 @@ TUNING: Final = Tuning()
 class Past(NamedTuple):
     """Of one length."""
 
-    count: int
-    """Samples."""
+    samples: int
     basis: Array
     """(2 k, count) cosines and sines at the frequencies, by which innovations become the roots of a periodogram."""
     square_m2: Array
@@ -70,15 +69,15 @@ class LongWaves:
 
     def __init__(self, system: SeaSystem, steady: Steady) -> None:
         self._pasts = [_past(seconds, system, steady) for seconds in TUNING.looked_s]
-        self.count = max(past.count for past in self._pasts)
+        self.count = max(past.samples for past in self._pasts)
 
     def look(self, innovations: Array) -> tuple[float, float]:
         """Standard deviation of the heave, m, for waves that the model does not have, and by how much those are more
         than what it has; of the last innovations (count,), each over its standard deviation.
         """
         most_m2, most = 0.0, 1.0
-        for count, basis, square_m2 in self._pasts:
-            found = basis @ innovations[-count:]
+        for samples, basis, square_m2 in self._pasts:
+            found = basis @ innovations[-samples:]
             power = found[: len(square_m2)] ** 2 + found[len(square_m2) :] ** 2
             by_chance_m2 = TUNING.chance * sqrt(float(square_m2 @ square_m2))
             most_m2 = max(most_m2, float(square_m2 @ (power - 1.0)) - by_chance_m2)
