@@ -17,6 +17,7 @@ from heaved.estimation.imu.attitude import Attitude
 from heaved.estimation.imu.gates import AngleGate, SpikeGate, wrapped
 from heaved.estimation.imu.mounting import SignCheck, UnitsCheck
 from heaved.estimation.imu.sensor_clock import SensorClock
+from heaved.estimation.imu.turning import TurnCheck
 from heaved.samples import GRAVITY_MPS2, Fault, ImuSample
 from heaved.unchanged import OldReadings, StuckDetector
 
@@ -152,6 +153,7 @@ class Conditioner:
         self._both_stuck = StuckDetector(rests=True)
         self._rate_stuck = StuckDetector(rests=True)
         self._roll_gate, self._pitch_gate, self._yaw_gate = AngleGate(), AngleGate(), AngleGate(inf)
+        self._turns = TurnCheck()
         self._units, self._signs = UnitsCheck(), SignCheck()
         self._notes, self._noted_s = NOTHING, -inf
 
@@ -171,11 +173,13 @@ class Conditioner:
         if fault is Fault.OUT_OF_RANGE or self._units.reason:
             return self._none(t_s, Fault.NONE, Fault.OUT_OF_RANGE)
         attitude_t_s, roll, pitch, yaw = self._judge_angles(sample)
+        gx, gy, gz = self._judge_rates(sample)
+        if not self._turns.step(sample, roll, pitch, are_rates_there=isfinite(gx)):
+            roll = pitch = yaw = nan
         if abs(force_t_s - attitude_t_s) < TUNING.together_s and isfinite(roll + pitch + ax + ay + az):
             self._signs.step(force_t_s, ax, ay, az, roll, pitch)
         if self._signs.certain:
             roll = pitch = nan
-        gx, gy, gz = self._judge_rates(sample)
         attitude = None
         if isfinite(roll + pitch):
             attitude = Attitude(
@@ -301,6 +305,8 @@ class Conditioner:
         found = [f"imu: {' and '.join(names)} stuck" for names in (angles, forces) if names]
         if not angles and self._angles.hangs:
             found.append("imu: attitude stuck")
+        if self._turns.is_refusing:
+            found.append("imu: roll and pitch do not turn as the body rates do")
         if (share := self._old.share) > TUNING.old_share:
             found.append(f"imu: {100.0 * share:.0f} % of the readings are old ones that come again")
         remarks = [r for r in (self._forces.remark("accelerations"), self._angles.remark("attitude")) if r]
