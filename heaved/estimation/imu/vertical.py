@@ -107,7 +107,7 @@ class Vertical:
         self._tilted_s = nan
         self._lingers_until_s = -inf
         self._tilt_mean, self._tilt_square = 0.0, 0.0
-        """Of what the tilt makes of the vertical acceleration: its mean of late, and the mean square about that."""
+        """Of what the tilt makes of the vertical acceleration: its mean of late, and its mean square."""
         self._tilt_said_s = -inf
         self._left = TiltLeft()
         self._level_bias = LevelBias()
@@ -209,9 +209,9 @@ class Vertical:
         elapsed_s = t_s - self._t_s
         self._t_s = t_s
         if elapsed_s > 0.0:
-            off = tilt_mps2 - self._tilt_mean
-            self._tilt_mean += min(elapsed_s / TUNING.tilt_mean_s, 1.0) * off
-            self._tilt_square += min(elapsed_s / TUNING.tilt_memory_s, 1.0) * (off * off - self._tilt_square)
+            self._tilt_mean += min(elapsed_s / TUNING.tilt_mean_s, 1.0) * (tilt_mps2 - self._tilt_mean)
+            share = min(elapsed_s / TUNING.tilt_memory_s, 1.0)
+            self._tilt_square += share * (tilt_mps2**2 - self._tilt_square)
 
     @property
     def rates_radps(self) -> tuple[float, float, float]:
