@@ -36,13 +36,15 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """those that are remembered,"""
     agreed: float = 0.3
     """and how far off, of the motion, the angles may be to which rates lead that are to be believed."""
-    width: float = 8.0
+    width: float = 5.5
     """A reading further off than so many times the usual is refused,"""
-    floor_rad: float = radians(0.15)
+    surprises: float = 3.0
+    """and counts in what is usual as one that is so many times as far off at most: what is wrong does not become it."""
+    floor_rad: float = radians(0.1)
     """but not one that is less far off than this,"""
     drifts_radps: float = radians(0.05)
     """and what the bias of a gyroscope makes of the time since the last that was believed."""
-    back_s: float = 0.5
+    back_s: float = 1.0
     """Readings where they are expected, after others, are believed when they have been there for so long: roll and
     pitch pass each other twice in a wave."""
     proven_s: float = 4.0
@@ -182,7 +184,9 @@ class TurnCheck:
     ) -> None:
         """How far readings are off usually, and whether the rates lead from angle to angle."""
         t_s, self._amended_roll, self._amended_pitch = amended
-        square = max(off_roll * off_roll, off_pitch * off_pitch)
+        square, surprising = max(off_roll * off_roll, off_pitch * off_pitch), TUNING.surprises**2
+        if self._are_rates_known and square > surprising * self._usual_square:
+            square = surprising * self._usual_square
         self._usual_square += (square - self._usual_square) / (1.0 + min(self._compared * 10.0, 10.0 * TUNING.memory))
         lately, angles = self._lately, self._angles
         if not lately:
@@ -199,8 +203,10 @@ class TurnCheck:
         off_roll, off_pitch = amended[1] - lately[0][1], amended[2] - lately[0][2]
         moved_roll, moved_pitch = wrapped(roll_rad - angles[0][0]), wrapped(pitch_rad - angles[0][1])
         self._compared = min(self._compared + 1.0, TUNING.memory)
-        share = 1.0 / self._compared
-        self._off_square += share * (off_roll * off_roll + off_pitch * off_pitch - self._off_square)
+        share, square = 1.0 / self._compared, off_roll * off_roll + off_pitch * off_pitch
+        if self._are_rates_known and square > surprising * self._off_square:
+            square = surprising * self._off_square
+        self._off_square += share * (square - self._off_square)
         self._moved_square += share * (moved_roll * moved_roll + moved_pitch * moved_pitch - self._moved_square)
 
 
