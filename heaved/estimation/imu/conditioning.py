@@ -14,6 +14,7 @@ import msgspec
 
 from heaved.estimation.common.bounds import ANGLE_RATE_RADPS, HEAVE_ACCELERATION_MPS2
 from heaved.estimation.imu.attitude import Attitude
+from heaved.estimation.imu.beat import Beat
 from heaved.estimation.imu.gates import AngleGate, SpikeGate, wrapped
 from heaved.estimation.imu.mounting import SignCheck, UnitsCheck
 from heaved.estimation.imu.sensor_clock import SensorClock
@@ -139,12 +140,26 @@ class _Accelerometer:
         return Fault.OUT_OF_RANGE if isnan(self.gate.step(t_s, off)) and not isnan(value) else Fault.NONE
 
 
+def _is_same(one: ImuSample, other: ImuSample) -> bool:
+    """Whether a sample with accelerations shows the same as another one, in all that it has."""
+    if one.az_mps2 != other.az_mps2 or one.ax_mps2 != other.ax_mps2 or one.ay_mps2 != other.ay_mps2:
+        return False
+    pairs = (
+        (one.roll_rad, other.roll_rad),
+        (one.pitch_rad, other.pitch_rad),
+        (one.gx_radps, other.gx_radps),
+        (one.gy_radps, other.gy_radps),
+    )
+    return all(a == b or (isnan(a) and isnan(b)) for a, b in pairs)
+
+
 class Conditioner:
     """Judges the samples of one IMU, in order of time."""
 
     def __init__(self) -> None:
         self._forces, self._angles, self._rates = _Channels(), _Channels(), _Channels()
         self._old = OldReadings()
+        self._beat, self._last = Beat(), ImuSample(t_s=-inf)
         # Without ax or ay the tilt is not removed: what is measured counts as measured otherwise.
         self._ax = _Accelerometer(StuckDetector(rests=True, by_chance=True), TUNING.sideways_mps2)
         self._ay = _Accelerometer(StuckDetector(rests=True, by_chance=True), TUNING.sideways_mps2)
@@ -167,6 +182,9 @@ class Conditioner:
         t_s = sample.t_s
         if sample.fault is not Fault.NONE:
             return self._none(t_s, sample.fault, sample.fault)
+        beat = self._beat
+        beat.step(t_s, is_repeated=_is_same(sample, self._last))
+        self._last = sample
         if self._is_old(sample):
             return self._none(t_s, Fault.STALE, Fault.STALE)
         force_t_s, ax, ay, az, fault = self._judge_forces(sample)
@@ -182,6 +200,8 @@ class Conditioner:
             roll = pitch = nan
         attitude = None
         if isfinite(roll + pitch):
+            if not self._angles.clock.is_slow:
+                attitude_t_s -= beat.age_s
             attitude = Attitude(
                 t_s=attitude_t_s,
                 roll_rad=roll,
@@ -193,6 +213,8 @@ class Conditioner:
                 pitch_std_rad=self._pitch_gate.std_rad,
                 measured_s=attitude_t_s,
             )
+        if not self._forces.clock.is_slow:
+            force_t_s -= beat.age_s
         self._note(t_s)
         return Conditioned(
             sample=ImuSample(
@@ -209,9 +231,9 @@ class Conditioner:
             ),
             fault=fault,
             force_t_s=force_t_s,
-            force_std_s=self._forces.clock.uncertainty_s,
+            force_std_s=self._forces.clock.uncertainty_s if self._forces.clock.is_slow else beat.std_s,
             attitude=attitude,
-            attitude_std_s=self._angles.clock.uncertainty_s,
+            attitude_std_s=self._angles.clock.uncertainty_s if self._angles.clock.is_slow else beat.std_s,
             attitude_is_slow=self._angles.clock.is_slow,
             notes=self._notes,
         )
