@@ -180,8 +180,12 @@ class SeaObserver:
             self._record.start(t_s)
 
     def _begin_after_gap(self, f: SeaFilter, t_s: float, missed_s: float) -> None:
-        """After a gap the sensor may have another bias; with a laser that aids, or a drift, that is known otherwise."""
-        if missed_s > GAP.gap_s and f.gauge is None and f.rate is None and self._consistency.is_model_known:
+        """After a gap the sensor may have another bias; with a laser that aids that is known otherwise."""
+        if missed_s > GAP.gap_s and f.gauge is None and self._consistency.is_model_known:
+            if f.rate is not None:
+                # One that has been off drifts otherwise; one that goes on drifting is found again.
+                f.rate = None
+                self._record.end_drift(f.t_s)
             self._after_gap = AfterGap(f, t_s)
 
     def _ask_after_gap(self, f: SeaFilter, t_s: float, a_mps2: float) -> None:
