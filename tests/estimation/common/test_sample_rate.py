@@ -44,6 +44,18 @@ def test_the_usual_interval_among_lost_polls(seed: int) -> None:
         assert usual_interval(t[begin : begin + 76]) == pytest.approx(0.01, rel=1e-9), begin
 
 
+@pytest.mark.parametrize("lost", [0.6, 0.75])
+@pytest.mark.parametrize("jitter_s", [0.0, 0.0003])
+def test_the_usual_interval_where_most_polls_are_lost(lost: float, jitter_s: float) -> None:
+    """Of 6 s of 20 Hz; not with every draw does one interval in ten hold no loss, but with most."""
+    right = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        t = 0.05 * np.arange(120) + rng.uniform(-jitter_s, jitter_s, 120)
+        right += usual_interval(t[rng.random(120) >= lost]) == pytest.approx(0.05, rel=2e-3)
+    assert right >= 34
+
+
 @pytest.mark.parametrize("lost", [0.0, 0.1, 0.3, 0.5])
 def test_the_share_of_lost_samples(lost: float) -> None:
     arrivals = fed(stamps(10.0), stamps(400.0, lost=lost))
