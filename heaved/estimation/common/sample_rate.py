@@ -60,6 +60,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """by so much of it."""
     at_least: int = 10
     """Intervals that show it."""
+    singles_most: float = 2.5
+    """Share of single ones, over that of polls that are lost by chance: where samples come in bursts it is larger."""
     many: int = 150
     """So many stamps that are on no grid are counted as they are."""
     first: int = 12
@@ -120,6 +122,8 @@ def _sparse_interval(gaps_s: Array) -> float:
         return nan
     steps = np.rint(gaps_s / max(float(np.quantile(gaps_s, TUNING.shortest)), 1e-9))
     if not (steps.min() >= 1.0 and steps.mean() >= TUNING.sparse):
+        return nan
+    if np.mean(steps == 1.0) * steps.mean() > TUNING.singles_most:
         return nan
     interval_s = float(gaps_s.sum() / steps.sum())
     near = np.abs(gaps_s / interval_s - steps) < TUNING.nearly

@@ -56,6 +56,12 @@ def test_the_usual_interval_where_most_polls_are_lost(lost: float, jitter_s: flo
     assert right >= 34
 
 
+@pytest.mark.parametrize("apart_s", [1e-6, 1e-3, 5e-3])
+def test_bursts_are_no_line_that_loses_polls(apart_s: float) -> None:
+    t = np.add.outer(0.1 * np.arange(40), apart_s * np.arange(4)).ravel()
+    assert usual_interval(t) > 2.0 * apart_s
+
+
 @pytest.mark.parametrize("lost", [0.0, 0.1, 0.3, 0.5])
 def test_the_share_of_lost_samples(lost: float) -> None:
     arrivals = fed(stamps(10.0), stamps(400.0, lost=lost))
