@@ -422,7 +422,7 @@ class MotionFrames:
                 heave_std_m=observer.heave_std_m(),
                 missing=vertical.arrivals.missing,
                 doubts=observer.doubts + doubts,
-                notes=observer.notes,
+                notes=estimator.notes,
                 is_still=observer.sea is not None and observer.sea.is_still,
                 remarks=laser.remarks() if has_laser else (),
                 tilt_removed=vertical.is_tilt_removed(t_s),

@@ -49,6 +49,19 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Over the root of N: the agreement of N stamps with a given grid that is no chance."""
     singles: float = 0.25
     """Share of the intervals that are single ones, at least, on a grid that still is the right one."""
+    sparse: float = 1.5
+    """Intervals between stamps that are whole multiples of one, this many times it in the mean or more, are those of a
+    line that loses most polls: of their own mean there is nothing to be learned."""
+    shortest: float = 0.1
+    """Quantile of the intervals that is held to be that one;"""
+    mostly: float = 0.95
+    """this share of them are multiples,"""
+    nearly: float = 0.1
+    """by so much of it."""
+    at_least: int = 10
+    """Intervals that show it."""
+    singles_most: float = 2.5
+    """Share of single ones, over that of polls that are lost by chance: where samples come in bursts it is larger."""
     many: int = 150
     """So many stamps that are on no grid are counted as they are."""
     first: int = 12
@@ -74,6 +87,9 @@ def usual_interval(stamps_s: Array) -> float:
     the one at which the phases of the stamps agree (the periodogram of a point process, Bartlett 1963). Where jitter of
     half an interval hides it, lateness still cancels in the sum of neighbours: see :func:`_counted_interval`.
     """
+    sparse_s = _sparse_interval(np.diff(stamps_s))
+    if not isnan(sparse_s):
+        return sparse_s
     counted_s = _counted_interval(stamps_s)
     interval_s = _grid_interval(stamps_s, counted_s)
     if not isnan(interval_s):
@@ -98,6 +114,20 @@ def are_on_grid(stamps_s: Array, interval_s: float) -> bool:
 
 def _least_agreement(count: int) -> float:
     return float(max(TUNING.on_grid, TUNING.by_chance / count**0.5))
+
+
+def _sparse_interval(gaps_s: Array) -> float:
+    """That of which intervals (n,) are whole multiples, where most stamps are missing; nan: they are not."""
+    if len(gaps_s) < TUNING.at_least:
+        return nan
+    steps = np.rint(gaps_s / max(float(np.quantile(gaps_s, TUNING.shortest)), 1e-9))
+    if not (steps.min() >= 1.0 and steps.mean() >= TUNING.sparse):
+        return nan
+    if np.mean(steps == 1.0) * steps.mean() > TUNING.singles_most:
+        return nan
+    interval_s = float(gaps_s.sum() / steps.sum())
+    near = np.abs(gaps_s / interval_s - steps) < TUNING.nearly
+    return interval_s if near.mean() >= TUNING.mostly else nan
 
 
 def _grid_interval(stamps_s: Array, counted_s: float) -> float:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from math import hypot, isfinite, nan
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from heaved.estimation.heave.harmonic.observer import HarmonicObserver
 from heaved.estimation.heave.laser.learning import LaserLearning
 from heaved.estimation.heave.sea.observer import SeaObserver
-from heaved.samples import CorrectionState, DelayedHeave, HeaveForecast, TrainingWindow
+from heaved.samples import GRAVITY_MPS2, CorrectionState, DelayedHeave, HeaveForecast, TrainingWindow
 
 if TYPE_CHECKING:
     from heaved.estimation.heave.laser.correction import Params as CorrectionParams
@@ -30,6 +30,19 @@ if TYPE_CHECKING:
     from heaved.estimation.imu.vertical import VerticalAcceleration
 
 Array = NDArray[np.float64]
+
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """What is set by us, not by the user."""
+
+    level_mps2: float = 0.15
+    """Levels of accelerometers are off by less (data sheets: 0.02 to 0.1, over all temperatures). What is more than
+    that may as well be a wrong scale, of gravity and of the heave alike."""
+    said: float = 0.01
+    """People are told of a scale that may be off by so much."""
+
+
+TUNING: Final = Tuning()
 
 
 class Heave(msgspec.Struct, frozen=True, gc=False, kw_only=True):
@@ -115,6 +128,8 @@ class HeaveEstimator:
             return None
         motion = observer.at(moment_s, taught.learned_s)
         std_m = hypot(std_m, taught.error_std_m(motion.heave_m, motion.velocity_mps))
+        if (doubt := self._scale_doubt) > 0.0:
+            std_m = hypot(std_m, doubt * motion.heave_m)
         observer_m, correction_m = gain * motion.heave_m, self.correction.value_m
         return Heave(
             heave_m=observer_m + correction_m,
@@ -131,6 +146,8 @@ class HeaveEstimator:
         """For each horizon, with what gain and lead may be off by: as fast as the wave is now at its fastest."""
         observer, taught = self.observer, self.laser.lead
         found = observer.forecast(shift_s, taught.learned_s, scale, taught.gain)
+        if (doubt := self._scale_doubt) > 0.0:
+            return tuple([msgspec.structs.replace(one, std_m=hypot(one.std_m, doubt * one.heave_m)) for one in found])
         if not taught.updates:
             return found
         omega_radps = observer.omega_radps
@@ -149,7 +166,30 @@ class HeaveEstimator:
 
     def delayed(self) -> DelayedHeave | None:
         """The newest delayed heave, with what the laser has taught."""
-        return self.laser.delayed.step(self.observer.delayed, self.laser.lead)
+        found, doubt = self.laser.delayed.step(self.observer.delayed, self.laser.lead), self._scale_doubt
+        if found is None or not doubt > 0.0:
+            return found
+        return msgspec.structs.replace(found, std_m=hypot(found.std_m, doubt * found.heave_m))
+
+    @property
+    def _scale_doubt(self) -> float:
+        """By how much of itself the heave may be off for the scale of the accelerometer: gravity is measured with it,
+        so that a level that no sensor has may be that. Where a laser has shown the scale it is known.
+        """
+        off_mps2 = abs(self.observer.bias_mps2)
+        if not off_mps2 > TUNING.level_mps2 or self.laser.lead.updates:
+            return 0.0
+        return off_mps2 / GRAVITY_MPS2
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What people should know, and no reason to trust the heave less than its deviation says."""
+        notes, doubt = self.observer.notes, self._scale_doubt
+        if not doubt > TUNING.said:
+            return notes
+        off, share = self.observer.bias_mps2, 100.0 * doubt
+        told = f"az is off by {off:.2f} m/s2: its level, or its scale and with that the heave by {share:.0f} %"
+        return (*notes, told)
 
     def training_due(self) -> TrainingWindow | None:
         """A window for the trainer, when it is time for one; each is given out once."""

@@ -14,9 +14,11 @@ import msgspec
 
 from heaved.estimation.common.bounds import ANGLE_RATE_RADPS, HEAVE_ACCELERATION_MPS2
 from heaved.estimation.imu.attitude import Attitude
+from heaved.estimation.imu.beat import Beat
 from heaved.estimation.imu.gates import AngleGate, SpikeGate, wrapped
 from heaved.estimation.imu.mounting import SignCheck, UnitsCheck
 from heaved.estimation.imu.sensor_clock import SensorClock
+from heaved.estimation.imu.turning import TurnCheck
 from heaved.samples import GRAVITY_MPS2, Fault, ImuSample
 from heaved.unchanged import OldReadings, StuckDetector
 
@@ -138,12 +140,26 @@ class _Accelerometer:
         return Fault.OUT_OF_RANGE if isnan(self.gate.step(t_s, off)) and not isnan(value) else Fault.NONE
 
 
+def _is_same(one: ImuSample, other: ImuSample) -> bool:
+    """Whether a sample with accelerations shows the same as another one, in all that it has."""
+    if one.az_mps2 != other.az_mps2 or one.ax_mps2 != other.ax_mps2 or one.ay_mps2 != other.ay_mps2:
+        return False
+    pairs = (
+        (one.roll_rad, other.roll_rad),
+        (one.pitch_rad, other.pitch_rad),
+        (one.gx_radps, other.gx_radps),
+        (one.gy_radps, other.gy_radps),
+    )
+    return all(a == b or (isnan(a) and isnan(b)) for a, b in pairs)
+
+
 class Conditioner:
     """Judges the samples of one IMU, in order of time."""
 
     def __init__(self) -> None:
         self._forces, self._angles, self._rates = _Channels(), _Channels(), _Channels()
         self._old = OldReadings()
+        self._beat, self._last = Beat(), ImuSample(t_s=-inf)
         # Without ax or ay the tilt is not removed: what is measured counts as measured otherwise.
         self._ax = _Accelerometer(StuckDetector(rests=True, by_chance=True), TUNING.sideways_mps2)
         self._ay = _Accelerometer(StuckDetector(rests=True, by_chance=True), TUNING.sideways_mps2)
@@ -152,6 +168,7 @@ class Conditioner:
         self._both_stuck = StuckDetector(rests=True)
         self._rate_stuck = StuckDetector(rests=True)
         self._roll_gate, self._pitch_gate, self._yaw_gate = AngleGate(), AngleGate(), AngleGate(inf)
+        self._turns = TurnCheck()
         self._units, self._signs = UnitsCheck(), SignCheck()
         self._notes, self._noted_s = NOTHING, -inf
 
@@ -165,19 +182,26 @@ class Conditioner:
         t_s = sample.t_s
         if sample.fault is not Fault.NONE:
             return self._none(t_s, sample.fault, sample.fault)
+        beat = self._beat
+        beat.step(t_s, is_repeated=_is_same(sample, self._last))
+        self._last = sample
         if self._is_old(sample):
             return self._none(t_s, Fault.STALE, Fault.STALE)
         force_t_s, ax, ay, az, fault = self._judge_forces(sample)
         if fault is Fault.OUT_OF_RANGE or self._units.reason:
             return self._none(t_s, Fault.NONE, Fault.OUT_OF_RANGE)
         attitude_t_s, roll, pitch, yaw = self._judge_angles(sample)
+        gx, gy, gz = self._judge_rates(sample)
+        if not self._turns.step(sample, roll, pitch, are_rates_there=isfinite(gx)):
+            roll = pitch = yaw = nan
         if abs(force_t_s - attitude_t_s) < TUNING.together_s and isfinite(roll + pitch + ax + ay + az):
             self._signs.step(force_t_s, ax, ay, az, roll, pitch)
         if self._signs.certain:
             roll = pitch = nan
-        gx, gy, gz = self._judge_rates(sample)
         attitude = None
         if isfinite(roll + pitch):
+            if not self._angles.clock.is_slow:
+                attitude_t_s -= beat.age_s
             attitude = Attitude(
                 t_s=attitude_t_s,
                 roll_rad=roll,
@@ -189,6 +213,8 @@ class Conditioner:
                 pitch_std_rad=self._pitch_gate.std_rad,
                 measured_s=attitude_t_s,
             )
+        if not self._forces.clock.is_slow:
+            force_t_s -= beat.age_s
         self._note(t_s)
         return Conditioned(
             sample=ImuSample(
@@ -205,9 +231,9 @@ class Conditioner:
             ),
             fault=fault,
             force_t_s=force_t_s,
-            force_std_s=self._forces.clock.uncertainty_s,
+            force_std_s=self._forces.clock.uncertainty_s if self._forces.clock.is_slow else beat.std_s,
             attitude=attitude,
-            attitude_std_s=self._angles.clock.uncertainty_s,
+            attitude_std_s=self._angles.clock.uncertainty_s if self._angles.clock.is_slow else beat.std_s,
             attitude_is_slow=self._angles.clock.is_slow,
             notes=self._notes,
         )
@@ -301,6 +327,8 @@ class Conditioner:
         found = [f"imu: {' and '.join(names)} stuck" for names in (angles, forces) if names]
         if not angles and self._angles.hangs:
             found.append("imu: attitude stuck")
+        if self._turns.is_refusing:
+            found.append("imu: roll and pitch do not turn as the body rates do")
         if (share := self._old.share) > TUNING.old_share:
             found.append(f"imu: {100.0 * share:.0f} % of the readings are old ones that come again")
         remarks = [r for r in (self._forces.remark("accelerations"), self._angles.remark("attitude")) if r]

@@ -46,6 +46,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     end of the waves: the acceleration had better be missing than be taken with the tilt in it."""
     tilt_memory_s: float = 60.0
     """Of that RMS."""
+    tilt_mean_s: float = 10.0
+    """Of its mean, that of a list, which is taken out where no attitude is: it would be a step of the level."""
     tilt_seen_s: float = 20.0
     """Without an attitude, and with no memory of one, so much of a record shows how large it is."""
     tilt_said_s: float = 10.0
@@ -104,8 +106,8 @@ class Vertical:
         self._tilt_removed, self._tilt_since_s = False, nan
         self._tilted_s = nan
         self._lingers_until_s = -inf
-        self._tilt_square = 0.0
-        """Mean square of what the tilt makes of the vertical acceleration."""
+        self._tilt_mean, self._tilt_square = 0.0, 0.0
+        """Of what the tilt makes of the vertical acceleration: its mean of late, and its mean square."""
         self._tilt_said_s = -inf
         self._left = TiltLeft()
         self._level_bias = LevelBias()
@@ -140,7 +142,8 @@ class Vertical:
         self.arrivals.step(t_s)
         if not self._tilt_removed:
             self._t_s = t_s
-            return VerticalAcceleration(t_s, az - GRAVITY_MPS2, is_of_another_kind, noise=self._noise_of_tilt(t_s))
+            up = az - GRAVITY_MPS2 + self._tilt_mean
+            return VerticalAcceleration(t_s, up, is_of_another_kind, noise=self._noise_of_tilt(t_s))
         lag_s = lag_s if lag_s >= TUNING.lag_s else 0.0
         roll, pitch = self._attitude_of_acceleration(t_s - lag_s)
         level_bias, propagator, error = self._level_bias, self._propagator, self._attitude_error
@@ -203,9 +206,11 @@ class Vertical:
 
     def _note_tilt(self, t_s: float, tilt_mps2: float) -> None:
         """Keep what the tilt makes of the vertical acceleration."""
-        share = min((t_s - self._t_s) / TUNING.tilt_memory_s, 1.0)
+        elapsed_s = t_s - self._t_s
         self._t_s = t_s
-        if share > 0.0:
+        if elapsed_s > 0.0:
+            self._tilt_mean += min(elapsed_s / TUNING.tilt_mean_s, 1.0) * (tilt_mps2 - self._tilt_mean)
+            share = min(elapsed_s / TUNING.tilt_memory_s, 1.0)
             self._tilt_square += share * (tilt_mps2**2 - self._tilt_square)
 
     @property

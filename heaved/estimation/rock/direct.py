@@ -110,6 +110,9 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """The same where rates are given: they tell much, while they are there."""
     run_s: float = 0.15
     """And so much missing on end begins it."""
+    still_holed: float = 0.4
+    """Share of the samples within that memory that are missing, short holes too, above which it does not end: what the
+    regressions have learned, if anything, they have learned from few that were filled."""
     one_hole_s: float = 0.5
     """With less missing than this it was one hole, and what was in it is known from both sides when ..."""
     whole_again_s: float = 0.5
@@ -481,6 +484,8 @@ class DirectPredictor:
         """Samples missing lately, of those further from the reading before than the first knots are apart."""
         self._missed_row = [0] * n
         """When that was."""
+        self._missing_share = [0.0] * n
+        """Of the samples of holed channels, in any hole."""
         self._until_learned = TUNING.learned_together
 
     @property
@@ -659,6 +664,7 @@ class DirectPredictor:
         at = window.end - 1 - self._nodes
         if hole.begin(row, window.x[at, c], window.known[at, c], channel.mean, channel.noise_square):
             self.holed.add(c)
+            self._missing_share[c] = 1.0
 
     def _share_left(self, rows: int) -> float:
         return exp(-rows * self._interval_s / TUNING.holes_memory_s)
@@ -668,6 +674,7 @@ class DirectPredictor:
         row, channel, hole = self._row_index, self._channels[c], self.filters[c]
         hole.to(row)
         measured = isfinite(value)
+        self._missing_share[c] += (1.0 - self._share_left(1)) * ((not measured) - self._missing_share[c])
         if measured:
             at = row + late_s / self._interval_s
             x = value - channel.level
@@ -686,7 +693,8 @@ class DirectPredictor:
             is_whole = since * self._interval_s > self._whole_again_s
             is_old = self._row_index * self._interval_s > TUNING.learned_s
             was_one = is_whole and is_old and missing_s < TUNING.one_hole_s
-            if was_one or missing_s < self._holes_s[1]:
+            is_rare = missing_s < self._holes_s[1] and self._missing_share[c] < TUNING.still_holed
+            if was_one or is_rare:
                 self._left[c] = row, self._spread(c, self._curve_s)
                 self.holed.discard(c)
                 self._fill(c, row - 1)  # the latest is not in the window yet

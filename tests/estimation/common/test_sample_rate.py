@@ -44,6 +44,24 @@ def test_the_usual_interval_among_lost_polls(seed: int) -> None:
         assert usual_interval(t[begin : begin + 76]) == pytest.approx(0.01, rel=1e-9), begin
 
 
+@pytest.mark.parametrize("lost", [0.6, 0.75])
+@pytest.mark.parametrize("jitter_s", [0.0, 0.0003])
+def test_the_usual_interval_where_most_polls_are_lost(lost: float, jitter_s: float) -> None:
+    """Of 6 s of 20 Hz; not with every draw does one interval in ten hold no loss, but with most."""
+    right = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        t = 0.05 * np.arange(120) + rng.uniform(-jitter_s, jitter_s, 120)
+        right += usual_interval(t[rng.random(120) >= lost]) == pytest.approx(0.05, rel=2e-3)
+    assert right >= 34
+
+
+@pytest.mark.parametrize("apart_s", [1e-6, 1e-3, 5e-3])
+def test_bursts_are_no_line_that_loses_polls(apart_s: float) -> None:
+    t = np.add.outer(0.1 * np.arange(40), apart_s * np.arange(4)).ravel()
+    assert usual_interval(t) > 2.0 * apart_s
+
+
 @pytest.mark.parametrize("lost", [0.0, 0.1, 0.3, 0.5])
 def test_the_share_of_lost_samples(lost: float) -> None:
     arrivals = fed(stamps(10.0), stamps(400.0, lost=lost))

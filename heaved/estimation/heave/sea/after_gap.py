@@ -23,7 +23,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
 
     gap_s: float = 5.0
     """A sensor of this kind needs as long to begin anew and be found again on its line."""
-    prior: float = 0.1
+    prior: float = 0.2
     """Of the gaps so many are of a sensor that has another bias then: nobody has counted."""
     known: float = 1e-3
     """Of what is less likely nobody speaks any more."""

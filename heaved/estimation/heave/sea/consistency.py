@@ -154,10 +154,13 @@ class Consistency:
         self._whiteness, self._waves = whiteness, waves
         self._is_still = waves < TUNING.still_likelihood or error_m > TUNING.still_share * sea_std_m
 
-    def step(self, surprise: float, is_recovering: bool, sea: SeaState | None) -> None:
-        """What the filter says after a sample."""
+    def step(self, surprise: float, is_recovering: bool, sea: SeaState | None, state_std_m: float = 0.0) -> None:
+        """What the filter says after a sample; ``state_std_m``: how well it knows the heave, by the model."""
         self.surprise = max(self._whiteness, surprise)
         ratio = self.divergence.ratio
+        if state_std_m > 0.0:
+            # A newer model that knows of more errors has what the last one did not have.
+            ratio = min(ratio, max(self.divergence.rms_m / state_std_m, 1.0))
         shown = min(max(1.0, sqrt(0.5 * self.surprise), ratio), TUNING.factor_limit)
         if ratio > TUNING.factor_limit and self.divergence.rms_m > TUNING.small_m:
             shown = inf

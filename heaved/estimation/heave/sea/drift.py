@@ -9,10 +9,12 @@ none by
     exp(z^2 s / 2) sqrt(v / (v + r^2)),      s = r^2 / (r^2 + v),
 
 (Bayes' factor of a normal rate), and with as many beginnings in an hour as sensors have, all of them have a
-probability. While it is small, what each would do to the heave is in the standard deviation, as far as it is probable.
-When none is no longer likely, the filter is given the rate as one more state: with the mean and the covariance of the
-mixture of them all, which it had kept no account of (the bias as a second stage: Friedland 1969; a mixture taken for
-one normal: Blom & Bar-Shalom 1988).
+probability. Innovations in which there are waves that the model does not know make a rate less certain by as much as
+those are larger than what it has (:mod:`heaved.estimation.heave.sea.long_waves`): a swell that arrives is no drift.
+While it is small, what each would do to the heave is in the standard deviation, as far as it is probable. When none is
+no longer likely, the filter is given the rate as one more state: with the mean and the covariance of the mixture of
+them all, which it had kept no account of (the bias as a second stage: Friedland 1969; a mixture taken for one normal:
+Blom & Bar-Shalom 1988).
 
 The past with a drift in it has no spectrum: :func:`removed` takes it out of the record, as steps of its rate every
 quarter of a minute, found from the innovations in the same way.
@@ -27,6 +29,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from heaved.estimation.heave.sea.long_waves import LongWaves
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -38,7 +42,7 @@ Array = NDArray[np.float64]
 class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """What counts as a drift."""
 
-    drifts_s: tuple[float, float, float] = (30.0, 60.0, 120.0)
+    drifts_s: tuple[float, float] = (60.0, 120.0)
     """The walk of the bias is looked for in sums over so many seconds."""
     highest_hz: float = 1.0
     """Of what is left of a record by weights over half a minute and more, 1e-13 is faster."""
@@ -158,7 +162,8 @@ class DriftDetector:
 
     Attributes:
         probability: that there is one.
-        doubt_m: standard deviation of what one that is not certain makes of the heave.
+        doubt_m: standard deviation of what one that is not certain, and waves that the model does not know, make of the
+            heave.
         usual: (len(began),) by how much the rates scatter more than innovations of unit variance would make them.
     """
 
@@ -170,6 +175,7 @@ class DriftDetector:
         for row, blocks in zip(self._patterns, TUNING.began, strict=True):
             count = blocks * response.block
             row[-count:] = response.innovation[:count] / sqrt(steady.S)
+        self._long_waves = LongWaves(system, steady)
         self._states = response.states(TUNING.began)
         self._heave_m = self._states @ system.heave
         self._alone = 1.0 / np.sum(self._patterns**2, axis=1)
@@ -209,8 +215,13 @@ class DriftDetector:
         if t_s - self._looked_s < TUNING.looked_every_s:
             return False
         self._looked_s = t_s
-        found = self._patterns.dot(self._innovations[self._next : self._next + self._size])
-        variance = self._alone * np.maximum(self.usual, 1.0)
+        innovations = self._innovations[self._next : self._next + self._size]
+        found = self._patterns.dot(innovations)
+        likeliest = int(np.argmax(found**2 / self._alone))
+        count = self._long_waves.count
+        ramp = self._patterns[likeliest, -count:] * (found[likeliest] / self._alone[likeliest])
+        unknown_m, unknown = self._long_waves.look(innovations[-count:] - ramp)
+        variance = self._alone * np.maximum(np.maximum(self.usual, unknown), 1.0)
         share = self._square / (self._square + variance)
         self._rates, self._variance = share * found, share * variance
         log_odds = self._log_prior + 0.5 * (np.log1p(-share) + self._rates**2 / self._variance)
@@ -221,7 +232,7 @@ class DriftDetector:
         self._weights = odds / (exp(-most) + float(np.sum(odds)))
         self.probability = float(np.sum(self._weights))
         lacks = self._weights * (self._rates**2 + self._variance) * self._heave_m**2
-        self.doubt_m = sqrt(float(np.sum(lacks)))
+        self.doubt_m = sqrt(float(np.sum(lacks)) + unknown_m**2)
         return self.probability > TUNING.is_one
 
     def mixture(self) -> Mixture:

@@ -180,8 +180,12 @@ class SeaObserver:
             self._record.start(t_s)
 
     def _begin_after_gap(self, f: SeaFilter, t_s: float, missed_s: float) -> None:
-        """After a gap the sensor may have another bias; with a laser that aids, or a drift, that is known otherwise."""
-        if missed_s > GAP.gap_s and f.gauge is None and f.rate is None and self._consistency.is_model_known:
+        """After a gap the sensor may have another bias; with a laser that aids that is known otherwise."""
+        if missed_s > GAP.gap_s and f.gauge is None and self._consistency.is_model_known:
+            if f.rate is not None:
+                # One that has been off drifts otherwise; one that goes on drifting is found again.
+                f.rate = None
+                self._record.end_drift(f.t_s)
             self._after_gap = AfterGap(f, t_s)
 
     def _ask_after_gap(self, f: SeaFilter, t_s: float, a_mps2: float) -> None:
@@ -393,7 +397,7 @@ class SeaObserver:
         if heave.mistaken_m2 and self._mistakes.are_over(self.t_s):
             heave.mistaken_m2 = 0.0
         heave.moved()
-        self._consistency.step(heave.filter.surprise, heave.is_recovering, self.sea)
+        self._consistency.step(heave.filter.surprise, heave.is_recovering, self.sea, heave.state_std_m)
         factor = self._consistency.factor
         if heave.filter.rate is not None:
             factor = max(factor, DRIFT.changes)

@@ -512,7 +512,7 @@ def _fit_all(
         for sp, most in zip(spectra, longest, strict=True)
     ]
     fitted = fit(earlier)
-    walk = _walk(window, record, is_measured, fitted[lengths[-1]].model)
+    walk = _walk(window, record, is_measured, fitted[lengths[-1]].model, [fitted[length].model for length in lengths])
     fitted = {
         length: msgspec.structs.replace(one, model=msgspec.structs.replace(one.model, bias_walk_psd=walk))
         for length, one in fitted.items()
@@ -526,8 +526,13 @@ def _fit_all(
     return candidates, shares, [sum(map(len, parts)) / rate for parts in stretches], fitted[lengths[0]].waves
 
 
-def _walk(window: SeaWindow, record: EvenRecord, is_measured: NDArray[np.bool_], model: SeaModel) -> float:
-    """The walk of the bias (m/s2)2/s that the record shows beside the waves of ``model``, or the one that this has."""
+def _walk(
+    window: SeaWindow, record: EvenRecord, is_measured: NDArray[np.bool_], model: SeaModel, all_lengths: list[SeaModel]
+) -> float:
+    """The walk of the bias (m/s2)2/s that the record shows beside the waves of ``model``, or the one that this has.
+
+    ``all_lengths``: the models of shorter pasts too, to which waves that have just come are larger.
+    """
     measured = msgspec.structs.replace(record, is_known=is_measured)
     stretch = max(unbroken(measured, len(is_measured)), key=len, default=np.empty(0))
     noise_psd = model.noise_psd if model.noise_psd < 0.5 * TUNING.noise_most_psd else 0.0
@@ -537,7 +542,7 @@ def _walk(window: SeaWindow, record: EvenRecord, is_measured: NDArray[np.bool_],
         return expected_psd
     if len(stretch) * record.dt_s < TUNING.walk_seen_s or record.blows:
         return model.bias_walk_psd
-    return whittle_fit.bias_walk(stretch, 1.0 / record.dt_s, model, expected_psd)
+    return whittle_fit.bias_walk(stretch, 1.0 / record.dt_s, model, expected_psd, all_lengths)
 
 
 def _newest_above(

@@ -283,10 +283,13 @@ def _fitted(sp: Spectrum, theta: Array, cost: float, stages: int, bias_walk_psd:
     return Fitted(model, cost, waves)
 
 
-def bias_walk(stretch: Array, rate_hz: float, model: SeaModel, expected_psd: float) -> float:
+def bias_walk(
+    stretch: Array, rate_hz: float, model: SeaModel, expected_psd: float, recent: Sequence[SeaModel] = ()
+) -> float:
     """The walk of the bias, (m/s2)2/s, that ``stretch`` (n,) shows below the waves of ``model``: the likeliest one,
     where ``expected_psd`` is what its data sheet says. A straight drift is not in the periodogram, and may have begun a
-    moment ago: it is looked for by itself.
+    moment ago: it is looked for by itself, beside the waves of ``model`` or of any of the ``recent`` past, if those are
+    larger: so may a swell.
     """
     levels = expected_psd * np.exp(WALKS)
     quiet = msgspec.structs.replace(model, bias_walk_psd=0.0)
@@ -302,7 +305,8 @@ def bias_walk(stretch: Array, rate_hz: float, model: SeaModel, expected_psd: flo
         weights = drift_weights(round(seconds * rate_hz))
         if len(weights) > len(stretch):
             break
-        rest, walk = drift_variances(weights, 1.0 / rate_hz, model)
+        rests, walks = zip(*(drift_variances(weights, 1.0 / rate_hz, m) for m in (model, *recent)), strict=True)
+        rest, walk = max(rests), walks[0]
         square = float(weights @ stretch[-len(weights) :]) ** 2
         if square > TUNING.drifts**2 * (rest + walked * walk):
             walked = (square - rest) / walk
