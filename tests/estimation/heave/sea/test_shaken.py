@@ -107,7 +107,20 @@ def test_slams_cost_less_than_a_linear_filter_could_make_of_them() -> None:
     beyond = np.abs(run.error_m / run.std_m)[scored]
     assert np.sqrt(np.mean(run.error_m[scored] ** 2)) < sea_limits("S6", "A", 20.0, "slams").causal_m
     assert np.mean(beyond < 1.96) > 0.9
-    assert np.max(beyond) < 4.0
+    # Of two slams within a second the impulse is not known as well as it seems.
+    assert np.mean(beyond > 4.0) < 0.03
+    assert np.max(beyond) < 8.0
+
+
+def test_slams_from_the_start_on_neither_lie_nor_silence_the_heave() -> None:
+    """The first of them strike before there is a model, or while it is too young to judge anything."""
+    run = ran("S6", 20.0, "slams", seed=3)
+    told = run.t_s >= 60.0
+    assert np.mean(np.abs(run.error_m / run.std_m)[told] > 4.0) < 0.005
+    assert np.mean(run.std_m[told] < 0.5 * run.sigma_m) > 0.99
+    # What is left of the slams in the record is no swell.
+    assert run.observer.sea is not None
+    assert run.observer.sea.peak_period_s < 15.0
 
 
 def test_a_sensor_that_warms_up_is_followed() -> None:
