@@ -173,6 +173,11 @@ def _corrected(
     less = values > TUNING.telling * max(float(values[-1]), 0.0)
     L = vectors[:, less] * np.sqrt(values[less])
     x = blocks.run(a, x, predicted, innovation)
+    if not less.any():
+        # As after a blow, where the model has nothing that could ring: no less is known than ever.
+        if not is_told:
+            predicted[:], innovation[:] = np.nan, np.nan
+        return x, _symmetric(steady.P - np.outer(steady.K, steady.K) * steady.S)
     seen, heave, L = blocks.ahead(L, len(a))
     known = np.eye(L.shape[1]) + seen.T @ seen / steady.S
     u = np.linalg.solve(known, np.column_stack((seen.T @ innovation / steady.S, L.T)))
