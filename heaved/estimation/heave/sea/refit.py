@@ -536,6 +536,7 @@ def _fit_all(
         struck = msgspec.structs.replace(above, power=above.power + rings)
         shaking, noise_psd = noise.resonances(struck, earlier.get(lengths[0]), noise_psd)
         shaking = shaking if are_waves else tuple([msgspec.structs.replace(one, is_heave=False) for one in shaking])
+    shaking = noise.remembered(shaking, earlier[lengths[0]].resonances if lengths[0] in earlier else (), noise_psd)
     # What is left of a blow has power within the waves' band, too, which is no noise to a filter that knows of it.
     is_whole = bool(np.all(is_measured | ~record.is_known)) and not record.blows and rung is None
     spectra = [
