@@ -179,12 +179,12 @@ def test_white_noise_of_means_is_taken_for_white() -> None:
 
 def test_a_line_that_is_switched_off_is_remembered_for_some_minutes() -> None:
     """A thruster runs every other minute: its line is known when it starts again, and named only while it runs."""
-    model_of = (LINE,)
+    kept: tuple[Resonance, ...] = (LINE,)
     looks = 0
-    while model_of:
+    while kept:
         looks += 1
-        model_of = remembered((), model_of, NOISE_PSD)
-        assert not vibration(shaken(*model_of))
+        kept = remembered((), kept, NOISE_PSD)
+        assert not vibration(shaken(*kept))
     assert 10 < looks < 100
 
 
