@@ -35,8 +35,10 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Resonances: each costs the filter four states."""
     line: float = 0.15
     """What is damped less is a line,"""
+    above_short_waves_hz: float = 1.5
+    """and lower it may be a wave that was not understood;"""
     most_remembered: int = 2
-    """and so many of them are remembered when they are not there any more,"""
+    """so many of them are remembered when they are not there any more,"""
     forgotten: float = 0.8
     """with this share of their level at each look,"""
     remembered: float = 10.0
@@ -122,6 +124,7 @@ def remembered(found: tuple[Resonance, ...], before: tuple[Resonance, ...], nois
         msgspec.structs.replace(one, level=TUNING.forgotten * one.level, variance=0.0)
         for one in sorted(before, key=lambda one: -one.level)
         if one.damping < TUNING.line
+        and one.frequency_hz > TUNING.above_short_waves_hz
         and not one.is_heave
         and one.level > TUNING.remembered * noise_psd
         and all(abs(one.frequency_hz - other.frequency_hz) > TUNING.same * other.frequency_hz for other in found)

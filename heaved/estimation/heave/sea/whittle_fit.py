@@ -69,6 +69,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     chance: float = 3.0
     """The noise is no more than the lowest part of the periodogram within the waves' band, which has so many standard
     deviations of chance: what shakes the sensor may fill all the bands above."""
+    all_shaken: float = 0.3
+    """Where that is less than this share of what the quietest of them has, they do."""
     least_of_mean: float = 0.2
     """Of the mean, what chance leaves of it at the least."""
     walk_below_hz: float = 0.035
@@ -184,7 +186,9 @@ def spectrum(
     most = _floor(f[inside], power[inside], averages)
     above = Above(f[outside], np.maximum(power[outside], 1e-300), white[outside], averages, 1.0 / rate_hz)
     noise_psd = min(max(min(quiet, most), low), high)
-    return Spectrum(f[inside], np.maximum(power[inside], 1e-300), noise_psd, above, is_noise_bound=most < quiet)
+    return Spectrum(
+        f[inside], np.maximum(power[inside], 1e-300), noise_psd, above, is_noise_bound=most < TUNING.all_shaken * quiet
+    )
 
 
 def _floor(f: Array, power: Array, averages: float) -> float:
