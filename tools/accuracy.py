@@ -57,6 +57,11 @@ RECORDED: tuple[tuple[str, str], ...] = (
     ("accuracy.py headline --estimators harmonic --seeds 4", "15 min"),
     ("accuracy.py heave T1 T2 T3 --laser 50% --from 200", "10 min"),
     ("accuracy.py shake --rates 20 --seeds 2", "25 min"),
+    (
+        "accuracy.py shake none line-3.1 engines broadband-strong whipping slams warm-up poor-sensor small-craft AHRS "
+        "--rates 20 --seeds 2",
+        "11 min",
+    ),
     ("accuracy.py shake --rates 100", "60 min"),
     ("accuracy.py channels S6S-bow-0.8 SL-bow-0.8 S6S-turn-0.8 SL-turn-0.8 palmer", "3 min"),
     ("accuracy.py channels --limits-only", "2 min"),

@@ -147,6 +147,16 @@ def one_by_one(f: SeaFilter, record: EvenRecord, judged: int) -> tuple[Run, floa
     return Run(f.x, None if f.P is None else f.P.copy(), predicted, innovation), excess
 
 
+def whitened(system: SeaSystem, steady: Steady, shapes: Array) -> Array:
+    """What the steady filter leaves in its innovations of each of ``shapes`` (n, k) that is added to the samples."""
+    blocks, left, ignored = _Blocks(system, steady), np.empty_like(shapes), np.empty(len(shapes))
+    column = np.empty(len(shapes))
+    for i, shape in enumerate(shapes.T):
+        blocks.run(shape, np.zeros(len(system.H)), ignored, column)
+        left[:, i] = column
+    return left
+
+
 def _corrected(
     blocks: _Blocks, a: Array, x: Array, P: Array, predicted: Array, innovation: Array, *, is_told: bool
 ) -> tuple[Array, Array]:
@@ -163,6 +173,11 @@ def _corrected(
     less = values > TUNING.telling * max(float(values[-1]), 0.0)
     L = vectors[:, less] * np.sqrt(values[less])
     x = blocks.run(a, x, predicted, innovation)
+    if not less.any():
+        # As after a blow, where the model has nothing that could ring: no less is known than ever.
+        if not is_told:
+            predicted[:], innovation[:] = np.nan, np.nan
+        return x, _symmetric(steady.P - np.outer(steady.K, steady.K) * steady.S)
     seen, heave, L = blocks.ahead(L, len(a))
     known = np.eye(L.shape[1]) + seen.T @ seen / steady.S
     u = np.linalg.solve(known, np.column_stack((seen.T @ innovation / steady.S, L.T)))

@@ -16,11 +16,18 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """What counts as a blow."""
 
     usual_s: float = 30.0
-    """Memory of what is usual."""
+    """Nothing counts as one in the first half of that."""
+    at_first_s: float = 3.0
+    """What is usual is a mean at first,"""
+    follows_s: float = 4.0
+    """and then a median, which follows what is larger, or smaller, by a factor of e in that time: what rings after a
+    slam does so for less of the time than not, and is not usual, for half a minute even in a train of slams."""
     stands_out: float = 7.0
     """Times the usual size: noise does that once in centuries, a steady vibration never."""
-    counted: float = 3.0
-    """A difference counts with so many times the usual size at most."""
+    of_normal: float = 1.48
+    """Standard deviation over median of what is normal."""
+    quietest_mps2: float = 1e-4
+    """A sensor whose readings stand still is not more quiet than that."""
     louder: float = 1.5
     """Times what is left of the last blow."""
     rings_s: float = 1.0
@@ -43,7 +50,8 @@ class BlowDetector:
     def __init__(self) -> None:
         self._last: tuple[float, float] | None = None
         self._before: tuple[float, float] | None = None
-        self._usual2 = self._seconds = self._ringing = 0.0
+        self._usual = self._seconds = self._ringing = 0.0
+        self._sum2 = 0.0
         self._struck_s = -inf
 
     def step(self, t_s: float, a_mps2: float) -> float:
@@ -61,7 +69,7 @@ class BlowDetector:
         missed = dt / earlier
         # From where the two before it lead; what the waves do meanwhile grows with the square of the time.
         size = abs(a_mps2 - last[1] - missed * (last[1] - before[1]))
-        limit = max(TUNING.stands_out * sqrt(self._usual2), TUNING.least_mps2) * max(missed, 1.0) ** 2
+        limit = max(TUNING.stands_out * TUNING.of_normal * self._usual, TUNING.least_mps2) * max(missed, 1.0) ** 2
         self._ringing *= exp(-dt / TUNING.rings_s)
         is_blow = (
             self._seconds > 0.5 * TUNING.usual_s
@@ -72,11 +80,16 @@ class BlowDetector:
         if is_blow:
             self._struck_s = t_s
         self._ringing = max(self._ringing, size)
-        if not 0.5 < missed < 1.5:
-            return size if is_blow else 0.0
-        self._seconds = min(self._seconds + dt, TUNING.usual_s)
-        counted = (
-            size * size if self._seconds < 0.1 * TUNING.usual_s else min(size * size, TUNING.counted**2 * self._usual2)
-        )
-        self._usual2 += dt / self._seconds * (counted - self._usual2)
+        if 0.5 < missed < 1.5:
+            self._learn(size, dt)
         return size if is_blow else 0.0
+
+    def _learn(self, size: float, dt: float) -> None:
+        """What is usual, from one more difference."""
+        self._seconds = min(self._seconds + dt, TUNING.usual_s)
+        if self._seconds < TUNING.at_first_s:
+            self._sum2 += dt * size * size
+            self._usual = sqrt(self._sum2 / self._seconds) / TUNING.of_normal
+        elif size != self._usual:
+            factor = exp(dt / TUNING.follows_s if size > self._usual else -dt / TUNING.follows_s)
+            self._usual = max(self._usual * factor, TUNING.quietest_mps2)

@@ -38,6 +38,9 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Nor is it a sea when the error of the heave is that share of the heave itself."""
     factor_limit: float = 10.0
     """Beyond it nothing is known: a real-time heave that is so many standard deviations off the delayed one is none."""
+    counted: float = 15.0
+    """One difference counts with so many standard deviations at most: what was wrong for some seconds is forgotten
+    within a minute once it is right again."""
     enough_waves: float = 8.0
     """A spectrum of fewer of the longest waves is too coarse for its skirt, and the errors are as many times larger as
     the square of what is lacking (cold starts in swell of 16 and 19 s: 4 and 10 times with fewer than three of
@@ -118,7 +121,7 @@ class Divergence:
         if not (isfinite(realtime_m) and modelled_std_m > 0.0 and dt > 0.0):
             return
         self._seconds = min(self._seconds + dt, TUNING.check_time_s)
-        square = (realtime_m - delayed.heave_m) ** 2 / modelled_std_m**2
+        square = min((realtime_m - delayed.heave_m) ** 2 / modelled_std_m**2, TUNING.counted**2)
         self._square += dt / self._seconds * (square - self._square)
         self._square_m2 += dt / self._seconds * ((realtime_m - delayed.heave_m) ** 2 - self._square_m2)
 

@@ -70,12 +70,17 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Innovations that are left out after a blow: what rings is found from them."""
     rings: int = 14
     """Readings after a blow before it is looked for what rings,"""
+    rings_unknown: int = 28
+    """and after which the model, that has not explained it yet, does not know what it is,"""
     rings_still: int = 60
     """and after which it has died away."""
     ringing_left: float = 0.2
     """Share of what the readings after a blow have left that their two predecessors do not explain, of a ringing."""
     likelier: float = 0.5
-    """A blow has to leave that share of the squares at most of what a step leaves."""
+    """What struck is a blow, or a step, when that leaves this share of the squares at most of what the other leaves:
+    else some more readings tell,"""
+    surely: int = 24
+    """and a step is not told from what rings slowly by fewer."""
     retried: int = 10
     """In a burst, so many readings are tried as those after a step,"""
     retry_s: float = 0.5
@@ -137,6 +142,8 @@ class DisturbanceDetector:
         self.explained: tuple[tuple[float, float], ...] = ()
         self._is_struck = False
         """Whether the readings that are kept begin with a blow."""
+        self._is_ringing = False
+        """Whether the burst is what a blow has left, and is known to be no more."""
         self.is_burst = False
         self.held: list[tuple[float, float]] = []
         self.spoilt_s: tuple[float, float] | None = None
@@ -156,7 +163,9 @@ class DisturbanceDetector:
                 self.spoilt_s = self._burst_s, t_s
         elif count := self._suspects(f):
             self._judge(f, count)
-        self.is_burst = f.burst_variance > 0.0 and t_s - self._burst_s < TUNING.burst_s
+        # What rings after a blow is taken out of the record: the waves are there, beneath.
+        self._is_ringing = self._is_ringing and f.burst_variance > 0.0
+        self.is_burst = f.burst_variance > 0.0 and t_s - self._burst_s < TUNING.burst_s and not self._is_ringing
         if self.is_burst:
             self.held.append((t_s, a_mps2))
         elif self.held and not f.burst_variance > 0.0:
@@ -165,20 +174,24 @@ class DisturbanceDetector:
 
     def strike(self, f: SeaFilter, t_s: float, a_mps2: float, variance: float) -> None:
         """Something has struck the hull since the last reading, and this one is in part of before; ``variance``
-        (m/s2)2: what may ring at first.
+        (m/s2)2: what may ring at first. From here on :meth:`step` it, until it is no :attr:`is_guarding` any more, even
+        where the model is not good enough to be guarded by.
         """
         self._forget_events()
-        if f is self._of:
-            self.restart()
-            self._is_struck = self.is_burst = True
-            self.held = []
-            self._past.append((t_s, a_mps2, f.state()))
-            f.burst_variance = max(f.burst_variance, variance)
-            self._burst_s, self._alike, self._before = t_s, 0.0, 0.0
-            self._retry_s = t_s + TUNING.rings * f.steady.dt_s
-        else:
-            f.open_resonances()
-            self.blow_s = t_s
+        self._of = f
+        self.restart()
+        self._is_struck = self.is_burst = True
+        self._is_ringing = False
+        self.held = []
+        self._past.append((t_s, a_mps2, f.state()))
+        f.burst_variance = max(f.burst_variance, variance)
+        self._burst_s, self._alike, self._before = t_s, 0.0, 0.0
+        self._retry_s = t_s + TUNING.rings * f.steady.dt_s
+
+    @property
+    def is_guarding(self) -> bool:
+        """Whether something is under way that is not of the sea."""
+        return self._of is not None and self._of.burst_variance > 0.0
 
     def lasting(self) -> list[tuple[float, float]]:
         """The readings that had been held, once, when what was taken for a burst is none."""
@@ -297,24 +310,52 @@ class DisturbanceDetector:
         if self._is_struck and count <= TUNING.rings_still:
             blow = self._explanation(f, count, After.BLOW) if f.system.model.resonances else None
             step = self._explanation(f, count - 1, After.STEP)
-            if blow is not None and (step is None or blow.square < TUNING.likelier * step.square):
+            is_last = count > TUNING.rings_still - round(TUNING.retry_s / f.steady.dt_s)
+            at_most = 1.0 if is_last else TUNING.likelier
+            if blow is not None and (step is None or blow.square < at_most * step.square):
                 self.blow_s = self._past[0][0]  # What stands there is in part of after it.
                 self._go_on(f, blow)
+                # Nothing rings just as the model has it: what that has left in the readings, it has in the state.
+                f.P = f.covariance * max(blow.square, 1.0)
                 return
-            if step is not None:
+            if step is not None and count >= TUNING.surely and (blow is None or step.square < at_most * blow.square):
                 self.step_s = self._past[0][0], step.from_s
                 self._go_on(f, step)
                 return
+            if count >= TUNING.rings_unknown:
+                self._learn_ringing()
         else:
             self._learn_ringing()
         since = sum(1 for at_s, _, _ in self._past if at_s >= self._burst_s)
-        over = self._explanation(f, TUNING.retried, After.BURST)
+        is_blow = self._is_struck or self._is_ringing
+        # What is left of a blow rings on, and may do so for long.
+        count, after = (TUNING.retried + TUNING.ringing, After.BLOW) if is_blow else (TUNING.retried, After.BURST)
+        over = self._explanation(f, count, after)
         if over is not None:
             f.restore(over.state)
+            self._doubt_what_rang(f)
             self._learn_ringing()
             self.restart()
-        elif not (TUNING.retried < since < len(self._past) and self._is_step(f, since)):
+        elif not (self._is_ringing or self._is_struck) and not (
+            TUNING.retried < since < len(self._past) and self._is_step(f, since)
+        ):
             self._is_step(f, TUNING.retried)
+
+    def _doubt_what_rang(self, f: SeaFilter) -> None:
+        """What rang was no white noise, as it was taken for, and has left more in the state: as much, perhaps, as the
+        state is off that of a filter that was given nothing of it.
+        """
+        if not (self._is_struck or self._is_ringing) or len(self._past) == TUNING.late[-1]:
+            return
+        now = f.state()
+        f.restore(self._past[0][2])
+        f.withheld, f.burst_variance = 0, 0.0
+        f.open_resonances()
+        for t_s, a_mps2, _ in list(self._past)[1 - TUNING.retried - TUNING.ringing :]:
+            f.step(t_s, a_mps2)
+        apart = now.x - f.x
+        f.restore(now)
+        f.P = f.covariance + np.outer(apart, apart)
 
     def _learn_ringing(self) -> None:
         """A blow that sets something ringing of which the model knows nothing yet: the next fit shall see it."""
@@ -328,6 +369,7 @@ class DisturbanceDetector:
         if float(np.sum((y[2:] - told) ** 2)) < TUNING.ringing_left * float(np.sum(y[2:] ** 2)):
             self.blow_s = self._past[0][0]
             self.explained = tuple([(t_s, a_mps2) for t_s, a_mps2, _ in self._past])[1:]
+            self._is_ringing = True
 
     def _in_burst(self, f: SeaFilter, t_s: float) -> None:
         """Follow the variance of the noise; see whether it is over, or was a step."""

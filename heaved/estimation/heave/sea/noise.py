@@ -33,6 +33,18 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
 
     most: int = 5
     """Resonances: each costs the filter four states."""
+    line: float = 0.15
+    """What is damped less is a line,"""
+    above_short_waves_hz: float = 1.5
+    """and lower it may be a wave that was not understood;"""
+    most_remembered: int = 2
+    """so many of them are remembered when they are not there any more,"""
+    forgotten: float = 0.8
+    """with this share of their level at each look,"""
+    remembered: float = 10.0
+    """as long as that is so many times the noise,"""
+    same: float = 0.15
+    """and they are not within this share of the frequency of one that is seen."""
     significant: float = 12.0
     """Log-likelihood that one more has to gain; it has three parameters, and some thousand places to be at."""
     narrowest: float = 0.03
@@ -102,6 +114,22 @@ def resonances(above: Above, waves: SeaModel | None, noise_psd: float) -> tuple[
     found.sort(key=lambda one: -one.variance)
     were_waves = waves is not None and any(one.is_heave for one in waves.resonances)
     return _told_apart(tuple(found), above.dt_s, TUNING.stays if were_waves else 1.0), float(np.exp(theta[0]))
+
+
+def remembered(found: tuple[Resonance, ...], before: tuple[Resonance, ...], noise_psd: float) -> tuple[Resonance, ...]:
+    """With the lines of the last look that are not seen any more: what is switched off is switched on again, and a
+    filter that knows it is not surprised then. It costs the heave nothing meanwhile.
+    """
+    kept = [
+        msgspec.structs.replace(one, level=TUNING.forgotten * one.level, variance=0.0)
+        for one in sorted(before, key=lambda one: -one.level)
+        if one.damping < TUNING.line
+        and one.frequency_hz > TUNING.above_short_waves_hz
+        and not one.is_heave
+        and one.level > TUNING.remembered * noise_psd
+        and all(abs(one.frequency_hz - other.frequency_hz) > TUNING.same * other.frequency_hz for other in found)
+    ]
+    return (*found, *kept[: max(min(TUNING.most - len(found), TUNING.most_remembered), 0)])
 
 
 def _pooled(above: Above) -> tuple[Array, Array, Array, Array]:

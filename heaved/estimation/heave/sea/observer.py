@@ -210,10 +210,10 @@ class SeaObserver:
         size_mps2 = self._blows.step(t_s, a_mps2)
         if size_mps2 > 0.0:
             self._straddling = 2 if self._down_sampler.averaged > 1 else 1
-            if self._heave is not None and isfinite(self._heave.filter.t_s):
+            if self._heave is None:
+                self._record.mark_blow(t_s)
+            elif isfinite(self._heave.filter.t_s):
                 self._disturbances.strike(self._heave.filter, t_s, a_mps2, size_mps2**2)
-                if self._disturbances.blow_s is not None:
-                    self._record.mark_blow(t_s)
                 if self._aiding.unaided is not None:
                     self._unaided_disturbances.strike(self._aiding.unaided, t_s, a_mps2, size_mps2**2)
         return self._straddling > 0
@@ -232,8 +232,8 @@ class SeaObserver:
     def _guarded_step(
         self, disturbances: DisturbanceDetector, f: SeaFilter, t_s: float, a_mps2: float
     ) -> tuple[float, float]:
-        """Step a filter, guarded where its model is good enough to say what is not of the sea."""
-        if self._consistency.is_model_known:
+        """Step a filter, guarded where its model is good enough to say what is not of the sea, and after a blow."""
+        if self._consistency.is_model_known or disturbances.is_guarding:
             return disturbances.step(f, t_s, a_mps2)
         disturbances.rest(f)
         return f.step(t_s, a_mps2)
@@ -313,12 +313,13 @@ class SeaObserver:
 
     def _step_on_trial(self, heave: SeaHeave, trial: Trial, t_s: float, a_mps2: float) -> None:
         """While it is not known yet whether the model is of this sea, it judges nothing."""
-        self._record.push(t_s, a_mps2)
         f, known = heave.filter, trial.known
         if known is not None:
             known.t_s = known.t_s if isfinite(known.t_s) else f.t_s
+            known.burst_variance = f.burst_variance
             known.step(t_s, a_mps2)
-        f.step(t_s, a_mps2)
+        self._guarded_step(self._disturbances, f, t_s, a_mps2)
+        self._keep_what_is_of_the_sea(t_s, a_mps2, is_rejected=False)
         trial.step(t_s, a_mps2, f.innovation / sqrt(f.innovation_variance))
         if trial.is_told and known is not None:
             self._is_warm = trial.weigh(f, known)

@@ -236,6 +236,13 @@ class EvenRecord(msgspec.Struct, frozen=True, eq=False):
         struck = tuple([place for place in sorted(blows) if 0 < place < len(is_known)])
         return msgspec.structs.replace(self, is_known=is_known, cuts=tuple(sorted(places)), blows=struck)
 
+    def without_mixed(self, mixed: int) -> EvenRecord:
+        """With nothing known of the ``mixed`` samples from each blow on that are in part of before it."""
+        is_known = self.is_known.copy()
+        for place in self.blows:
+            is_known[place : place + mixed] = False
+        return msgspec.structs.replace(self, is_known=is_known)
+
 
 def even(t_s: Array, a_mps2: Array) -> EvenRecord:
     """Samples at increasing, not quite even times (n,), n >= 8, on an even grid of their own usual interval.

@@ -18,7 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.common import down_sampler
-from heaved.estimation.heave.sea import batch_filter, drift_removal, gap_bridge, noise, whittle_fit
+from heaved.estimation.heave.sea import (
+    batch_filter,
+    blow_removal,
+    drift_removal,
+    gap_bridge,
+    noise,
+    whittle_fit,
+)
 from heaved.estimation.heave.sea.filter import SeaFilter
 from heaved.estimation.heave.sea.model import SeaModel, SeaSystem, Steady
 from heaved.estimation.heave.sea.record import EvenRecord, even, stretches_of
@@ -220,8 +227,11 @@ def _look(window: SeaWindow, record: EvenRecord) -> SeaFit:
     drifted = _drifted(window, record)
     if drifted is not None:
         record = msgspec.structs.replace(record, a_mps2=record.a_mps2 - drifted.a_mps2)
-    whole = _bridged(window, record, is_drawn=True)
-    recent = record.last(round(min(window.windows_s) / record.dt_s))
+    rung = _rung(window, record)
+    still = record if rung is None else msgspec.structs.replace(record, a_mps2=record.a_mps2 - rung.a_mps2, blows=())
+    whole = _bridged(window, still, is_drawn=True)
+    record = record.without_mixed(_mixed(window))
+    recent = still.last(round(min(window.windows_s) / record.dt_s))
     drawn = whole.last(len(recent.is_known)).is_known & ~gap_bridge.closed(
         recent.is_known, record.dt_s, TUNING.long_hole_s
     )
@@ -234,7 +244,7 @@ def _look(window: SeaWindow, record: EvenRecord) -> SeaFit:
     # What is drawn is no measurement: a filter would be surprised by the next sample, whatever its model.
     told = _bridged(window, record, is_drawn=False) if window.candidates and _has_many_holes(record) else record
     scores = _scores(window, told, record.is_known)
-    fitted, shares, seconds, waves = _fit_all(window, whole, scores, record.is_known)
+    fitted, shares, seconds, waves = _fit_all(window, whole, scores, still.is_known, rung)
     # Candidates come shortest first: a longer past is exact where the sea is steady, a shorter one has to earn it.
     chosen = max(range(len(fitted)), key=lambda rank: fitted[rank].score + TUNING.patience * rank)
     best, share = fitted[chosen], shares[chosen]
@@ -296,6 +306,23 @@ def _with_drift(
     P = steady.P - np.outer(steady.K, steady.K) * steady.S if done.P is None else done.P
     missing = drifted.missing(system, steady)
     return x, P + missing[:-1, :-1], (float(drifted.rates_mps3[-1]), float(missing[-1, -1])), missing[:-1, -1]
+
+
+def _mixed(window: SeaWindow) -> int:
+    """Samples from a blow's first on that are in part of before it."""
+    return 2 if window.averaged > 1 else 1
+
+
+def _rung(window: SeaWindow, record: EvenRecord) -> blow_removal.Rung | None:
+    """What the blows in the record have added to it; None: there are none."""
+    if not record.blows:
+        return None
+    best = max(window.candidates, key=lambda one: one.score, default=None)
+    model = None if best is None else best.model
+    if model is None:
+        lines = msgspec.structs.replace(record, is_known=gap_bridge.closed(record.is_known, record.dt_s))
+        model = _fit_all(window, lines, {}, record.is_known)[0][-1].model
+    return blow_removal.ringing(record, model, _mixed(window))
 
 
 def _has_many_holes(record: EvenRecord) -> bool:
@@ -456,11 +483,15 @@ def _likelihood(model: SeaModel, steady: Steady, innovation: Array) -> float:
 
 
 def _fit_all(
-    window: SeaWindow, record: EvenRecord, scores: dict[float, float], is_measured: NDArray[np.bool_]
+    window: SeaWindow,
+    record: EvenRecord,
+    scores: dict[float, float],
+    is_measured: NDArray[np.bool_],
+    rung: blow_removal.Rung | None = None,
 ) -> tuple[tuple[Candidate, ...], list[float], list[float], float]:
     """A model for each length that the record reaches, the longest that it does not reach gets all there is; the share
     of each model's variance that was measured; seconds that each was fitted to; how much likelier than noise the waves
-    are. ``is_measured`` (n,): what of the record is not bridged.
+    are. ``is_measured`` (n,): what of the record is not bridged. ``rung``: what was taken out of it.
     """
     rate, seconds = 1.0 / record.dt_s, len(record.a_mps2) * record.dt_s
     earlier = {candidate.window_s: candidate.model for candidate in window.candidates}
@@ -495,13 +526,19 @@ def _fit_all(
     # What shakes the sensor now is in the newest past: all lengths are told of it.
     if not earlier:
         earlier = {length: one.model for length, one in fit({}).items()}
-    shaking, noise_psd = noise.resonances(
-        _newest_above(record, is_measured, spectra[0], passed),
-        earlier.get(lengths[0]),
-        min([TUNING.noise_most_psd, *(sp.noise_psd for sp in spectra)]),
-    )
-    # A blow has power within the waves' band, too, which is no noise to a filter that knows of it.
-    is_whole = bool(np.all(is_measured | ~record.is_known)) and not record.blows
+    quietest_psd = min([TUNING.noise_most_psd, *(sp.noise_psd for sp in spectra)])
+    above = _newest_above(record, is_measured, spectra[0], passed)
+    shaking, noise_psd = noise.resonances(above, earlier.get(lengths[0]), quietest_psd)
+    if rung is not None:
+        # The filter has to know of what rings, while short waves are those that are there without it.
+        are_waves = any(one.is_heave for one in shaking)
+        rings = rung.density(above.f_hz, min(round(lengths[0] * rate), len(record.a_mps2)), record.dt_s)
+        struck = msgspec.structs.replace(above, power=above.power + rings)
+        shaking, noise_psd = noise.resonances(struck, earlier.get(lengths[0]), noise_psd)
+        shaking = shaking if are_waves else tuple([msgspec.structs.replace(one, is_heave=False) for one in shaking])
+    shaking = noise.remembered(shaking, earlier[lengths[0]].resonances if lengths[0] in earlier else (), noise_psd)
+    # What is left of a blow has power within the waves' band, too, which is no noise to a filter that knows of it.
+    is_whole = bool(np.all(is_measured | ~record.is_known)) and not record.blows and rung is None
     spectra = [
         msgspec.structs.replace(
             sp,
@@ -512,7 +549,8 @@ def _fit_all(
         for sp, most in zip(spectra, longest, strict=True)
     ]
     fitted = fit(earlier)
-    walk = _walk(window, record, is_measured, fitted[lengths[-1]].model, [fitted[length].model for length in lengths])
+    models = [fitted[length].model for length in lengths]
+    walk = _walk(window, record, is_measured, models, is_struck=rung is not None)
     fitted = {
         length: msgspec.structs.replace(one, model=msgspec.structs.replace(one.model, bias_walk_psd=walk))
         for length, one in fitted.items()
@@ -527,12 +565,12 @@ def _fit_all(
 
 
 def _walk(
-    window: SeaWindow, record: EvenRecord, is_measured: NDArray[np.bool_], model: SeaModel, all_lengths: list[SeaModel]
+    window: SeaWindow, record: EvenRecord, is_measured: NDArray[np.bool_], models: list[SeaModel], *, is_struck: bool
 ) -> float:
-    """The walk of the bias (m/s2)2/s that the record shows beside the waves of ``model``, or the one that this has.
-
-    ``all_lengths``: the models of shorter pasts too, to which waves that have just come are larger.
+    """The walk of the bias (m/s2)2/s that the record shows beside the waves of the longest past, the last of ``models``,
+    or the one that this has. To shorter pasts, which are before it, waves that have just come are larger.
     """
+    model = models[-1]
     measured = msgspec.structs.replace(record, is_known=is_measured)
     stretch = max(unbroken(measured, len(is_measured)), key=len, default=np.empty(0))
     noise_psd = model.noise_psd if model.noise_psd < 0.5 * TUNING.noise_most_psd else 0.0
@@ -540,9 +578,9 @@ def _walk(
     # Neither what bridges a hole nor a blow is noise of the sensor.
     if len(record.a_mps2) * record.dt_s < TUNING.walk_seen_s:
         return expected_psd
-    if len(stretch) * record.dt_s < TUNING.walk_seen_s or record.blows:
+    if len(stretch) * record.dt_s < TUNING.walk_seen_s or record.blows or is_struck:
         return model.bias_walk_psd
-    return whittle_fit.bias_walk(stretch, 1.0 / record.dt_s, model, expected_psd, all_lengths)
+    return whittle_fit.bias_walk(stretch, 1.0 / record.dt_s, model, expected_psd, models)
 
 
 def _newest_above(

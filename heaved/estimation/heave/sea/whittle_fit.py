@@ -69,6 +69,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     chance: float = 3.0
     """The noise is no more than the lowest part of the periodogram within the waves' band, which has so many standard
     deviations of chance: what shakes the sensor may fill all the bands above."""
+    all_shaken: float = 0.3
+    """Where that is less than this share of what the quietest of them has, they do."""
     least_of_mean: float = 0.2
     """Of the mean, what chance leaves of it at the least."""
     walk_below_hz: float = 0.035
@@ -125,6 +127,9 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """That of the noise where what shakes the sensor is known: then N is what the record shows above the waves, unless
     there is clearly more within their band. Before, it soaks up what the components cannot follow there."""
 
+    noise_is_bound: float = 2.0
+    """The same where all above the waves is shaken: the waves' own band knows it better."""
+
 
 TUNING: Final = Tuning()
 WALKS: Final = np.linspace(-3.0, 10.0, 66)
@@ -150,6 +155,8 @@ class Spectrum(msgspec.Struct, frozen=True, eq=False):
     """What has been found there."""
     is_noise_known: bool = False
     """What shakes the sensor has been looked for, and nothing of the record is bridged."""
+    is_noise_bound: bool = False
+    """It is not seen above the waves, where all is shaken: ``noise_psd`` is no more than what it can be at most."""
 
     @property
     def weight(self) -> Array:
@@ -176,9 +183,12 @@ def spectrum(
     low, high = TUNING.noise_limits_psd
     outside = (f > top) & (f <= TUNING.highest_of_nyquist * 0.5 * rate_hz)
     averages = max(1.0, TUNING.independent * sum([len(part) for part in parts if len(part) >= n]) / n - 1.0)
-    quiet = min(quiet, _floor(f[inside], power[inside], averages))
+    most = _floor(f[inside], power[inside], averages)
     above = Above(f[outside], np.maximum(power[outside], 1e-300), white[outside], averages, 1.0 / rate_hz)
-    return Spectrum(f[inside], np.maximum(power[inside], 1e-300), min(max(quiet, low), high), above)
+    noise_psd = min(max(min(quiet, most), low), high)
+    return Spectrum(
+        f[inside], np.maximum(power[inside], 1e-300), noise_psd, above, is_noise_bound=most < TUNING.all_shaken * quiet
+    )
 
 
 def _floor(f: Array, power: Array, averages: float) -> float:
@@ -370,7 +380,10 @@ class _Whittle:
         ]
         f, self.power, self.weight, shaking = padded
         known = np.array([sp.is_noise_known for sp, _ in spectra])[rows]
-        self.prior_noise = np.where(known, TUNING.noise_is_known, TUNING.noise_prior)
+        bound = np.array([sp.is_noise_bound for sp, _ in spectra])[rows]
+        self.prior_noise = np.where(
+            known, np.where(bound, TUNING.noise_is_bound, TUNING.noise_is_known), TUNING.noise_prior
+        )
         self._stages = stages
         self._f2 = f[:, None, :] ** 2
         w2 = (2.0 * pi * f) ** 2

@@ -170,3 +170,12 @@ def test_a_record_that_begins_with_a_hole_begins_after_it(
     theirs, _ = full(system, sea[1][:4000], known)
     assert np.isfinite(done.x).all()
     assert abs(system.heave @ (done.x - theirs.x)) < 0.02 * np.std(sea[0])
+
+
+def test_a_blow_where_nothing_can_ring_changes_nothing(
+    system: SeaSystem, steady: Steady, sea: tuple[Array, Array]
+) -> None:
+    plain = run(system, steady, record(sea[1]))
+    struck = run(system, steady, EvenRecord(DT_S * 7999, DT_S, sea[1], np.ones(8000, dtype=np.bool_), (), (6000, 7990)))
+    assert np.max(np.abs(struck.x - plain.x)) < 1e-6 * np.max(np.abs(plain.x))
+    assert np.nanmax(np.abs(struck.innovation - plain.innovation)) < 1e-6

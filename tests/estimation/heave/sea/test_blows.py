@@ -39,6 +39,14 @@ def test_one_while_the_hull_still_rings_is_another() -> None:
     assert found == [pytest.approx(100.0, abs=0.06), pytest.approx(101.5, abs=0.06)]
 
 
+def test_a_train_of_them_does_not_hide_the_last() -> None:
+    """Three seconds apart, for half a minute: what rings between them is not usual."""
+    at_s = np.arange(100.0, 125.0, 3.0) - 0.01
+    found = struck(np.sum([ringing(one, 2.0) for one in at_s], axis=0))
+    assert len(found) == len(at_s)
+    assert found == pytest.approx((at_s + 0.01).tolist(), abs=0.06)
+
+
 @pytest.mark.parametrize(
     "added",
     [

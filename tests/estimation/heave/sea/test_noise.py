@@ -11,7 +11,7 @@ from seas import model
 from heaved.estimation.common.down_sampler import passed
 from heaved.estimation.heave.sea import whittle_fit
 from heaved.estimation.heave.sea.model import Resonance, SeaModel, SeaSystem
-from heaved.estimation.heave.sea.noise import HALF_POWER, TUNING, _Whittle, resonances
+from heaved.estimation.heave.sea.noise import HALF_POWER, TUNING, _Whittle, remembered, resonances
 from heaved.estimation.heave.sea.sea_state import vibration
 from heaved.simulate.seaway import seaway
 
@@ -175,3 +175,25 @@ def test_white_noise_of_means_is_taken_for_white() -> None:
     shaking, noise_psd = resonances(sp.above, whittle_fit.fit([sp], 7, 3, 9e-10)[0].model, sp.noise_psd)
     assert noise_psd == pytest.approx(NOISE_PSD, rel=0.15)
     assert sum(one.variance for one in shaking) < 0.02**2
+
+
+def test_a_line_that_is_switched_off_is_remembered_for_some_minutes() -> None:
+    """A thruster runs every other minute: its line is known when it starts again, and named only while it runs."""
+    kept: tuple[Resonance, ...] = (LINE,)
+    looks = 0
+    while kept:
+        looks += 1
+        kept = remembered((), kept, NOISE_PSD)
+        assert not vibration(shaken(*kept))
+    assert 10 < looks < 100
+
+
+@pytest.mark.parametrize("one", [BROAD, SHORT_WAVES])
+def test_neither_a_broad_band_nor_waves_are_remembered(one: Resonance) -> None:
+    assert remembered((), (one,), NOISE_PSD) == ()
+
+
+def test_a_line_that_is_seen_is_not_remembered_beside_itself() -> None:
+    now = msgspec.structs.replace(LINE, frequency_hz=3.3)
+    assert remembered((now,), (LINE,), NOISE_PSD) == (now,)
+    assert len(remembered((msgspec.structs.replace(LINE, frequency_hz=5.0),), (LINE,), NOISE_PSD)) == 2
