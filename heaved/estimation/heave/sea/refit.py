@@ -567,8 +567,8 @@ def _fit_all(
 def _walk(
     window: SeaWindow, record: EvenRecord, is_measured: NDArray[np.bool_], models: list[SeaModel], *, is_struck: bool
 ) -> float:
-    """The walk of the bias (m/s2)2/s that the record shows beside the waves of the longest past, the last of ``models``,
-    or the one that this has. To shorter pasts, which are before it, waves that have just come are larger.
+    """The walk of the bias (m/s2)2/s that the record shows beside the waves of the longest past, the last of
+    ``models``, or the one that this has. To shorter pasts, which are before it, waves that have just come are larger.
     """
     model = models[-1]
     measured = msgspec.structs.replace(record, is_known=is_measured)
