@@ -77,8 +77,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     ringing_left: float = 0.2
     """Share of what the readings after a blow have left that their two predecessors do not explain, of a ringing."""
     likelier: float = 0.5
-    """What struck is a blow, or a step, when that leaves this share of the squares at most of what the other leaves:
-    else some more readings tell,"""
+    """A blow has to leave that share of the squares at most of what a step leaves,"""
     surely: int = 24
     """and a step is not told from what rings slowly by fewer."""
     retried: int = 10
@@ -310,17 +309,18 @@ class DisturbanceDetector:
         if self._is_struck and count <= TUNING.rings_still:
             blow = self._explanation(f, count, After.BLOW) if f.system.model.resonances else None
             step = self._explanation(f, count - 1, After.STEP)
-            is_last = count > TUNING.rings_still - round(TUNING.retry_s / f.steady.dt_s)
-            at_most = 1.0 if is_last else TUNING.likelier
-            if blow is not None and (step is None or blow.square < at_most * step.square):
+            if blow is not None and (step is None or blow.square < TUNING.likelier * step.square):
                 self.blow_s = self._past[0][0]  # What stands there is in part of after it.
                 self._go_on(f, blow)
                 # Nothing rings just as the model has it: what that has left in the readings, it has in the state.
                 f.P = f.covariance * max(blow.square, 1.0)
                 return
-            if step is not None and count >= TUNING.surely and (blow is None or step.square < at_most * blow.square):
+            is_sure = count >= TUNING.surely or not f.system.model.resonances
+            if step is not None and is_sure:
                 self.step_s = self._past[0][0], step.from_s
                 self._go_on(f, step)
+                return
+            if step is not None:
                 return
             if count >= TUNING.rings_unknown:
                 self._learn_ringing()
