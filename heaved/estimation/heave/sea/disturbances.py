@@ -321,6 +321,9 @@ class DisturbanceDetector:
                 self._go_on(f, step)
                 return
             if step is not None:
+                # If it is one, this is what the heave is off by until that is sure.
+                apart = step.state.x - f.x
+                f.P = f.covariance + np.outer(apart, apart)
                 return
             if count >= TUNING.rings_unknown:
                 self._learn_ringing()
