@@ -84,7 +84,7 @@ class HeaveEstimator:
         self.t_s = t_s
         if up.is_of_another_kind:
             observer.cut()
-        observer.step(t_s, up.up_mps2)
+        observer.step(t_s, up.up_mps2, up.roll_rad, up.pitch_rad)
         if up.amendment is not None:
             observer.amend(up.amendment.t_s, up.amendment.more_mps2)
         if up.noise is not None:

@@ -91,8 +91,10 @@ class HeaveObserver(Protocol):
 
     # --- input -------------------------------------------------------------------------------------------------------
 
-    def step(self, t_s: float, a_up_mps2: float) -> None:
-        """Take the vertical acceleration at ``t_s`` (later than the last one; nan: missing, nothing happens)."""
+    def step(self, t_s: float, a_up_mps2: float, roll_rad: float = nan, pitch_rad: float = nan, /) -> None:
+        """Take the vertical acceleration at ``t_s`` (later than the last one; nan: missing, nothing happens), with the
+        angles of that moment (nan: not known).
+        """
 
     def cut(self) -> None:
         """What comes is measured otherwise than what was, with the tilt removed, or without."""

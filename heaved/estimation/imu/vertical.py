@@ -79,6 +79,9 @@ class VerticalAcceleration(msgspec.Struct, frozen=True, gc=False):
     """Noise that the acceleration has and does not show."""
     unsized: Unsized | None = None
     """The same of the last quarter of a second, as it came."""
+    roll_rad: float = nan
+    pitch_rad: float = nan
+    """Of that moment, as measured; nan: the tilt is not removed."""
 
 
 class Vertical:
@@ -158,7 +161,7 @@ class Vertical:
         level_bias.step(t_s, ax, ay, az, roll, pitch)
         amendment, noise, unsized = error.amendment, error.noise, error.unsized
         error.amendment = error.noise = error.unsized = None
-        return VerticalAcceleration(t_s, up, is_of_another_kind, amendment, noise, unsized)
+        return VerticalAcceleration(t_s, up, is_of_another_kind, amendment, noise, unsized, roll, pitch)
 
     def _is_of_another_kind(self, t_s: float, has_tilt: bool) -> bool:
         """Whether the tilt is removed from now on and was not, or the other way round; and whether the acceleration had

@@ -115,7 +115,7 @@ class HarmonicObserver:
 
     # --- input -------------------------------------------------------------------------------------------------------
 
-    def step(self, t_s: float, a_up_mps2: float) -> None:
+    def step(self, t_s: float, a_up_mps2: float, /, *_angles: float) -> None:
         """Take the vertical acceleration at ``t_s`` (later than the last one; nan: missing, nothing happens)."""
         if not isfinite(a_up_mps2):
             return

@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.common import down_sampler
-from heaved.estimation.heave.sea import batch_filter, drift_removal, gap_bridge, noise, whittle_fit
+from heaved.estimation.heave.sea import batch_filter, drift_removal, gap_bridge, joint_design, noise, whittle_fit
 from heaved.estimation.heave.sea.filter import SeaFilter
+from heaved.estimation.heave.sea.joint_design import Joint, even_angles
 from heaved.estimation.heave.sea.model import SeaModel, SeaSystem, Steady
 from heaved.estimation.heave.sea.record import EvenRecord, even, stretches_of
 from heaved.estimation.heave.sea.sea_state import longest_period_s, sea_state
@@ -150,6 +151,10 @@ class SeaWindow(msgspec.Struct, frozen=True, kw_only=True, tag="sea"):
     """First moments (s) after something struck the hull."""
     drifts_s: tuple[tuple[float, float], ...] = ()
     """Spans (s) in which the level goes on in one direction; until inf: it does still."""
+    angles: bytes = b""
+    """(m, 3) time, roll and pitch (rad), nan where they are not known; empty: they are not to be looked at."""
+    horizons_s: tuple[float, ...] = ()
+    """What they may tell of the heave is wanted for so long after the last sample, too."""
 
 
 class SeaFit(msgspec.Struct, frozen=True, kw_only=True):
@@ -193,6 +198,8 @@ class SeaFit(msgspec.Struct, frozen=True, kw_only=True):
     """How many of the longest waves the record of that model holds."""
     waves: float = 0.0
     """How much likelier the record is with waves than with noise alone (log-likelihood)."""
+    joint: Joint | None = None
+    """What roll and pitch tell of the heave; None: nothing."""
 
 
 def look(window: SeaWindow) -> SeaFit:
@@ -268,7 +275,21 @@ def _look(window: SeaWindow, record: EvenRecord) -> SeaFit:
         newest=whiteness(done.innovation, steady, TUNING.newest_s),
         waves_seen=seconds[chosen] / longest_period_s(best.model),
         waves=waves,
+        joint=_joint(window, whole, system, steady),
     )
+
+
+def _joint(window: SeaWindow, whole: EvenRecord, system: SeaSystem, steady: Steady) -> Joint | None:
+    """What roll and pitch tell of the heave, since the level was last another."""
+    first = whole.cuts[-1] if whole.cuts else 0
+    a, is_known = whole.a_mps2[first:], whole.is_known[first:]
+    if not window.angles or not len(a) or not is_known.all():
+        return None
+    angles = even_angles(np.frombuffer(window.angles).reshape(-1, 3), whole.end_s, whole.dt_s, len(a))
+    try:
+        return joint_design.joint(system, steady, a, angles, window.horizons_s)
+    except np.linalg.LinAlgError:
+        return None  # The heave of the acceleration is no worse for that.
 
 
 def _drifted(window: SeaWindow, record: EvenRecord) -> drift_removal.Level | None:

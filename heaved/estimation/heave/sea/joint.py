@@ -1,0 +1,208 @@
+"""Roll and pitch beside the acceleration, live: the correction that they bring, and whether it has earned its place.
+
+The weights come with each fit (:mod:`heaved.estimation.heave.sea.joint_design`). They are used only while the heave
+with them has been nearer to the delayed heave, which no angle has a part in, than the heave without: both are held
+against it all the time, and to go over takes more than to go back.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from math import inf, isfinite, nan, sqrt
+from typing import TYPE_CHECKING, Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from heaved.estimation.heave.sea.joint_design import CHANNELS, Joint
+
+if TYPE_CHECKING:
+    from heaved.samples import DelayedHeave
+
+Array = NDArray[np.float64]
+
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """When the correction is used."""
+
+    memory_s: float = 80.0
+    """Of the squares of both errors."""
+    told_s: float = 60.0
+    """Seconds of comparisons from which they tell anything."""
+    better: float = 0.93
+    """RMS with the angles over that without, from which they are used,"""
+    no_worse: float = 1.0
+    """and from which they are not any more."""
+    quick_s: float = 20.0
+    """Memory of the newest errors,"""
+    much_worse: float = 1.25
+    """which end it at once from that ratio."""
+    fades_s: float = 8.0
+    """In which the correction comes and goes."""
+    hole_s: float = 60.0
+    """After a hole in the angles that is longer than ..."""
+    bridged_s: float = 1.0
+    """... this, and after the filter was unsure, nothing is said for so long."""
+    reaches_s: float = 0.5
+    """Before now and beyond the last node it goes on in a straight line for so long."""
+
+
+TUNING: Final = Tuning()
+
+
+class JointCorrection:
+    """What the weights of one fit make of the last innovations and angles. Feed it what the filter's steps give.
+
+    Attributes:
+        design: the weights.
+        known_s: since when what it is made of is known.
+    """
+
+    def __init__(self, design: Joint) -> None:
+        self.design = design
+        count = 2 * len(design.nodes_s)
+        fine = np.frombuffer(design.fine, dtype=np.float16).reshape(count, -1, CHANNELS)
+        coarse = np.frombuffer(design.coarse, dtype=np.float16).reshape(count, -1, CHANNELS)
+        self._fine_count, self._coarse_count, self._group = fine.shape[1], coarse.shape[1], design.group
+        self._fine = fine.reshape(count, -1).astype(np.float64)
+        self._coarse = coarse.reshape(count, -1).astype(np.float64)
+        # Each row is written twice, so that the last ones always lie in one piece.
+        self._size = self._fine_count + self._group * self._coarse_count
+        self._rows = np.zeros((2 * self._size, CHANNELS))
+        self._means = np.zeros((2 * self._size, CHANNELS))
+        self._average = np.full(self._group, 1.0 / self._group)
+        self._next = 0
+        self._last = (0.0, 0.0)
+        self._unknown = 0
+        self._told: list[tuple[float, float]] | None = None
+        self.known_s = -inf
+
+    def fill(self, end_s: float, rows: Array) -> None:
+        """Start with innovation, roll and pitch (n, 3) of the samples up to ``end_s``; nan: not known."""
+        for i, (y, roll_rad, pitch_rad) in enumerate(rows[-self._size :].tolist(), 1 - min(len(rows), self._size)):
+            self.push(end_s + i * self.design.dt_s, y, roll_rad, pitch_rad)
+
+    def push(self, t_s: float, innovation: float, roll_rad: float, pitch_rad: float) -> None:
+        """One sample more, one interval after the last; innovation 0 where there was none to take in, nan angles where
+        they are not known.
+        """
+        offsets = self.design.offsets_rad
+        if isfinite(roll_rad + pitch_rad):
+            self._last = roll_rad - offsets[0], pitch_rad - offsets[1]
+            self._unknown = 0
+        else:
+            self._unknown += 1
+            if self._unknown * self.design.dt_s > TUNING.bridged_s:
+                self.known_s = t_s
+        at, size, rows = self._next, self._size, self._rows
+        rows[at] = rows[at + size] = (innovation if isfinite(innovation) else 0.0, *self._last)
+        end = at + size + 1
+        self._means[at] = self._means[at + size] = self._average.dot(rows[end - self._group : end])
+        self._next = at + 1 if at + 1 < size else 0
+        self._told = None
+
+    def nodes(self) -> list[tuple[float, float]]:
+        """Heave and its velocity to be added at each of the nodes."""
+        if self._told is None:
+            end, fine = self._next + self._size, self._fine_count
+            newest = self._rows[end - fine : end].ravel()
+            last = end - fine
+            means = self._means[last - 1 - self._group * (self._coarse_count - 1) : last : self._group].ravel()
+            told = (self._fine.dot(newest) + self._coarse.dot(means)).tolist()
+            self._told = list(zip(told[::2], told[1::2], strict=True))
+        return self._told
+
+    def at(self, tau_s: float) -> tuple[float, float]:
+        """Heave (m) and velocity (m/s) to be added ``tau_s`` after the last sample: a cubic between the nodes."""
+        nodes_s, told = self.design.nodes_s, self.nodes()
+        if tau_s <= 0.0 or len(nodes_s) == 1 or tau_s >= nodes_s[-1]:
+            k = 0 if tau_s <= 0.0 or len(nodes_s) == 1 else -1
+            heave_m, velocity_mps = told[k]
+            reach_s = min(max(tau_s - nodes_s[k], -TUNING.reaches_s), TUNING.reaches_s)
+            return heave_m + reach_s * velocity_mps, velocity_mps
+        k = 0
+        while tau_s > nodes_s[k + 1]:
+            k += 1
+        (h0, v0), (h1, v1), width_s = told[k], told[k + 1], nodes_s[k + 1] - nodes_s[k]
+        u = (tau_s - nodes_s[k]) / width_s
+        slope0, slope1, rise = v0 * width_s, v1 * width_s, h1 - h0
+        c2, c3 = 3.0 * rise - 2.0 * slope0 - slope1, slope0 + slope1 - 2.0 * rise
+        return h0 + u * (slope0 + u * (c2 + u * c3)), (slope0 + u * (2.0 * c2 + 3.0 * u * c3)) / width_s
+
+    def ratio(self, tau_s: float, shown: float) -> float:
+        """Standard deviation of the heave with it over that without, ``tau_s`` after the last sample; ``shown``: what
+        experience has that to be now.
+        """
+        nodes_s, ratios = self.design.nodes_s, self.design.ratios
+        less = max(shown / ratios[0], 1.0)
+        if tau_s <= 0.0:
+            return min(ratios[0] * less, 1.0)
+        for k in range(len(nodes_s) - 1):
+            if tau_s <= nodes_s[k + 1]:
+                share = (tau_s - nodes_s[k]) / (nodes_s[k + 1] - nodes_s[k])
+                return min(((1.0 - share) * ratios[k] + share * ratios[k + 1]) * less, 1.0)
+        return min(ratios[-1] * less, 1.0)
+
+    def is_known(self, t_s: float) -> bool:
+        """Whether what it is made of has no hole any more that matters."""
+        return t_s - self.known_s > TUNING.hole_s
+
+
+class Experience:
+    """How the heave with and without the angles has fared against the delayed heave.
+
+    Attributes:
+        weight: of the correction, 0 to 1.
+        shown: RMS error with the angles over that without; nan: not known.
+    """
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self.weight, self.shown = 0.0, nan
+        self._is_better = False
+        self._waiting: deque[tuple[float, float, float]] = deque()
+        self._squares, self._newest = (0.0, 0.0), (0.0, 0.0)
+        self._seconds = 0.0
+
+    def say(self, t_s: float, alone_m: float, more_m: float) -> None:
+        """At ``t_s`` the heave was ``alone_m`` without the angles, and by ``more_m`` another with them."""
+        self._waiting.append((t_s, alone_m, more_m))
+
+    def check(self, delayed: DelayedHeave, dt_s: float) -> None:
+        """Hold both against what is known later."""
+        waiting = self._waiting
+        while waiting and waiting[0][0] < delayed.t_s - 0.5 * dt_s:
+            waiting.popleft()
+        if not waiting or waiting[0][0] > delayed.t_s + 0.5 * dt_s:
+            return
+        _, alone_m, more_m = waiting.popleft()
+        without = delayed.heave_m - alone_m
+        errors = (without - more_m) ** 2, without**2
+        self._seconds = min(self._seconds + dt_s, TUNING.memory_s)
+        slow, quick = dt_s / self._seconds, dt_s / min(self._seconds, TUNING.quick_s)
+        (a, b), (c, d) = self._squares, self._newest
+        self._squares = a + slow * (errors[0] - a), b + slow * (errors[1] - b)
+        self._newest = c + quick * (errors[0] - c), d + quick * (errors[1] - d)
+        self._judge()
+
+    def _judge(self) -> None:
+        (with_m2, without_m2), newest = self._squares, self._newest
+        if self._seconds < TUNING.told_s or not without_m2 > 0.0:
+            return
+        self.shown = sqrt(with_m2 / without_m2)
+        is_bad = newest[0] > TUNING.much_worse**2 * newest[1] and newest[0] > without_m2
+        if self._is_better:
+            self._is_better = self.shown < TUNING.no_worse and not is_bad
+        else:
+            self._is_better = self.shown < TUNING.better and not is_bad
+
+    def step(self, dt_s: float, *, may_be_used: bool) -> float:
+        """The weight of the correction, ``dt_s`` after the last time."""
+        change = dt_s / TUNING.fades_s
+        wanted = 1.0 if self._is_better and may_be_used else 0.0
+        self.weight += min(max(wanted - self.weight, -change), change)
+        return self.weight
