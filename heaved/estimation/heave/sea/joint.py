@@ -21,18 +21,20 @@ if TYPE_CHECKING:
     from heaved.samples import DelayedHeave
 
 Array = NDArray[np.float64]
+Products = tuple[float, float, float]
+"""Means: squared error without the angles, that error times their correction, squared correction."""
 
 
 class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """When the correction is used."""
 
-    memory_s: float = 80.0
+    memory_s: float = 100.0
     """Of the squares of both errors."""
     told_s: float = 60.0
     """Seconds of comparisons from which they tell anything."""
     better: float = 0.93
     """RMS with the angles over that without, from which they are used,"""
-    no_worse: float = 1.0
+    no_worse: float = 0.98
     """and from which they are not any more."""
     quick_s: float = 20.0
     """Memory of the newest errors,"""
@@ -150,11 +152,12 @@ class JointCorrection:
 
 
 class Experience:
-    """How the heave with and without the angles has fared against the delayed heave.
+    """How the heave with and without the angles has fared against the delayed heave, and how much of the correction
+    would have served best.
 
     Attributes:
         weight: of the correction, 0 to 1.
-        shown: RMS error with the angles over that without; nan: not known.
+        shown: RMS error with that weight over that without; nan: not known.
     """
 
     def __init__(self) -> None:
@@ -163,9 +166,10 @@ class Experience:
     def reset(self) -> None:
         """Forget everything."""
         self.weight, self.shown = 0.0, nan
+        self._best = 0.0
         self._is_better = False
         self._waiting: deque[tuple[float, float, float]] = deque()
-        self._squares, self._newest = (0.0, 0.0), (0.0, 0.0)
+        self._slow = self._quick = (0.0, 0.0, 0.0)
         self._seconds = 0.0
 
     def say(self, t_s: float, alone_m: float, more_m: float) -> None:
@@ -180,29 +184,39 @@ class Experience:
         if not waiting or waiting[0][0] > delayed.t_s + 0.5 * dt_s:
             return
         _, alone_m, more_m = waiting.popleft()
-        without = delayed.heave_m - alone_m
-        errors = (without - more_m) ** 2, without**2
+        error_m = delayed.heave_m - alone_m
+        products = error_m * error_m, error_m * more_m, more_m * more_m
         self._seconds = min(self._seconds + dt_s, TUNING.memory_s)
-        slow, quick = dt_s / self._seconds, dt_s / min(self._seconds, TUNING.quick_s)
-        (a, b), (c, d) = self._squares, self._newest
-        self._squares = a + slow * (errors[0] - a), b + slow * (errors[1] - b)
-        self._newest = c + quick * (errors[0] - c), d + quick * (errors[1] - d)
+        self._slow = _followed(self._slow, products, dt_s / self._seconds)
+        self._quick = _followed(self._quick, products, dt_s / min(self._seconds, TUNING.quick_s))
         self._judge()
 
     def _judge(self) -> None:
-        (with_m2, without_m2), newest = self._squares, self._newest
-        if self._seconds < TUNING.told_s or not without_m2 > 0.0:
+        alone, both, square = self._slow
+        if self._seconds < TUNING.told_s or not (alone > 0.0 and square > 0.0):
             return
-        self.shown = sqrt(with_m2 / without_m2)
-        is_bad = newest[0] > TUNING.much_worse**2 * newest[1] and newest[0] > without_m2
-        if self._is_better:
-            self._is_better = self.shown < TUNING.no_worse and not is_bad
-        else:
-            self._is_better = self.shown < TUNING.better and not is_bad
+        self._best = min(max(both / square, 0.0), 1.0)
+        self.shown = sqrt(max(_left(self._slow, self._best), 0.0) / alone)
+        newest = _left(self._quick, self._best)
+        is_bad = newest > TUNING.much_worse**2 * self._quick[0] and newest > alone
+        limit = TUNING.no_worse if self._is_better else TUNING.better
+        self._is_better = self.shown < limit and not is_bad
 
     def step(self, dt_s: float, *, may_be_used: bool) -> float:
         """The weight of the correction, ``dt_s`` after the last time."""
         change = dt_s / TUNING.fades_s
-        wanted = 1.0 if self._is_better and may_be_used else 0.0
+        wanted = self._best if self._is_better and may_be_used else 0.0
         self.weight += min(max(wanted - self.weight, -change), change)
         return self.weight
+
+
+def _followed(means: Products, products: Products, share: float) -> Products:
+    """The means with that share of the newest."""
+    (a, b, c), (x, y, z) = means, products
+    return a + share * (x - a), b + share * (y - b), c + share * (z - c)
+
+
+def _left(means: Products, weight: float) -> float:
+    """Mean square of the error with that weight of the correction."""
+    alone, both, square = means
+    return alone - 2.0 * weight * both + weight * weight * square

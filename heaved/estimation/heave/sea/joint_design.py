@@ -67,11 +67,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """So far below, as a share of that frequency."""
     noise_band_hz: tuple[float, float] = (1.5, 6.0)
     """Where they show their noise."""
-    smooth_hz: float = 0.03
-    """The rest is smoothed over this (standard deviation): in few pieces two angles, each free to be off, seem to show
-    more together than they do;"""
-    never_known: float = 0.02
-    """and this share of each angle is never taken to follow from the heave."""
+    never_known: float = 0.04
+    """This share of each angle is never taken to follow from the heave."""
     doubt: float = 2.0
     """Times that the square of the transfer function is less than what shows, by what few pieces show by chance."""
     least_noise_rad: float = 5e-5
@@ -90,6 +87,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """until here."""
     apart_s: float = 0.4
     """Horizons closer than this to another are interpolated."""
+    greatest: float = 1e3
+    """A weight that is greater is of an angle that hardly moves (in half precision it would be coarse, too)."""
     close: float = 1e-5
     """So far may the product of the factor with itself be from the matrix of coherences."""
     iterations: int = 25
@@ -200,8 +199,9 @@ def learned(model: SeaModel, a_mps2: Array, angles_rad: Array, dt_s: float) -> L
     transfer = at[:, 1:, 0] / own[:, None]
     rest = at[:, 1:, 1:] / own[:, None, None] - transfer[:, :, None] * transfer[:, None, :].conj()
     # Few pieces show a coherence even of what has nothing in common: 1 / pieces of the rest.
-    rest = _smoothed(rest * (pieces / (pieces - 1.0)), transfer, at[:, 1:, 1:] / own[:, None, None], f_hz[1])
+    rest = rest * (pieces / (pieces - 1.0))
     for k in range(2):
+        rest[:, k, k] += TUNING.never_known * at[:, 1 + k, 1 + k].real / own
         by_chance = TUNING.doubt * rest[:, k, k].real / pieces
         transfer[:, k] *= np.maximum(1.0 - by_chance / np.maximum(np.abs(transfer[:, k]) ** 2, 1e-30), 0.0)
     noisy = (f_hz > TUNING.noise_band_hz[0]) & (f_hz < TUNING.noise_band_hz[1])
@@ -219,19 +219,6 @@ def learned(model: SeaModel, a_mps2: Array, angles_rad: Array, dt_s: float) -> L
         offsets_rad=(float(offsets[0]), float(offsets[1])),
         coherence=float(share @ own / np.sum(own)),
     )
-
-
-def _smoothed(rest: Complex, transfer: Complex, own: Complex, step_hz: float) -> Complex:
-    """``rest`` (n, 2, 2), as a share of each angle's ``own`` spectra (n, 2, 2) and turned by the phase of ``transfer``
-    (n, 2), smoothed over the frequencies.
-    """
-    power = np.diagonal(own, axis1=1, axis2=2).real + 1e-18  # An angle may not move at all.
-    scale = np.sqrt(power) * np.exp(1j * np.angle(transfer))
-    squares = scale[:, :, None] * scale[:, None, :].conj()
-    apart = np.arange(len(rest)) * step_hz / TUNING.smooth_hz
-    weights = np.exp(-0.5 * np.subtract.outer(apart, apart) ** 2)
-    share = np.einsum("fg,gij->fij", weights / weights.sum(axis=1, keepdims=True), rest / squares)
-    return np.asarray((share + TUNING.never_known * np.eye(2)) * squares)
 
 
 def lower_end_hz(model: SeaModel) -> float:
@@ -357,12 +344,12 @@ def designed(system: SeaSystem, steady: Steady, found: Learned, nodes_s: tuple[f
             weights = np.fft.irfft(response, size, axis=0)
             weights[:, 0] -= told_alone / sqrt(level / 2.0)
             rows.append(weights)
-    if not np.isfinite(rows).all():
-        return None
     group = max(round(TUNING.mean_s / dt), 1)
     fine = round(TUNING.fine_s / dt)
     coarse = max(round((TUNING.filter_s - TUNING.fine_s) / dt) // group, 1)
     every = np.stack(rows)[:, : fine + group * coarse]
+    if not np.max(np.abs(every)) < TUNING.greatest:
+        return None
     means = every[:, fine:].reshape(len(rows), coarse, group, CHANNELS).sum(axis=2)
     return Joint(
         nodes_s=nodes_s,

@@ -107,11 +107,16 @@ def lived(more: float, error_m: float, seconds: float, experience: Experience, f
     return experience
 
 
-@pytest.mark.parametrize(("more", "is_used"), [(0.5, True), (0.03, False), (-0.2, False), (2.2, False)])
-def test_it_is_used_where_it_has_been_better(more: float, *, is_used: bool) -> None:
-    experience = lived(more, 0.05, 200.0, Experience())
-    assert experience.weight == (1.0 if is_used else 0.0)
-    assert experience.shown == pytest.approx(abs(1.0 - more))
+@pytest.mark.parametrize(
+    ("more", "weight"),
+    [(0.5, 1.0), (1.0, 1.0), (2.0, 0.5), (0.03, 0.0), (-0.2, 0.0)],
+    ids=["half", "all", "twice too much", "hardly anything", "the wrong way"],
+)
+def test_as_much_of_it_is_used_as_would_have_been_best(more: float, weight: float) -> None:
+    experience = lived(more, 0.05, 300.0, Experience())
+    assert experience.weight == pytest.approx(weight)
+    if weight:
+        assert experience.shown == pytest.approx(abs(1.0 - weight * more), abs=1e-6)
 
 
 def test_it_is_not_used_before_it_has_shown_anything() -> None:
@@ -120,7 +125,7 @@ def test_it_is_not_used_before_it_has_shown_anything() -> None:
 
 def test_it_goes_at_once_where_it_is_much_worse_and_comes_back() -> None:
     experience = lived(0.5, 0.05, 200.0, Experience())
-    experience = lived(3.0, 0.05, TUNING.quick_s + TUNING.fades_s, experience, 200.0)
+    experience = lived(-2.0, 0.05, TUNING.quick_s + TUNING.fades_s, experience, 200.0)
     assert experience.weight == 0.0
     assert lived(0.5, 0.05, 400.0, experience, 300.0).weight == 1.0
 
