@@ -30,6 +30,7 @@ from heaved.estimation.heave.observer import (
     UNKNOWN,
     LaserAided,
     Motion,
+    RollPitch,
     SavedObserver,
     Verdict,
     foretold,
@@ -713,6 +714,13 @@ class SeaObserver:
     def rejected(self) -> int:
         """Samples that the gate has kept out, since the start or the last reset."""
         return 0 if self._heave is None else self._heave.filter.rejected
+
+    @property
+    def roll_pitch(self) -> RollPitch:
+        """What roll and pitch have to do with the heave, as the last fit has it."""
+        if self._heave is None or self._heave.joint is None:
+            return RollPitch()
+        return RollPitch(self._heave.joint.design.coherence, self._heave.joint_weight)
 
     # --- memory ------------------------------------------------------------------------------------------------------
 

@@ -410,8 +410,8 @@ def test_a_still_ship_is_still() -> None:
 
 @cache
 def _with_angles(channels: str, *, are_of_this_sea: bool = True) -> Array:
-    """In a swell, with a noisy accelerometer; pitch follows from the heave, or from that of another sea. (n, 4) errors
-    of the heave now and 1 s ahead, and their standard deviations.
+    """In a swell, with a noisy accelerometer; pitch follows from the heave, or from that of another sea. (n, 5) errors
+    of the heave now and 1 s ahead, their standard deviations, and how much of what the angles tell is in them.
     """
     t = np.linspace(0.0, 330.0, 3301)
     sea = seaway("SL", 1, attitude=False)
@@ -427,12 +427,14 @@ def _with_angles(channels: str, *, are_of_this_sea: bool = True) -> Array:
             assert observer.accept(look(past)) == "accepted"
         (ahead,) = observer.forecast(0.0)
         errors = observer.at(0.0).heave_m - sea.at(at).heave_m, ahead.heave_m - sea.at(at + 1.0).heave_m
-        said.append((*errors, observer.error_std_m(0.0), ahead.std_m))
+        said.append((*errors, observer.error_std_m(0.0), ahead.std_m, observer.roll_pitch.weight))
     return np.array(said)[-700:]
 
 
 def test_pitch_makes_the_heave_better_where_it_is_of_the_same_waves() -> None:
     alone, joint = _with_angles("single"), _with_angles("auto")
+    assert np.all(alone[:, 4] == 0.0)
+    assert np.mean(joint[:, 4]) > 0.5
     for k in (0, 1):
         assert np.std(joint[:, k]) < 0.85 * np.std(alone[:, k])
         assert np.mean(joint[:, 2 + k]) < 0.95 * np.mean(alone[:, 2 + k])
