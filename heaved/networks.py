@@ -12,6 +12,8 @@ Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 _MAPPED: Final = ipaddress.IPv6Network("::ffff:0:0/96")
 """IPv4 addresses in IPv6 (RFC 4291, section 2.5.5.2)."""
+EVERYWHERE: Final[tuple[Network, ...]] = (ipaddress.IPv4Network("0.0.0.0/0"), ipaddress.IPv6Network("::/0"))
+"""All that can be reached."""
 
 
 def parse_networks(entries: Iterable[str]) -> tuple[Network, ...]:
@@ -73,16 +75,22 @@ def is_loopback_host(host: str) -> bool:
         return host == "localhost"
 
 
-def checked_networks(section: str, host: str, allow: Iterable[str]) -> tuple[Network, ...]:
-    """The networks that may reach a server which listens on ``host``; ``section`` of the configuration.
+def checked_networks(
+    section: str, host: str, allow: Iterable[str], *, wants_certificates: bool = False
+) -> tuple[Network, ...]:
+    """The networks that may reach a server which listens on ``host``; ``section`` of the configuration. One that wants
+    certificates may be reached from everywhere, unless networks are named.
 
     Raises:
-        ValueError: an entry is not a network, or ``host`` reaches beyond this machine and no network is named.
+        ValueError: an entry is not a network, or ``host`` reaches beyond this machine, no network is named and no
+            certificate wanted.
     """
     try:
         networks = parse_networks(allow)
     except ValueError as error:
         raise ValueError(f"[{section}] {error}") from error
+    if not networks and wants_certificates:
+        return EVERYWHERE
     if not networks and not is_loopback_host(host):
         raise ValueError(
             f"[{section}] host {host} can be reached from other machines: name the networks that may connect, "

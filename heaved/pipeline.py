@@ -30,7 +30,7 @@ from heaved.estimation.heave.observer import RollPitch, SavedObserver, Verdict
 from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.imu.conditioning import Conditioner
 from heaved.estimation.imu.vertical import Vertical
-from heaved.estimation.motion_frame import MotionFrames
+from heaved.estimation.motion_frame import LEFT_OUT, MotionFrames
 from heaved.estimation.quiescence import PointQuiescence
 from heaved.estimation.rock.estimator import RockEstimator
 from heaved.estimation.stages import Stages
@@ -86,8 +86,8 @@ class Pipeline:
         self.check = check
         self.quiet = quiet
         self._t_s = nan
+        self._is_relieved = self._leaves_out = False
         self._out_of_order = 0
-        self._accepted_t_s = self._fitted_t_s = nan
         self._trained: Counter[Verdict] = Counter()
         self._fitted: Counter[Verdict] = Counter()
 
@@ -106,7 +106,9 @@ class Pipeline:
             return None
         t_s = self._t_s = sample.t_s
         readings = self.conditioner.step(sample)
-        rock = self.rock.step(readings)
+        # Of a sensor that measures angles more slowly than it is polled, tilt is carried on by what is predicted.
+        self._leave_out(self._is_relieved and not readings.attitude_is_slow)
+        rock = self.rock.unknown if self._leaves_out else self.rock.step(readings)
         up = self.vertical.step(readings, rock, lag_s=self.laser.lag_s, bias_mps2=self.heave.observer.bias_mps2)
         if up is not None:
             self.heave.step(up)
@@ -118,14 +120,26 @@ class Pipeline:
         frame = self._frame(t_s, rock)
         if self.check is not None:
             self.check.step(t_s, frame.observer_m, frame.forecast)
-        if self.quiet is not None:
+        if self.quiet is not None and not self._leaves_out:
             self.quiet.step(readings.sample, frame)
         self.stages.push_frame(frame)
         return frame
 
     def coast(self, t_s: float) -> MotionFrame:
         """A frame for a moment without a sample: extrapolated, nothing is advanced."""
-        return self._frame(t_s, self.rock.at(t_s))
+        return self._frame(t_s, self.rock.unknown if self._leaves_out else self.rock.at(t_s))
+
+    def relieve(self, *, is_relieved: bool) -> None:
+        """Do without what the heave does without, rock predictions and quiet windows, or no longer: for a machine that
+        cannot do all. Not where points are published ahead of time: it takes the predictions.
+        """
+        needs_rock = self.heave.lead_s > 0.0 and self.frames.has_points
+        self._is_relieved = is_relieved and not needs_rock
+
+    def _leave_out(self, leaves_out: bool) -> None:
+        if leaves_out is not self._leaves_out:
+            self._leaves_out = leaves_out
+            self.frames.remarks = LEFT_OUT if leaves_out else ()
 
     def _frame(self, t_s: float, rock: Sequence[RockPrediction]) -> MotionFrame:
         quiet = None if self.quiet is None else self.quiet.at(t_s)
@@ -141,8 +155,6 @@ class Pipeline:
         """Judge what the trainer made of a window."""
         verdict = self.heave.correction.accept(network)
         self._trained[verdict] += 1
-        if verdict is Verdict.ACCEPTED:
-            self._accepted_t_s = self.heave.t_s
         return verdict
 
     def fit_due(self) -> SeaWindow | None:
@@ -153,8 +165,6 @@ class Pipeline:
         """Change over to a fitted sea; one that comes too late is rejected."""
         verdict = self.heave.observer.accept(fit)
         self._fitted[verdict] += 1
-        if verdict is Verdict.ACCEPTED:
-            self._fitted_t_s = fit.t_s
         return verdict
 
     def rock_scores(self) -> tuple[RockScore, ...]:
@@ -182,6 +192,7 @@ class Pipeline:
             hull=self.stages.saved_hull(),
             attitude_error=self.vertical.saved(),
             laser_place=self.laser.placement.saved(),
+            axes=self.laser.axes.saved(),
         )
 
     def restore(self, state: SavedState, age_s: float = nan) -> None:
@@ -202,6 +213,8 @@ class Pipeline:
             self.laser.lead.restore(state.lead_learned_s, state.gain_learned)
         if state.laser_place is not None and self.heave.has_laser:
             self.laser.restore_place(state.laser_place, age_s)
+        if state.axes is not None and self.heave.has_laser:
+            self.laser.axes.restore(state.axes, age_s)
         if state.attitude_error is not None:
             self.vertical.restore(state.attitude_error, age_s)
         if state.hull is not None:
@@ -225,9 +238,7 @@ class Pipeline:
             trained_accepted=self._trained[Verdict.ACCEPTED],
             trained_rejected=self._trained[Verdict.REJECTED],
             trained_failed=self._trained[Verdict.FAILED],
-            last_accepted_t_s=self._accepted_t_s,
             fitted={verdict.value: count for verdict, count in self._fitted.items()},
-            last_fitted_t_s=self._fitted_t_s,
             out_of_order=self._out_of_order,
             spikes=self.conditioner.spikes,
             rejected=observer.rejected,
@@ -290,10 +301,8 @@ class PipelineSummary(msgspec.Struct, frozen=True, kw_only=True):
     trained_accepted: int
     trained_rejected: int
     trained_failed: int
-    last_accepted_t_s: float
     fitted: dict[str, int]
     """Fits of the sea by what became of them."""
-    last_fitted_t_s: float
     out_of_order: int
     spikes: int
     rejected: int

@@ -150,7 +150,7 @@ class LaserState(Enum):
 
 
 class CorrectionState(Enum):
-    """OFF: disabled; LEARNING: no network yet; ACTIVE: applied, laser fresh; HOLDING: no laser, or faded out."""
+    """OFF: disabled; LEARNING: nothing found yet; ACTIVE: applied, laser fresh; HOLDING: no laser, or faded out."""
 
     OFF = "off"
     LEARNING = "learning"

@@ -52,7 +52,7 @@ class OldTuning(msgspec.Struct, frozen=True, kw_only=True):
     memory_s: float = 5.0
     """A reading that is not heard again for so long is forgotten: a gateway that serves its memory serves it sooner."""
     chance: float = 0.004
-    """Where fewer readings than that are by chance the same as one of before, one that is has not been measured."""
+    """Where fewer readings than that are by chance the same in all as one of before, one that is was not measured."""
     repeating: float = 0.02
     """Nor has one that repeats the last, where fewer than that do."""
     weight: float = 0.0005
@@ -62,7 +62,7 @@ class OldTuning(msgspec.Struct, frozen=True, kw_only=True):
     refused: float = 0.002
     """Weight of one reading in the share that is refused (the last 500)."""
     width: float = 4.0
-    """Where more are, in coarse registers, it must also leap by so many RMS steps."""
+    """Where more are, in coarse registers, or not all is the same, it must also leap by so many RMS steps."""
     step_weight: float = 0.005
     """Of one step in their mean square (the last 200)."""
     learned: int = 50
@@ -83,8 +83,8 @@ class OldReadings:
     """
 
     def __init__(self) -> None:
-        self._heard_s: OrderedDict[Hashable, float] = OrderedDict()
-        """When each of the last readings was heard last, the oldest first."""
+        self._heard_s: OrderedDict[Hashable, tuple[float, Hashable]] = OrderedDict()
+        """When each of the last readings was heard last, the oldest first, and with what."""
         self._last: Hashable = nan
         self._is_old = False
         self._heard, self._new = 0, 0
@@ -95,30 +95,33 @@ class OldReadings:
         self.share = 0.0
         """Of the last readings that were old ones."""
 
-    def step(self, t_s: float, content: Hashable, value: float) -> bool:
-        """Whether the reading at ``t_s`` is an old one. ``content``: all of it; ``value``: what leaps."""
-        is_old = self._is_one(t_s, content, value)
+    def step(self, t_s: float, content: Hashable, value: float, beside: Hashable = ()) -> bool:
+        """Whether the reading at ``t_s`` is an old one. ``value``: what leaps of its ``content``; ``beside``: what else
+        was read with it.
+        """
+        is_old = self._is_one(t_s, content, value, beside)
         self.share += OLD.refused * (is_old - self.share)
         return is_old
 
-    def _is_one(self, t_s: float, content: Hashable, value: float) -> bool:
+    def _is_one(self, t_s: float, content: Hashable, value: float, beside: Hashable) -> bool:
         heard_s = self._heard_s
-        while heard_s and t_s - next(iter(heard_s.values())) > OLD.memory_s:
+        while heard_s and t_s - next(iter(heard_s.values()))[0] > OLD.memory_s:
             heard_s.popitem(last=False)
-        repeats, was_heard = content == self._last, content in heard_s
-        heard_s[content] = t_s
+        was_heard = content in heard_s
+        is_same = was_heard and heard_s[content][1] == beside
+        repeats = is_same and content == self._last
+        heard_s[content] = t_s, beside
         heard_s.move_to_end(content)
         self._last = content
         usually, self._heard = self._repeating, self._heard + 1
-        if self._heard > 1:
-            self._repeating += max(OLD.weight, 1.0 / (self._heard - 1)) * (repeats - usually)
+        self._repeating += max(OLD.weight, 1.0 / (self._heard + 1)) * (repeats - usually)
         if repeats:
             return self._is_old or usually < OLD.repeating
         leaps = self._leaps(t_s, value)
-        self._is_old = was_heard and (leaps or self._chance < OLD.chance)
+        self._is_old = was_heard and (leaps or (is_same and self._chance < OLD.chance))
         if not self._is_old:
             self._new += 1
-            self._chance += max(OLD.weight, 1.0 / self._new) * (was_heard - self._chance)
+            self._chance += max(OLD.weight, 1.0 / (self._new + 1)) * (is_same - self._chance)
             self._t_s, self._value = t_s, value
         elif not leaps:
             # Where the vessel has come to rest on coarse registers, all are as one of before: for 400 readings.

@@ -9,12 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from far_ends import PROMTOOL, needs_promtool
+from far_ends import PROMTOOL, needs_openssl, needs_promtool
 from prometheus_client.parser import text_string_to_metric_families
+from tls_keys import make_keys
 
 from heaved.config.read import data_directory
 from heaved.daemon.metrics import Metrics
+from heaved.manual.topics import topics
 from heaved.outputs.output import OutputHealth
+from heaved.outputs.tls import Span
 from heaved.samples import RockScore
 
 if TYPE_CHECKING:
@@ -34,6 +37,7 @@ def metrics() -> bytes:
     winch = OutputHealth("winch", "TSS1", "udp://127.0.0.1:5000")
     winch.lost["not known"] += 1
     made.have_outputs(lambda: [winch])
+    made.show_certificates([Span("certificate_file", 1.7e9, 1.8e9), Span("client_ca_file", 1.7e9, 1.9e9)])
     return made.render()
 
 
@@ -146,6 +150,16 @@ def test_prometheus_understands_each_panel(tmp_path: Path) -> None:
     file = tmp_path / "panels.yml"
     file.write_text(json.dumps({"groups": [{"name": "panels", "rules": rules}]}))  # JSON is YAML.
     assert f"SUCCESS: {len(rules)} rules found" in promtool("check", "rules", str(file))
+
+
+@needs_promtool
+@needs_openssl
+def test_prometheus_takes_the_manuals_lines_for_tls(tmp_path: Path) -> None:
+    (text,) = re.findall(r"(?ms)^```text\n(scrape_configs:.*?)^```$", topics()["security"].source)
+    make_keys(tmp_path)
+    file = tmp_path / "prometheus.yml"
+    file.write_text(text.replace("/etc/prometheus", str(tmp_path)))
+    assert "SUCCESS" in promtool("check", "config", str(file))
 
 
 # ---- for people ------------------------------------------------------------------------------------------------------

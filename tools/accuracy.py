@@ -9,7 +9,7 @@
     tools/accuracy.py channels [S6S-bow-0.8 ... palmer]    the least error if roll and pitch are looked at, and ours
     tools/accuracy.py gates [--set]    short runs against their regression gates
     tools/accuracy.py shake [line-3.1 slams] [--seas S6] [--rates 20]    heave while something shakes the sensor
-    tools/accuracy.py correction [--seeds 3]  the learned correction while a network is in use, laser on and off
+    tools/accuracy.py correction [--seeds 3]  the learned correction: wrong physics, right, a network in use
     tools/accuracy.py rock [--shake]    roll and pitch ahead: the paper's method, the direct predictor, quiet windows;
                                   or what a gyroscope adds to it on a hull that shakes
     tools/accuracy.py hull [--runs 50] [--shake]    deformation between two IMUs, 600 s a run

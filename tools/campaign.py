@@ -9,7 +9,7 @@ five more do nothing but answer wrongly, some hundred times a second each. A cli
 heave that is published as valid must be right within four of its standard deviations, roll and pitch within a degree,
 and fresh readings must flow within a second after the device is back. Then the recording is read: no row is missing,
 no reading may be of another moment than that which it was recorded for. As root, disks are filled and made read-only.
-The system's clock is left alone.
+The system's clock is left alone: the daemon is given one that is stepped.
 """
 
 from __future__ import annotations

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import multiprocessing
 import os
 import re
 import shutil
@@ -35,6 +34,7 @@ import msgspec
 import numpy as np
 from evidence import results
 from evidence.daemon import running_daemon
+from evidence.processes import child, free_port
 from evidence.results import Report
 from numpy.typing import NDArray
 
@@ -44,7 +44,7 @@ from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.seaway import seaway
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
     from multiprocessing.connection import Connection
 
 WARM_UP_S = 5.0
@@ -147,20 +147,6 @@ def listen(host: str, port: int, clients: int, duration_s: float, pipe: Connecti
     asyncio.run(run())
 
 
-@contextmanager
-def child(target: Callable[..., None], *arguments: object) -> Iterator[Connection]:
-    ours, theirs = multiprocessing.Pipe()
-    process = multiprocessing.get_context("spawn").Process(target=target, args=(*arguments, theirs), daemon=True)
-    process.start()
-    theirs.close()  # So that a child that dies is an end of file, not an endless wait.
-    try:
-        yield ours
-    finally:
-        ours.close()
-        process.join(2.0)
-        process.kill()
-
-
 def consume(pipe: Connection) -> None:
     """Whoever takes what the outputs say: a UDP port, a TCP port that takes all, and one that never takes anything."""
 
@@ -217,12 +203,6 @@ def mosquitto(directory: Path) -> Iterator[int]:
     finally:
         broker.terminate()
         broker.wait(5.0)
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def outputs(kind: Outputs, ports: tuple[int, int, int], registers: int, broker: int) -> str:

@@ -25,9 +25,8 @@ from distributed import Client, LocalCluster, Security, as_completed
 from distributed.comm.core import connect
 from distributed.scheduler import KilledWorker
 
-from heaved.backtest.task import Result, Task
+from heaved.backtest.task import Result, Task, failed
 from heaved.backtest.units import UnreachableError
-from heaved.text import printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator, Sequence
@@ -193,19 +192,15 @@ def distributed(
                 again(task)
                 waiting.append((task, attempt + 1))
             else:
-                result = _failed(
+                result = failed(
                     f"{task.source}: {attempt} workers died of it: too little memory? With fewer --workers there is "
                     "more for each"
                 )
         except Exception as error:  # Whatever a worker without this release says of the task.  # noqa: BLE001
-            result = _failed(
+            result = failed(
                 f"{task.source}: a worker could not do it: {error!r}: is the same heaved installed on all of them?"
             )
         future.release()
         if result is not None:
             yield task, result
         hand_out()
-
-
-def _failed(reason: str) -> Result:
-    return Result(failure=printable(reason))

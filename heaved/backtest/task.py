@@ -136,33 +136,33 @@ def perform(task: Task) -> Result:
     try:
         return _performed(task)
     except (RecordingError, RecordedError) as error:
-        return _failed(str(error))
+        return failed(str(error))
     except OSError as error:
         where = error.filename or task.source
-        return _failed(f"{where}: {error.strerror or error} (on {platform.node()})")
+        return failed(f"{where}: {error.strerror or error} (on {platform.node()})")
     except Exception as error:  # A fault of the program: the row says so, and others go on.  # noqa: BLE001
-        return _failed(f"{task.source}: the program failed: {error!r}")
+        return failed(f"{task.source}: the program failed: {error!r}")
 
 
-def _failed(reason: str) -> Result:
+def failed(reason: str) -> Result:
     """Of a file whose name may be no text."""
     return Result(failure=printable(reason))
 
 
 def _performed(task: Task) -> Result:
     if task.release != __version__:
-        return _failed(
+        return failed(
             f"the worker on {platform.node()} has heaved {__version__}, {task.release} is asked for: "
             "install that release there"
         )
     source = Path(task.source)
     if not source.exists():
-        return _failed(
+        return failed(
             f"{source}: is not there on {platform.node()}: the directory must be mounted on every worker "
             "under the same path"
         )
     if not source.is_file():
-        return _failed(f"{source}: is no file")
+        return failed(f"{source}: is no file")
     begun_s = time.perf_counter()
     seen = seen_of(source)
     sha256 = _hash(source)
@@ -174,7 +174,7 @@ def _performed(task: Task) -> Result:
         if result.failure:
             return result
         if seen_of(source) != seen:
-            return _failed(
+            return failed(
                 f"{source}: has changed while it was read: an hour that is still being recorded? "
                 "Once it is whole, the same command tests it"
             )
@@ -201,7 +201,7 @@ def _followed(source: Path, task: Task, sha256: str, seen: Seen) -> Result:
         learned=learned,
     )
     if found.frames == 0:
-        return _failed(f"{source}: no row has a vertical acceleration: there is no heave to be tested")
+        return failed(f"{source}: no row has a vertical acceleration: there is no heave to be tested")
     return result_of(found, seen=seen, resets=resets, remarks=tuple(map(printable, summary.remarks)))
 
 

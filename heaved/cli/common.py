@@ -15,6 +15,8 @@ import typer
 from heaved.text import printable_lines
 
 if TYPE_CHECKING:
+    import ssl
+
     from heaved.config import Config
     from heaved.devices.profile import DeviceSpec
     from heaved.replay.replay import Progress
@@ -47,6 +49,18 @@ class LinkKind(StrEnum):
 
 Host = Annotated[str, typer.Option(help="Where the daemon's stream is.")]
 Port = Annotated[int, typer.Option(min=1, max=65535)]
+TlsCa = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE", envvar="HEAVED_TLS_CA", help="Speak TLS with the daemon, whose certificate this one has signed."
+    ),
+]
+TlsCert = Annotated[
+    Path | None, typer.Option(metavar="FILE", envvar="HEAVED_TLS_CERT", help="Our certificate, which it wants to see.")
+]
+TlsKey = Annotated[
+    Path | None, typer.Option(metavar="FILE", envvar="HEAVED_TLS_KEY", help="Its key, if that file has it not.")
+]
 Logs = Annotated[LogFormat, typer.Option(help="Logs go to standard error, one line per event.")]
 SeaName = Annotated[
     str,
@@ -92,6 +106,22 @@ def device_line(device: DeviceSpec) -> str:
     """Name, role and place of a device."""
     asked = f" id {device.device_id}" if device.is_asked else ""
     return f"{device.name} ({device.role}): {device.link}{asked}"
+
+
+def tls_of(ca: Path | None, certificate: Path | None, key: Path | None) -> ssl.SSLContext | None:
+    """How TLS is spoken with a daemon, None: not at all; files that cannot be used end the command."""
+    if ca is None:
+        if certificate is not None or key is not None:
+            fail("--tls-cert, --tls-key: TLS is spoken with --tls-ca: give it, too", 1)
+        return None
+    if key is not None and certificate is None:
+        fail("--tls-key: is the key of a certificate: give --tls-cert, too", 1)
+    from heaved.outputs.credentials import tls_context
+
+    try:
+        return tls_context(str(ca), str(certificate or ""), str(key or ""))
+    except ValueError as error:
+        fail(str(error), 1)
 
 
 @contextmanager

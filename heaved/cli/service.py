@@ -39,7 +39,7 @@ def install_service(
     """Make heaved a service of systemd: unit, permitted networks, lasting names of adapters, configuration."""
     from heaved.config.read import ConfigError
     from heaved.setup import service
-    from heaved.setup.udev import adapters
+    from heaved.setup.adapters import adapters
 
     is_here = root.resolve() == Path("/")
     if write and remove:

@@ -26,6 +26,7 @@ from heaved.samples import HeaveState
 from heaved.text import printable
 
 if TYPE_CHECKING:
+    import ssl
     from collections.abc import Iterable, Iterator, Sequence
 
     from rich.console import ConsoleOptions, RenderableType, RenderResult
@@ -325,7 +326,7 @@ def _without_place(device: DeviceStatus) -> str:
     return what if what and place.startswith(f"{device.name} (") else device.detail
 
 
-def watch(host: str, port: int, out: TextIO) -> None:
+def watch(host: str, port: int, out: TextIO, tls: ssl.SSLContext | None = None) -> None:
     """Show the stream on the terminal ``out`` until the user interrupts (``KeyboardInterrupt`` is not caught)."""
     if isinstance(out, io.TextIOWrapper):
         out.reconfigure(errors="replace")  # A terminal that cannot show a mark still shows the word beside it.
@@ -334,21 +335,21 @@ def watch(host: str, port: int, out: TextIO) -> None:
     with Live(console=console, screen=True, auto_refresh=False, redirect_stdout=False, redirect_stderr=False) as screen:
         while True:
             try:
-                _follow(view, host, port, screen)
+                _follow(view, host, port, screen, tls)
             except UnreachableError as error:
                 view.lost(str(error))
                 _draw(view, screen)
                 time.sleep(_RETRY_S)
 
 
-def _follow(view: View, host: str, port: int, screen: Live) -> None:
+def _follow(view: View, host: str, port: int, screen: Live, tls: ssl.SSLContext | None) -> None:
     """Show one connection until it is lost.
 
     Raises:
         UnreachableError: it is.
     """
     _draw(view, screen)
-    with StreamConnection(host, port, deadline_s=time.monotonic() + _CONNECT_S) as connection:
+    with StreamConnection(host, port, deadline_s=time.monotonic() + _CONNECT_S, tls=tls) as connection:
         heard_s = drawn_s = time.monotonic()
         asked_s = heard_s - _STATUS_S
         view.connected(connection.version.release, heard_s)

@@ -1,9 +1,12 @@
-"""The other end of the stream, for ``heaved status``, ``wait`` and ``watch``: plain sockets, always with a deadline."""
+"""The other end of the stream, for ``heaved status``, ``wait`` and ``watch``: plain sockets, or TLS where the daemon
+speaks it, always with a deadline.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import socket
+import ssl
 import time
 from enum import Enum
 from typing import TYPE_CHECKING, Final
@@ -34,6 +37,7 @@ class Trouble(Enum):
     CLOSED = "connection closed"
     TURNED_AWAY = "turned away"
     NOT_HEAVED = "not a heaved daemon"
+    TLS = "no agreement on TLS"
 
 
 class UnreachableError(Exception):
@@ -56,20 +60,31 @@ class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
 class StreamConnection:
     """A connection to the stream. Use as a context manager."""
 
-    def __init__(self, host: str, port: int, *, deadline_s: float, clock: Callable[[], float] = time.monotonic) -> None:
-        """Connect and read the daemon's VERSION.
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        *,
+        deadline_s: float,
+        tls: ssl.SSLContext | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Connect and read the daemon's VERSION; ``tls``: None where the daemon speaks none.
 
         Raises:
             UnreachableError: not by ``deadline_s`` (on ``clock``), or the daemon speaks another protocol.
         """
         self._where = f"{host}:{port}"
         self._clock = clock
+        self._tls = tls
         self._rest = b""
         self._lines: Iterator[bytes] = iter(())
         self._socket = self._connect(host, port, deadline_s)
         try:
+            if tls is not None:
+                self._socket = self._secure(tls, host, deadline_s)
             self.version = self._greeting(deadline_s)
-        except UnreachableError:
+        except BaseException:
             self._socket.close()
             raise
 
@@ -104,8 +119,10 @@ class StreamConnection:
         self._socket.settimeout(timeout_s)
         try:
             data = self._socket.recv(65536)
-        except TimeoutError:
+        except (TimeoutError, ssl.SSLWantReadError):
             return
+        except ssl.SSLError as error:  # Of a handshake, too: whether our certificate is taken shows here.
+            raise UnreachableError(Trouble.TLS, f"{self._where}: {explain_tls(error)}") from error
         except OSError as error:
             raise UnreachableError(
                 Trouble.CLOSED, f"{self._where}: connection lost: {error.strerror or error}"
@@ -121,6 +138,8 @@ class StreamConnection:
         record = self.read(deadline_s)
         if record is None:
             advice = "it hangs, or something else listens there"
+            if self._tls is None:
+                advice = f"{advice}, or it speaks TLS (--tls-ca)"
             raise UnreachableError(Trouble.SILENT, f"{self._where}: connected, but nothing is said: {advice}")
         if not isinstance(record, VersionRecord):
             raise UnreachableError(Trouble.NOT_HEAVED, f"{self._where}: not a heaved daemon: no VERSION at first")
@@ -153,6 +172,33 @@ class StreamConnection:
         message = f"{self._where}: {failure.strerror or failure}: is heaved running, and with this [stream] port?"
         raise UnreachableError(Trouble.REFUSED, message) from failure
 
+    def _secure(self, tls: ssl.SSLContext, host: str, deadline_s: float) -> ssl.SSLSocket:
+        self._socket.settimeout(max(0.001, deadline_s - self._clock()))
+        try:
+            return tls.wrap_socket(self._socket, server_hostname=host)
+        except TimeoutError as error:
+            raise UnreachableError(
+                Trouble.SILENT, f"{self._where}: connected, but no TLS is spoken: it hangs, or is busy"
+            ) from error
+        except OSError as error:
+            raise UnreachableError(Trouble.TLS, f"{self._where}: {explain_tls(error)}") from error
+
+
+def explain_tls(error: OSError) -> str:
+    """What came of TLS, for who looks after this end of it."""
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return (
+            f"its certificate is not accepted ({error.verify_message}): give the authority that signed it (--tls-ca), "
+            "and connect to a name or an address that it is for"
+        )
+    reason = (error.reason if isinstance(error, ssl.SSLError) else "") or ""
+    if "ALERT" in reason and ("CERT" in reason or "_CA" in reason):
+        said = reason.lower().replace("_", " ")
+        return f"it does not accept our certificate ({said}): give one that its authority has signed (--tls-cert)"
+    if reason in ("WRONG_VERSION_NUMBER", "PACKET_LENGTH_TOO_LONG"):
+        return "it does not speak TLS: leave out --tls-ca"
+    return f"no TLS: {reason.lower().replace('_', ' ') or error.strerror or error}"
+
 
 def decode_record(line: bytes, where: str) -> VersionRecord | MotionRecord | StatusRecord | None:
     """One line as a record; None for a class that is not for us.
@@ -177,7 +223,7 @@ def decode_record(line: bytes, where: str) -> VersionRecord | MotionRecord | Sta
         raise UnreachableError(Trouble.NOT_HEAVED, f"{where}: not a heaved daemon: {error}") from error
 
 
-def fetch_status(host: str, port: int, timeout_s: float = 0.5) -> Snapshot:
+def fetch_status(host: str, port: int, timeout_s: float = 0.5, tls: ssl.SSLContext | None = None) -> Snapshot:
     """Ask the daemon for its state, and wait for one frame as well; returns by ``timeout_s``, whatever happens.
 
     Raises:
@@ -186,7 +232,7 @@ def fetch_status(host: str, port: int, timeout_s: float = 0.5) -> Snapshot:
     deadline_s = time.monotonic() + timeout_s
     status: StatusRecord | None = None
     motion: MotionRecord | None = None
-    with StreamConnection(host, port, deadline_s=deadline_s) as connection:
+    with StreamConnection(host, port, deadline_s=deadline_s, tls=tls) as connection:
         connection.send("?STATUS")
         while (status is None or motion is None) and (record := connection.read(deadline_s)) is not None:
             if isinstance(record, StatusRecord):
@@ -206,7 +252,7 @@ def is_ready(motion: MotionRecord, fresh_s: float = 1.0) -> bool:
     return usable and motion.age_s is not None and motion.age_s <= fresh_s
 
 
-def wait_until_ready(host: str, port: int, timeout_s: float) -> bool:
+def wait_until_ready(host: str, port: int, timeout_s: float, tls: ssl.SSLContext | None = None) -> bool:
     """Wait for a frame that :func:`is_ready`; False when there is none by ``timeout_s``.
 
     The daemon may start, restart or be unreachable meanwhile: only time ends the wait.
@@ -214,7 +260,7 @@ def wait_until_ready(host: str, port: int, timeout_s: float) -> bool:
     deadline_s = time.monotonic() + timeout_s
     while time.monotonic() < deadline_s:
         try:
-            with StreamConnection(host, port, deadline_s=_patience_s(deadline_s)) as connection:
+            with StreamConnection(host, port, deadline_s=_patience_s(deadline_s), tls=tls) as connection:
                 while (record := connection.read(_patience_s(deadline_s))) is not None:
                     if isinstance(record, MotionRecord) and is_ready(record):
                         return True

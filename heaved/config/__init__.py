@@ -24,6 +24,7 @@ from heaved.outputs.influx import InfluxParams
 from heaved.outputs.mqtt import MqttParams
 from heaved.outputs.register_map import RegistersParams
 from heaved.outputs.telegrams.spec import OutputSpec
+from heaved.outputs.tls import TlsParams
 
 Port = Annotated[int, msgspec.Meta(ge=0, le=65535)]
 
@@ -39,6 +40,8 @@ class StreamParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """A client whose queue has been full without progress for this long is disconnected."""
     allow: tuple[str, ...] = ()
     """Networks (CIDR) from which clients may connect, besides loopback."""
+    tls: bool = False
+    """TLS alone is spoken, on loopback too, and only with clients that show a certificate: see ``[tls]``."""
 
 
 class HttpParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -48,6 +51,7 @@ class HttpParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     host: str = "127.0.0.1"
     port: Port = 9570
     allow: tuple[str, ...] = ()
+    tls: bool = False
 
 
 class StateParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -105,12 +109,18 @@ class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     output: tuple[OutputSpec, ...] = ()
     stream: StreamParams = StreamParams()
     http: HttpParams = HttpParams()
+    tls: TlsParams = TlsParams()
     recording: RecordingParams = RecordingParams()
     registers: RegistersParams = RegistersParams()
     mqtt: MqttParams = MqttParams()
     influx: InfluxParams = InfluxParams()
     state: StateParams = StateParams()
     runtime: RuntimeParams = RuntimeParams()
+
+    @property
+    def wants_tls(self) -> bool:
+        """Whether a server of the daemon speaks TLS."""
+        return self.stream.tls or (self.http.enabled and self.http.tls)
 
     @property
     def has_laser(self) -> bool:

@@ -111,7 +111,7 @@ def rule_faults(file: Written) -> list[str]:
         overload = overload_faults(tuple(devices.values()))  # Of the plan, not of the file: see rate_faults.
         faults += [fault for fault in line_faults(tuple(devices.values())) if fault not in overload]
     for name, table in (("stream", config.stream), ("http", config.http)):
-        faults += _listen_faults(name, table.host, table.allow)
+        faults += _listen_faults(name, table.host, table.allow, wants_certificates=table.tls)
     faults += _recording_faults(config)
     found = output_faults(
         file.listed("output"),
@@ -504,7 +504,10 @@ def _recording_faults(config: Config) -> list[str]:
     return faults
 
 
-def _listen_faults(table: str, host: str, allow: tuple[str, ...], key: str = "host") -> list[str]:
+def _listen_faults(
+    table: str, host: str, allow: tuple[str, ...], key: str = "host", *, wants_certificates: bool | None = None
+) -> list[str]:
+    """``wants_certificates``: None where TLS is not spoken."""
     faults = []
     for i, network in enumerate(allow):
         try:
@@ -517,6 +520,7 @@ def _listen_faults(table: str, host: str, allow: tuple[str, ...], key: str = "ho
         loopback = host == "localhost"
         if not loopback:
             return [*faults, f"{table}.{key}: {host!r} is no IP address; give the address to listen on, e.g. 127.0.0.1"]
-    if not loopback and not allow:
-        faults.append(f"{table}.{key}: {host} listens beyond this machine; name who may connect in {table}.allow")
+    if not loopback and not allow and not wants_certificates:
+        tls = "" if wants_certificates is None else f", or want certificates of them: {table}.tls = true, with [tls]"
+        faults.append(f"{table}.{key}: {host} listens beyond this machine; name who may connect in {table}.allow{tls}")
     return faults

@@ -1,9 +1,10 @@
-"""Faults of ``[mqtt]`` and ``[influx]`` that no key has alone: links, files of passwords and certificates, and what
-would be sent for everyone to read.
+"""Faults of ``[mqtt]``, ``[influx]`` and ``[tls]`` that no key has alone: links, files of passwords and certificates,
+and what would be sent for everyone to read.
 """
 
 from __future__ import annotations
 
+import time
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -11,7 +12,8 @@ from typing import TYPE_CHECKING, Final
 from heaved.links import ServiceLink, parse_service_link
 from heaved.networks import is_loopback_host
 from heaved.outputs import influx, mqtt
-from heaved.outputs.credentials import read_secret, tls_context
+from heaved.outputs.credentials import READ_BY_OTHERS, read_secret, tls_context
+from heaved.outputs.tls import Certificates
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,10 +23,10 @@ if TYPE_CHECKING:
 _FILES: Final = {
     "mqtt": ("password_file", "ca_file", "certificate_file", "key_file"),
     "influx": ("password_file", "token_file", "ca_file"),
+    "tls": ("certificate_file", "key_file", "client_ca_file"),
 }
+_SERVICES: Final = ("mqtt", "influx")
 _SECRETS: Final = ("password_file", "token_file")
-_READ_BY_OTHERS: Final = 0o044
-"""Bits of a file's mode."""
 
 
 def faults(config: Config) -> list[str]:
@@ -34,6 +36,7 @@ def faults(config: Config) -> list[str]:
         for key, file in _given(config, table, files).items():
             if not Path(file).is_absolute():
                 found.append(f"{table}.{key}: must be an absolute path (got {file!r})")
+    found += _tls_faults(config)
     found += _mqtt_faults(config.mqtt)
     found += _influx_faults(config.influx)
     return found
@@ -44,10 +47,10 @@ def run_faults(config: Config) -> list[str]:
     found = []
     if config.mqtt.enabled and find_spec("aiomqtt") is None:
         found.append(f"mqtt.enabled: {mqtt.MISSING}")
-    for table, files in _FILES.items():
+    for table in _SERVICES:
         if not getattr(config, table).enabled:
             continue
-        given = _given(config, table, files)
+        given = _given(config, table, _FILES[table])
         for key in _SECRETS:
             if key in given:
                 try:
@@ -55,6 +58,12 @@ def run_faults(config: Config) -> list[str]:
                 except ValueError as error:
                     found.append(f"{table}.{key}: {error}")
         found += _certificate_faults(table, given)
+    given = _given(config, "tls", _FILES["tls"])
+    if config.wants_tls and len(given) == len(_FILES["tls"]):
+        try:
+            Certificates(config.tls)
+        except ValueError as error:
+            found.append(_at_fault("tls", given, error))
     return found
 
 
@@ -71,14 +80,14 @@ def cautions(config: Config) -> list[str]:
             found.append(
                 f"{table}.link: password or token go over the network for everyone to read: use {link.scheme}s://"
             )
-        for key, file in secrets.items():
+        for key, file in _given(config, table, (*_SECRETS, "key_file")).items():
             try:
-                is_open = bool(Path(file).stat().st_mode & _READ_BY_OTHERS)
+                is_open = bool(Path(file).stat().st_mode & READ_BY_OTHERS)
             except OSError:
                 continue  # A fault, which is told as such.
             if is_open:
                 found.append(f"{table}.{key}: others than its owner may read {file}: chmod 600 it")
-    return found
+    return found + _tls_cautions(config)
 
 
 def _given(config: Config, table: str, keys: tuple[str, ...]) -> dict[str, str]:
@@ -93,9 +102,35 @@ def _certificate_faults(table: str, given: Mapping[str, str]) -> list[str]:
     try:
         tls_context(given.get("ca_file", ""), given.get("certificate_file", ""), given.get("key_file", ""))
     except ValueError as error:
-        key = next((key for key, file in given.items() if file in str(error)), "ca_file")
-        return [f"{table}.{key}: {error}"]
+        return [_at_fault(table, given, error)]
     return []
+
+
+def _at_fault(table: str, given: Mapping[str, str], error: ValueError) -> str:
+    """With the key of the file that it is about."""
+    key = next((key for key, file in given.items() if file in str(error)), next(iter(given)))
+    return f"{table}.{key}: {error}"
+
+
+def _tls_faults(config: Config) -> list[str]:
+    if not config.wants_tls:
+        return []
+    wanted = " and ".join(f"[{table}]" for table in ("stream", "http") if getattr(config, table).tls)
+    return [
+        f"tls.{key}: {wanted} with tls = true needs it: give an absolute path"
+        for key in _FILES["tls"]
+        if not getattr(config.tls, key)
+    ]
+
+
+def _tls_cautions(config: Config) -> list[str]:
+    found = []
+    given = _given(config, "tls", _FILES["tls"])
+    if given and not config.wants_tls:
+        found.append(f"tls.{next(iter(given))}: is used by nobody: set tls = true in [stream], [http] or both")
+    if config.wants_tls:
+        found += Certificates(config.tls).cautions(time.time())
+    return found
 
 
 def _mqtt_faults(params: mqtt.MqttParams) -> list[str]:

@@ -4,7 +4,7 @@ Start: listen, restore the state, poll, train, then READY once frames flow (with
 Stop (SIGTERM, SIGINT): no more polls, clients get what is queued, the state is saved; within two seconds.
 SIGHUP: the configuration file is read again; ``[[device]]``, the tables of the estimators and of the outputs beside the
 stream take effect at once, the others (``[stream]``, ``[http]``, ``[state]``, ``[runtime]``) with the next start. A
-file with faults changes nothing.
+file with faults changes nothing. The certificates of ``[tls]`` are read again, too, for connections to come.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ from heaved.config.read import ConfigError, load_to_run
 from heaved.config.rules import rate_faults
 from heaved.daemon.acquisition import Acquisition
 from heaved.daemon.learning import Workers
+from heaved.daemon.load import TUNING as LOAD
+from heaved.daemon.load import Load, Relief
 from heaved.daemon.logs import configure_logging
 from heaved.daemon.metrics import RENEWED_S, Metrics
 from heaved.daemon.outputs import TABLES, Outputs
@@ -48,6 +50,7 @@ from heaved.estimation.stages import Stages
 from heaved.outputs.http import HttpServer, liveness, readiness
 from heaved.outputs.listen import ListenError
 from heaved.outputs.stream import Publisher
+from heaved.outputs.tls import Certificates, TlsParams
 from heaved.pipeline import Pipeline, assemble
 from heaved.recorder.layout import Call
 
@@ -66,6 +69,8 @@ _AT_ONCE: Final = ("heave", "laser", "correction", "rock", "point", "compensatio
 _AT_RESTART: Final = ("stream", "http", "state", "runtime")
 _CANCEL_S: Final = 0.4
 """What a task may take to be cancelled."""
+_OUTPUTS_S: Final = 0.7
+"""And an output, which may have something to say at its end: within the time that all parts have."""
 _STOP_S: Final = 0.8
 """What each part may take to stop; they stop side by side."""
 _EXIT_S: Final = 1.8
@@ -97,8 +102,10 @@ class Daemon:
 
         Raises:
             ValueError: a server would listen beyond this machine without networks that may connect.
+            ListenError: the certificates that a server needs cannot be used.
         """
         self.config = config
+        self._certificates = _certificates_of(config)
         self.addresses: dict[str, tuple[str, int]] = {}
         self.metrics = Metrics(__version__)
         self.utc = UtcClock(clock, realtime)
@@ -117,6 +124,7 @@ class Daemon:
             journal=self._journal,
         )
         self._heartbeat = Heartbeat(self._beat)
+        self._load = Load()
         self.memory = Memory(
             StateFile(state_directory(config.state.directory), SavedState, saved_state.check),
             self._learned,
@@ -160,11 +168,15 @@ class Daemon:
             raise
         await self.memory.restore(self._take_up)
         self._is_restored = True
-        await self._outputs.have(self.config, _CANCEL_S)  # Before the first poll: a recording has all of them.
+        await self._outputs.have(self.config, _OUTPUTS_S)  # Before the first poll: a recording has all of them.
         await self._poll_devices()
         await self.workers.have(self.config)
         self._heartbeat.start(self.acquisition.period_s)
         self._supervise("housekeeping", self._keep_house)
+        if self._certificates is not None:
+            self.metrics.show_certificates(self._certificates.spans)
+            self._supervise("certificates", self._certificates.keep_warning)
+        self._supervise("load", self._watch_load)
         self._supervise("state", partial(self.memory.keep_saving, self.config.state.save_period_s))
         devices = [device.name for device in self.config.device]
         where = {name: f"{host}:{port}" for name, (host, port) in self.addresses.items()}
@@ -181,7 +193,7 @@ class Daemon:
             "stream": self._publisher.close(0.5 * _STOP_S),
             **({"state": self.memory.save()} if self._is_restored else {}),  # Else there is nothing new to save.
             **self.workers.stopping(),
-            "outputs": self._outputs.stop(_CANCEL_S),
+            "outputs": self._outputs.stop(_OUTPUTS_S),
         }
         if self._http is not None:
             parts["http"] = self._http.close()
@@ -237,6 +249,8 @@ class Daemon:
         self.config = msgspec.structs.replace(new, **later)
         for table in later:
             _log.warning(f"[{table}] has changed: restart the daemon to bring it into force")
+        if self._certificates is not None and new.wants_tls:
+            await self._renew_certificates(self._certificates, new.tls)
         # The devices are those of before until they are polled otherwise.
         self._journal.renewed(msgspec.structs.replace(self.config, device=old.device))
         at_once = (*_AT_ONCE, "has_laser", "mounting")
@@ -257,11 +271,20 @@ class Daemon:
             self.acquisition.pipeline.stages.configure_reference_mru(new.reference_mru)
             self._journal.configured(Call.REFERENCE_MRU, self.config)
         if any(getattr(new, table) != getattr(old, table) for table in TABLES):
-            await self._outputs.have(self.config, _CANCEL_S)
+            await self._outputs.have(self.config, _OUTPUTS_S)
         if new.device != old.device:
             await self._poll_devices()
             self._heartbeat.start(self.acquisition.period_s)
         _log.info("configuration read again", devices=",".join(device.name for device in new.device) or "none")
+
+    async def _renew_certificates(self, certificates: Certificates, files: TlsParams) -> None:
+        try:
+            await asyncio.to_thread(certificates.renew, files)
+        except ValueError as error:  # They were well when the configuration was read, a moment ago.
+            _log.error("new certificates refused, the old ones stay", fault=str(error))
+            return
+        certificates.warn(self.utc.utc_s(self._clock()))
+        self.metrics.show_certificates(certificates.spans)
 
     def _take_up(self, state: SavedState, age_s: float) -> None:
         """Start from a saved state.
@@ -289,6 +312,8 @@ class Daemon:
             self.acquisition.accepted_s = self.acquisition.fitted_s = nan
         self.acquisition.pipeline = pipeline
         self._journal.configured(Call.PIPELINE, self.config)
+        if self._load.relief is Relief.LEFT_OUT:
+            self._relieve_pipeline(is_relieved=True)
         self._resets_seen.clear()
 
     # ---- periodic work -----------------------------------------------------------------------------------------------
@@ -333,6 +358,8 @@ class Daemon:
         if frame is not None:
             self._publisher.publish_slow(frame)
         self._keep_gauges(frame)
+        if self._load.relief is not Relief.NONE:
+            self.metrics.overloaded.labels(self._load.relief.name.lower()).inc()
         self._notifier.notify(f"STATUS={status_line(status)}")
 
     def _keep_gauges(self, frame: MotionFrame | None) -> None:
@@ -347,6 +374,32 @@ class Daemon:
         metrics.record_quiet(frame.quiet)
         metrics.record_training(frame, now_s - self.acquisition.accepted_s)
         metrics.record_rock(self.acquisition.rock_scores())
+
+    # ---- what the machine cannot do all of ---------------------------------------------------------------------------
+
+    async def _watch_load(self) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            due_s = loop.time() + LOAD.probe_s
+            await asyncio.sleep(LOAD.probe_s)
+            now_s, before = loop.time(), self._load.relief
+            if self._load.step(now_s, now_s - due_s, self.acquisition.period_s):
+                self._relieve(before, self._load.relief)
+
+    def _relieve(self, before: Relief, now: Relief) -> None:
+        self._publisher.together = now.value
+        if (now is Relief.LEFT_OUT) is not (before is Relief.LEFT_OUT):
+            self._relieve_pipeline(is_relieved=now is Relief.LEFT_OUT)
+        self.metrics.show_relief(now.value)
+        if now.value > before.value:
+            hint = "fewer clients or a lower rate_hz; [runtime] fifo_priority where other programs take the time"
+            _log.warning("the machine does not keep up: less is done", frames_at_once=now.value, hint=hint)
+        else:
+            _log.info("the machine keeps up: more is done again", frames_at_once=now.value)
+
+    def _relieve_pipeline(self, *, is_relieved: bool) -> None:
+        self.acquisition.pipeline.relieve(is_relieved=is_relieved)
+        self._journal.relieved(is_relieved=is_relieved)
 
     # ---- for the parts -----------------------------------------------------------------------------------------------
 
@@ -390,6 +443,7 @@ class Daemon:
             metrics=self.metrics,
             utc_s=self.utc.utc_s,
             clock=self._clock,
+            certificates=self._certificates if stream.tls else None,
         )
 
     def _make_http(self) -> HttpServer:
@@ -402,7 +456,15 @@ class Daemon:
             alive=lambda: liveness(self.acquisition.last_frame, now_s=self._clock(), started_s=self._started_s),
             ready=lambda: readiness(self.acquisition.last_frame, now_s=self._clock()),
             count_client_error=self.metrics.count_client_error,
+            certificates=self._certificates if http.tls else None,
         )
+
+
+def _certificates_of(config: Config) -> Certificates | None:
+    try:
+        return Certificates(config.tls) if config.wants_tls else None
+    except ValueError as error:
+        raise ListenError(f"[tls] {error}") from error
 
 
 def make_pipeline(config: Config, stages: Stages | None = None) -> Pipeline:

@@ -40,9 +40,10 @@ from heaved.samples import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
     from heaved.outputs.output import OutputHealth
+    from heaved.outputs.tls import Span
 
 _SHORT_S: Final = (0.00005, 0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.1)
 """Work on the event loop: 50 µs is well, 10 ms is a whole sample period."""
@@ -329,15 +330,28 @@ class Metrics:
             "heaved_frames_dropped_total", "Lines dropped before they were sent.", "slow_client", label="reason"
         )
         reasons = (
-            "bad_request", "line_too_long", "not_allowed", "request_too_slow", "stuck", "too_fast",
+            "bad_request", "line_too_long", "not_allowed", "request_too_slow", "stuck", "tls", "too_fast",
             "too_many_clients", "too_many_of_one_address",
         )  # fmt: skip
         self.client_errors = table.results(
             "heaved_client_errors_total", "Clients turned away or misunderstood.", *reasons, label="reason"
         )
 
+        self.certificate_end = table.gauge(
+            "heaved_certificate_end_timestamp_seconds", "When the first certificate of a file of [tls] ends.", "file"
+        )
+
     def _have_daemon(self, table: _Table) -> None:
         self.clock_steps = table.counter("heaved_clock_steps_total", "Steps of the system's UTC.")
+        self.frames_at_once = table.gauge(
+            "heaved_frames_at_once", "That go to clients of the stream; more than 1: the machine does not keep up."
+        )
+        self.frames_at_once.set(1)
+        self.overloaded = table.results(
+            "heaved_overloaded_seconds_total",
+            "For which the machine did not keep up, by what gave way: frames gathered, and predictions left out.",
+            "gathered", "left_out", label="relief",
+        )  # fmt: skip
         self.state_saves = table.results(
             "heaved_state_saves_total", "Saves of the state file by result.", "saved", "failed"
         )
@@ -447,6 +461,10 @@ class Metrics:
         self.quiet_confidence.set(quiet.best if quiet is not None else nan)
         self.quiet_start.set(window.start_s if window is not None else nan)
 
+    def show_relief(self, frames_at_once: int) -> None:
+        """What gives way is another now."""
+        self.frames_at_once.set(frames_at_once)
+
     # What the stream's publisher counts.
 
     def set_clients(self, clients: int) -> None:
@@ -464,6 +482,11 @@ class Metrics:
     def count_client_error(self, reason: str) -> None:
         """A client was turned away or misunderstood."""
         self.client_errors.labels(reason).inc()
+
+    def show_certificates(self, spans: Collection[Span]) -> None:
+        """Those of ``[tls]``; not called without."""
+        for key in {span.key for span in spans}:
+            self.certificate_end.labels(key).set(min(span.ends_s for span in spans if span.key == key))
 
     def render(self) -> bytes:
         """Everything, in the text format of Prometheus, version 0.0.4."""

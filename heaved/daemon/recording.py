@@ -30,7 +30,7 @@ from heaved.daemon.state import state_directory
 from heaved.outputs.output import OutputHealth
 from heaved.recorder import messages
 from heaved.recorder.calls import Restored, pack_fit
-from heaved.recorder.layout import CALLS, Call, Header, Layout, Report, Settings
+from heaved.recorder.layout import CALLS, HANDOVER, Call, Header, Layout, Report, Settings
 from heaved.recorder.messages import Kind, packed
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ MOST_KEPT_BYTES: Final = 32 << 20
 """Five minutes at 100 Hz."""
 FIRST_PAUSE_S: Final = 1.0
 LONGEST_PAUSE_S: Final = 60.0
-GRACE_S: Final = 0.3
+GRACE_S: Final = 0.5
 """What the process may take to write the rest, once the daemon stops."""
 HANGS_AFTER_S: Final = 10.0
 """A disk that takes nothing for so long is said to hang."""
@@ -127,6 +127,10 @@ class Journal:
         """The hull's stage is given a refit, or told that it came to nothing."""
         self._call(Call.REFIT if is_made else Call.REFIT_FAILED, nan)
 
+    def relieved(self, *, is_relieved: bool) -> None:
+        """The pipeline does without what it can do without, or no longer."""
+        self._call(Call.RELIEVED if is_relieved else Call.RESUMED, nan)
+
     def configured(self, call: Call, config: Config) -> None:
         """The pipeline, or a stage, begins anew with this configuration."""
         self._call(call, nan, msgspec.json.encode(config))
@@ -197,6 +201,8 @@ class RecordingOutput:
         self._lost_before = 0
         """Rows of the processes before this one that were lost."""
         self._pause_s = FIRST_PAUSE_S
+        self._has_begun = asyncio.Event()
+        """The process reads what it is given."""
         self.renew(config)
 
     # ---- on the loop: pack and append --------------------------------------------------------------------------------
@@ -282,6 +288,9 @@ class RecordingOutput:
                 self._pause_s = min(LONGEST_PAUSE_S, 2.0 * self._pause_s)
         finally:
             self._journal.ended(self)
+            self._cut()
+            if self._kept and has_extra():
+                await asyncio.to_thread(self._hand_over)
 
     async def _one_life(self) -> str:
         """Run one process until it ends; why, with its last words."""
@@ -291,6 +300,7 @@ class RecordingOutput:
             )
         except OSError as error:
             return f"cannot start {self._command[0]}: {error}"
+        self._has_begun.clear()
         tasks = [
             asyncio.create_task(self._carry(process), name="carry"),
             asyncio.create_task(self._listen(process), name="listen"),
@@ -315,8 +325,13 @@ class RecordingOutput:
 
     async def _carry(self, process: Process) -> None:
         assert process.stdin is not None
+        # What is under way is lost with a process that is killed: as little as can be, the rest waits here.
+        process.stdin.transport.set_write_buffer_limits(high=0)
         process.stdin.write(self._settings)
         self._sent_header = b""
+        # What has left us before it reads would be lost with it, and with us: until then all is kept here.
+        with suppress(TimeoutError):
+            await asyncio.wait_for(self._has_begun.wait(), HANGS_AFTER_S)
         while True:
             self._roll_over()
             self._cut()
@@ -357,6 +372,9 @@ class RecordingOutput:
         assert process.stdout is not None
         while line := await process.stdout.readline():
             report = msgspec.json.decode(line, type=Report)
+            if report.has_begun:
+                self._has_begun.set()
+                continue
             if report.is_up:
                 self.health.up()
                 self._pause_s = FIRST_PAUSE_S
@@ -373,17 +391,44 @@ class RecordingOutput:
         tasks[0].cancel()
         await asyncio.wait(tasks[:1])
         self._cut()
+        if not self._has_begun.is_set():
+            return  # It will not have read anything in time.
         with suppress(OSError, TimeoutError):
             while self._kept:
                 self._send_first(process)
             process.stdin.close()
             await asyncio.wait_for(process.wait(), GRACE_S)
 
+    def _hand_over(self) -> None:
+        """Keep what no process has been given in a file of its own: it loads, or is to be started again."""
+        held, data, rows = b"", [], 0
+        for chunk in self._kept:
+            data += [chunk.body] if chunk.header is held else [chunk.header, chunk.body]
+            held, rows = chunk.header, rows + chunk.rows
+        self._kept.clear()
+        directory = Path(self.health.where)
+        path = directory / f"heaved-{self._journal.run}-{self._journal.calls}{HANDOVER}"
+        try:
+            with suppress(FileExistsError):
+                directory.mkdir(mode=0o750)
+            unfinished = path.with_suffix(".tmp")
+            with open(unfinished, "xb", opener=_private) as file:
+                file.write(b"".join(data))
+                file.flush()
+                os.fsync(file.fileno())
+            unfinished.rename(path)
+        except OSError as error:
+            _log.warning("the end of the recording is lost: the recorder did not run", rows=rows, reason=str(error))
+
     def _drop(self) -> None:
         self._cut()
         self.health.lost["off"] += sum(chunk.rows for chunk in self._kept)
         self._kept.clear()
         self._kept_bytes = 0
+
+
+def _private(path: str, flags: int) -> int:
+    return os.open(path, flags | os.O_NOFOLLOW, 0o640)
 
 
 def _environment() -> dict[str, str]:

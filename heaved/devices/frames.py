@@ -17,6 +17,8 @@ from heaved.samples import Fault
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+MOST_RTU_BYTES = 260
+"""As its byte count may say: 255, and five around them."""
 _MBAP_BYTES = 7
 """Transaction (2), protocol (2), length (2), unit id."""
 

@@ -424,7 +424,7 @@ async def examine(
     line: Reader, device_id: int, profiles: Sequence[Profile], timeout_s: float, *, rest_s: float
 ) -> list[Finding]:
     """What fits the device, best first: what is proved, then the simulator's profiles after the others, the least
-    changed profile before its variants, the richer before the poorer.
+    changed profile before its variants, the richer before the poorer (in values, then in registers).
 
     ``rest_s``: after a lost answer, so that it is not taken for the next one (on a serial line).
     """
@@ -456,6 +456,7 @@ async def examine(
             -finding.score,
             finding.variant.changes,
             -len(finding.values),
+            -len(finding.registers),
         ),
     )
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 import sys
 from functools import lru_cache
-from math import ceil, isfinite, isnan, pi
+from math import isfinite, isnan, pi
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import msgspec
@@ -385,7 +385,8 @@ class BlockCodec:
         """Registers that ``decode`` turns back into ``values``, but for quantisation.
 
         Integers are rounded to the nearest and saturate at the limits of their type, float32 at its largest finite
-        value. A register that holds a factor of the scale gets the smallest one with which the value can be told.
+        value. A register that holds a factor of the scale gets the smallest one of 1, 2, 5, 10, 20, ... with which the
+        value can be told: ranges are such numbers, and stay while the value moves.
         Fields without a value, and gaps, are zero.
 
         Raises:
@@ -445,13 +446,18 @@ def _is_rare(field: Field) -> bool:
     return any(one is not None for one in (field.scale_from, field.raw_min, field.raw_max))
 
 
+_RANGES = (*(digit * 10**power for power in range(5) for digit in (1, 2, 5)), 65535)
+"""Factors of a scale that a register may hold."""
+
+
 def _raw_and_factor(field: Field, si: float) -> tuple[float, int]:
     """The number for a value in SI units, and what stands in the register of its scale (1: there is none)."""
     factor = 1
     if field.scale_from is not None:
         most = _LIMITS[field.type][1] if field.raw_max is None else field.raw_max
         whole = (si / (field.sign * SI[field.unit][0]) - field.offset_value) / field.scale
-        factor = int(min(max(1.0, ceil(abs(whole) / most)), _LIMITS["uint16"][1])) if isfinite(whole) else 1
+        if isfinite(whole):
+            factor = next((one for one in _RANGES if one * most >= abs(whole)), _RANGES[-1])
     return _raw(msgspec.structs.replace(field, scale=field.scale * factor), si), factor
 
 

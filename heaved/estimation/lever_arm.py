@@ -66,6 +66,8 @@ class AttitudeMotion(msgspec.Struct, frozen=True, gc=False):
     pitch_std_rad: float = nan
     roll_acceleration_radps2: float = nan
     pitch_acceleration_radps2: float = nan
+    late_std_s: float = 0.0
+    """How well the moment is known at which both angles were so."""
 
 
 class Arm(msgspec.Struct, frozen=True, gc=False):
@@ -155,7 +157,7 @@ def arm_motion(
 
     h + sin(pitch) x + sin(roll) cos(pitch) y + (cos(roll) cos(pitch) - 1) z, and its derivative: the third row of the
     rotation from body to level axes, as for the acceleration. Errors of heave, roll, pitch and the arm are taken as
-    independent.
+    independent; what the angles are off by for their moment is not, and goes as their rates of now do.
     """
     sr, cr = sin(attitude.roll_rad), cos(attitude.roll_rad)
     sp, cp = sin(attitude.pitch_rad), cos(attitude.pitch_rad)
@@ -163,7 +165,12 @@ def arm_motion(
     lever_m = sp * x + sr * cp * y + (cr * cp - 1.0) * z
     by_roll, by_pitch = cr * cp * y - sr * cp * z, cp * x - sr * sp * y - cr * sp * z
     lever_mps = by_roll * attitude.roll_rate_radps + by_pitch * attitude.pitch_rate_radps
-    std_m = hypot(heave_std_m, _by(by_roll, attitude.roll_std_rad), _by(by_pitch, attitude.pitch_std_rad))
+    std_m = hypot(
+        heave_std_m,
+        _by(by_roll, attitude.roll_std_rad),
+        _by(by_pitch, attitude.pitch_std_rad),
+        _by(attitude.late_std_s, lever_mps),
+    )
     if arm.spread_m:
         std_m = sqrt(std_m * std_m + _spread_variance(arm, sp, sr * cp, cr * cp - 1.0))
     if arm.velocity_mps is not STILL:

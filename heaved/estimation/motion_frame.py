@@ -19,7 +19,7 @@ from heaved.estimation.heave.quality import Facts, judge
 from heaved.estimation.imu.attitude import UNKNOWN, Attitude, predicted
 from heaved.estimation.imu.vertical import NO_LEVEL, NO_RATES
 from heaved.estimation.lever_arm import AttitudeMotion, Point
-from heaved.estimation.point_motion import Ahead, Moment, PointMotions
+from heaved.estimation.point_motion import Ahead, Moment, PointMotions, slopes
 from heaved.estimation.rock.params import STANDARD_HORIZONS_S
 from heaved.samples import (
     CorrectionState,
@@ -37,6 +37,7 @@ from heaved.samples import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from heaved.estimation.imu.attitude_error import Lean
     from heaved.estimation.imu.vertical import Vertical
     from heaved.estimation.stages import Stages
 
@@ -77,6 +78,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
 
 
 TUNING: Final = Tuning()
+LEFT_OUT: Final = ("overloaded: rock predictions and quiet windows left out",)
 BEYOND: Final = "beyond physics"
 """Why an estimator begins anew."""
 ORDER: Final = 3
@@ -109,6 +111,7 @@ class MotionFrames:
 
     Attributes:
         resets: of what was found beyond physics, times that it began.
+        remarks: to be added to the reasons; they change no state.
     """
 
     def __init__(
@@ -124,6 +127,7 @@ class MotionFrames:
         self._vertical, self._heave, self._stages = vertical, heave, stages
         self._points = PointMotions(point, stages) if point else None
         self.resets: Counter[tuple[str, str]] = Counter()
+        self.remarks: tuple[str, ...] = ()
         self._is_beyond = False
         self._ran_away = _RunAway()
         self._delayed: tuple[DelayedHeave, DelayedHeave | None] | None = None
@@ -132,6 +136,11 @@ class MotionFrames:
         self._rate_between = tuple(rock_horizons_s.index(h) for h in STANDARD_HORIZONS_S[:2])
         self._bend = _Bend.of(rock_horizons_s)
         self._parabola = _Parabola.of(rock_horizons_s, heave.lead_s)
+
+    @property
+    def has_points(self) -> bool:
+        """Whether points are published."""
+        return self._points is not None
 
     def at(
         self,
@@ -147,7 +156,7 @@ class MotionFrames:
         heave = estimator.at(shift_s) if shift_s <= QUALITY.coast_s else None
         if heave is not None:
             heave = self._possible(heave)
-        beyond = observer.resets[BEYOND] + self.resets["frame", BEYOND]
+        beyond = observer.resets.get(BEYOND, 0) + self.resets.get(("frame", BEYOND), 0)
         if not self._ran_away.is_believed(t_s, beyond):
             heave = None
         now = None
@@ -305,12 +314,14 @@ class MotionFrames:
         predictions, lead_s = tuple(rock), self._heave.lead_s
         upright = self._upright_ahead(t_s, predictions)
         present = self._upright(self._moving(serving, t_s, upright, 0.0), t_s)
-        led = self._moving(serving, t_s, upright, lead_s) if lead_s > 0.0 else present
+        led = present
+        if lead_s > 0.0:
+            led = _of_uncertain_moment(self._moving(serving, t_s, upright, lead_s), self._lean(t_s))
         roll_bend, pitch_bend = self._angular_accelerations(t_s, upright)
         bent = msgspec.structs.replace(
             present, roll_acceleration_radps2=roll_bend, pitch_acceleration_radps2=pitch_bend
         )
-        ahead = Ahead(heave.acceleration_mps2, bent, heave.forecast, upright)
+        ahead = Ahead(heave.acceleration_mps2, bent, heave.forecast, upright, present.late_std_s)
         foretold = self._points.foretold(t_s, ahead)
         points = self._points.at(
             Moment(
@@ -343,26 +354,26 @@ class MotionFrames:
         """The attitude of a moment without what the sensor's leans and is late. (How well it is known then is known of
         the predictions.)
         """
-        lean, late_s = self._vertical.lean(t_s, self._heave.observer.omega_radps), self._vertical.late_s
+        lean, late_s = self._lean(t_s), self._vertical.late_s
         roll, pitch = attitude.roll_rad - lean.roll_rad, attitude.pitch_rad - lean.pitch_rad
         if late_s > 0.0 and isfinite(attitude.roll_rate_radps + attitude.pitch_rate_radps):
             roll, pitch = roll + late_s * attitude.roll_rate_radps, pitch + late_s * attitude.pitch_rate_radps
-        return msgspec.structs.replace(attitude, roll_rad=roll, pitch_rad=pitch)
+        return _of_uncertain_moment(msgspec.structs.replace(attitude, roll_rad=roll, pitch_rad=pitch), lean)
+
+    def _lean(self, t_s: float) -> Lean:
+        return self._vertical.lean(t_s, self._heave.observer.omega_radps)
 
     def _upright_ahead(self, t_s: float, predictions: tuple[RockPrediction, ...]) -> tuple[RockPrediction, ...]:
         """The same of what is predicted of the measured roll and pitch."""
-        omega_radps, late_s = self._heave.observer.omega_radps, self._vertical.late_s
+        late_s = self._vertical.late_s
         found = []
-        for number, one in enumerate(predictions):
-            lean = self._vertical.lean(t_s + one.horizon_s, omega_radps)
-            # The last one is late by the slope that leads to it.
-            soon, later = predictions[number : number + 2] if one is not predictions[-1] else predictions[-2:]
-            share = late_s / (later.horizon_s - soon.horizon_s)
+        for one, (roll_rate, pitch_rate) in zip(predictions, slopes(predictions), strict=True):
+            lean = self._lean(t_s + one.horizon_s)
             found.append(
                 RockPrediction(
                     horizon_s=one.horizon_s,
-                    roll_rad=one.roll_rad - lean.roll_rad + share * (later.roll_rad - soon.roll_rad),
-                    pitch_rad=one.pitch_rad - lean.pitch_rad + share * (later.pitch_rad - soon.pitch_rad),
+                    roll_rad=one.roll_rad - lean.roll_rad + late_s * roll_rate,
+                    pitch_rad=one.pitch_rad - lean.pitch_rad + late_s * pitch_rate,
                     roll_std_rad=hypot(one.roll_std_rad, lean.roll_std_rad),
                     pitch_std_rad=hypot(one.pitch_std_rad, lean.pitch_std_rad),
                 )
@@ -428,8 +439,8 @@ class MotionFrames:
         return Quality(
             heave=state,
             laser=LaserState.OFF if not has_laser else LaserState.VALID if fresh else LaserState.STALE,
-            correction=estimator.correction.state(laser_is_fresh=fresh) if has_laser else CorrectionState.OFF,
-            reasons=reasons,
+            correction=estimator.correction_state(laser_is_fresh=fresh) if has_laser else CorrectionState.OFF,
+            reasons=(*reasons, *self.remarks) if self.remarks else reasons,
         )
 
 
@@ -517,6 +528,17 @@ class _Parabola(msgspec.Struct, frozen=True):
             sum(weight * angle for weight, angle in zip(self.values, found, strict=True)),
             sum(weight * angle for weight, angle in zip(self.slopes, found, strict=True)),
         )
+
+
+def _of_uncertain_moment(attitude: AttitudeMotion, lean: Lean) -> AttitudeMotion:
+    """With how well its moment is known; where no rates are, with what that comes to on average."""
+    if isfinite(attitude.roll_rate_radps + attitude.pitch_rate_radps):
+        return msgspec.structs.replace(attitude, late_std_s=lean.late_std_s)
+    return msgspec.structs.replace(
+        attitude,
+        roll_std_rad=hypot(attitude.roll_std_rad, lean.late_roll_std_rad),
+        pitch_std_rad=hypot(attitude.pitch_std_rad, lean.late_pitch_std_rad),
+    )
 
 
 def _stds(predictions: Sequence[RockPrediction], ahead_s: float) -> tuple[float, float]:

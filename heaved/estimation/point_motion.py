@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from math import isfinite, nan
 from typing import Final
 
@@ -49,6 +50,8 @@ class Ahead(msgspec.Struct, frozen=True, gc=False):
     heave: Sequence[HeaveForecast]
     rock: Sequence[RockPrediction]
     """Both ahead of ``from_s``."""
+    late_std_s: float = 0.0
+    """How well the moment of the attitude is known."""
 
 
 class PointMotions:
@@ -87,14 +90,21 @@ class PointMotions:
         Their errors are taken as independent, as those of heave and attitude of now are.
         """
         found: list[list[HeaveForecast]] = [[] for _ in self._points]
-        by_horizon = {one.horizon_s: one for one in ahead.rock} if ahead.heave else {}
+        turning = zip(ahead.rock, slopes(ahead.rock), strict=True) if ahead.heave else ()
+        by_horizon = {one.horizon_s: (one, rates) for one, rates in turning}
         arms: Sequence[Arm | Worth] = () if self._riding else self._arms(from_s)
         for heave in ahead.heave:
-            horizon_s, angles = heave.horizon_s, by_horizon.get(heave.horizon_s)
+            horizon_s = heave.horizon_s
+            angles, rates = by_horizon.get(horizon_s, (None, (0.0, 0.0)))
             if angles is None or not isfinite(heave.heave_m + heave.std_m + angles.roll_std_rad + angles.pitch_std_rad):
                 continue
             attitude = AttitudeMotion(
-                angles.roll_rad, angles.pitch_rad, 0.0, 0.0, angles.roll_std_rad, angles.pitch_std_rad
+                angles.roll_rad,
+                angles.pitch_rad,
+                *rates,
+                angles.roll_std_rad,
+                angles.pitch_std_rad,
+                late_std_s=ahead.late_std_s,
             )
             then = self._arms(from_s + horizon_s) if self._riding else arms
             for forecast, point, arm in zip(found, self._points, then, strict=True):
@@ -124,6 +134,18 @@ class PointMotions:
             else:
                 found.append(FAILED if place is None else moving_arm(place, base if is_on_base else None))
         return found
+
+
+def slopes(predictions: Sequence[RockPrediction]) -> list[tuple[float, float]]:
+    """Rates of roll and pitch, rad/s, from each horizon to the next; of the last that is known, what leads to it."""
+    found: list[tuple[float, float]] = []
+    last = (0.0, 0.0)
+    for soon, later in pairwise(predictions):
+        apart_s = later.horizon_s - soon.horizon_s
+        rates = (later.roll_rad - soon.roll_rad) / apart_s, (later.pitch_rad - soon.pitch_rad) / apart_s
+        last = rates if isfinite(sum(rates)) else last
+        found.append(last)
+    return [*found, last] if predictions else []
 
 
 def _motion(

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 MOST_BYTES: Final = 65536
 """More is no password."""
+READ_BY_OTHERS: Final = 0o044
+"""Bits of a file's mode."""
 
 
 def read_secret(file: str) -> str:
@@ -51,16 +53,45 @@ def tls_context(ca_file: str, certificate_file: str = "", key_file: str = "") ->
     except (ssl.SSLError, OSError) as error:
         raise ValueError(f"{ca_file or 'the trusted certificates'} cannot be used ({_said(error)}): {_PEM}") from error
     if certificate_file:
-        try:
-            # Without a password of ours, OpenSSL would ask for one at the terminal.
-            context.load_cert_chain(certificate_file, key_file or None, password=lambda: "")
-        except (ssl.SSLError, OSError) as error:
-            both = f"{certificate_file} and {key_file or 'the key in it'}"
-            raise ValueError(
-                f"{both} cannot be used ({_said(error)}): they must be a certificate and its own key, as PEM text, the "
-                "key without a password"
-            ) from error
+        _show(context, certificate_file, key_file)
     return context
+
+
+def server_context(certificate_file: str, key_file: str, client_ca_file: str) -> ssl.SSLContext:
+    """Settings of connections that are made to us, by who must show a certificate signed by one of ``client_ca_file``;
+    ``certificate_file`` and ``key_file``: what we show of ourselves.
+
+    Raises:
+        ValueError: a file cannot be used; says why and what to do.
+    """
+    for file in (certificate_file, key_file, client_ca_file):
+        _must_be_readable(file)
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    context.verify_mode = ssl.CERT_REQUIRED
+    # A session that is taken up again would not show its certificate again, which may have ended meanwhile.
+    context.options |= ssl.OP_NO_TICKET | ssl.OP_NO_RENEGOTIATION
+    context.num_tickets = 0
+    try:
+        context.load_verify_locations(client_ca_file)
+    except (ssl.SSLError, OSError) as error:
+        raise ValueError(f"{client_ca_file} cannot be used ({_said(error)}): {_PEM}") from error
+    if not context.get_ca_certs():
+        raise ValueError(f"{client_ca_file} has no authority's certificate: it must hold that of who signs for clients")
+    _show(context, certificate_file, key_file)
+    return context
+
+
+def _show(context: ssl.SSLContext, certificate_file: str, key_file: str) -> None:
+    try:
+        # Without a password of ours, OpenSSL would ask for one at the terminal.
+        context.load_cert_chain(certificate_file, key_file or None, password=lambda: "")
+    except (ssl.SSLError, OSError) as error:
+        both = f"{certificate_file} and {key_file or 'the key in it'}"
+        raise ValueError(
+            f"{both} cannot be used ({_said(error)}): they must be a certificate and its own key, as PEM text, the "
+            "key without a password"
+        ) from error
 
 
 def explain_tls(link: ServiceLink, error: BaseException, served: str) -> str:

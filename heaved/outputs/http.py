@@ -11,11 +11,14 @@ from aiohttp import web
 
 from heaved.networks import checked_networks
 from heaved.outputs.http_listener import HttpListener
+from heaved.outputs.listen import alike
 from heaved.samples import HeaveState, MotionFrame
 from heaved.text import printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from heaved.outputs.tls import Certificates
 
 _METRICS_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
 _MAX_CONNECTIONS: Final = 32
@@ -71,21 +74,24 @@ class HttpServer:
         alive: Callable[[], Verdict],
         ready: Callable[[], Verdict],
         count_client_error: Callable[[str], None],
+        certificates: Certificates | None = None,
     ) -> None:
-        """``metrics``: the text of ``/metrics``.
+        """``metrics``: the text of ``/metrics``. With ``certificates`` it is HTTPS.
 
         Raises:
-            ValueError: ``host`` reaches beyond this machine and ``allow`` names no network, or an entry is none.
+            ValueError: ``host`` reaches beyond this machine, ``allow`` names no network and there are no
+                ``certificates``, or an entry is none.
         """
         self._listener = HttpListener(
             "http",
             host,
             port,
-            networks=checked_networks("http", host, allow),
+            networks=checked_networks("http", host, allow, wants_certificates=certificates is not None),
             refusal="is not in a network of [http] allow",
             most=_MAX_CONNECTIONS,
             answer=self._answer,
             complain=self._complain,
+            certificates=certificates,
         )
         self._metrics = metrics
         self._alive = alive
@@ -106,7 +112,7 @@ class HttpServer:
 
     def _complain(self, reason: str, message: str) -> None:
         self._count_client_error(reason)
-        _log.warning("http client error", reason=reason, error=message, alike=reason)
+        _log.warning("http client error", reason=reason, error=message, alike=alike(reason, message))
 
     async def _answer(self, request: web.BaseRequest) -> web.Response:
         if request.path not in _PATHS:

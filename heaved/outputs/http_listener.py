@@ -16,12 +16,13 @@ from aiohttp.http_exceptions import HttpProcessingError
 
 from heaved.networks import is_allowed
 from heaved.outputs.listen import Listener
-from heaved.outputs.shares import TOO_FAST, TOO_MANY, Shares
+from heaved.outputs.shares import TOO_MANY, Shares
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
 
     from heaved.networks import Network
+    from heaved.outputs.tls import Certificates
 
 _SHUTDOWN_S: Final = 0.2
 """Open requests are given this long at the end; ten times what any answer takes."""
@@ -51,16 +52,19 @@ class HttpListener:
         most: int,
         answer: Callable[[web.BaseRequest], Awaitable[web.StreamResponse]],
         complain: Callable[[str, str], None],
+        certificates: Certificates | None = None,
     ) -> None:
         """``section`` of the configuration, for messages. ``networks`` may ask, and this machine; others are told that
         their address ``refusal``. ``most`` connections at once: without a limit whoever opens many leaves no file
-        descriptor for others. ``complain`` is told what peers do wrong, by a reason and in short.
+        descriptor for others. ``complain`` is told what peers do wrong, by a reason and in short. With ``certificates``
+        it is HTTPS.
         """
         self._networks, self._refusal = networks, refusal
         self._most, self._answer, self._complain = most, answer, complain
         self._listener = Listener(
-            section, host, port, self._admit, lambda _address, message: complain(TOO_FAST, message)
-        )
+            section, host, port, self._admit, lambda reason, _address, message: complain(reason, message),
+            certificates=certificates, networks=networks, outsider=refusal,
+        )  # fmt: skip
         self._server: _BoundedServer | None = None
         self._refused: set[_Refusal] = set()
 

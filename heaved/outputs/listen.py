@@ -1,5 +1,5 @@
-"""Where the two servers listen, and for whom: loopback always, other machines only from networks that the configuration
-names. Connections are let in one by one, and only while there is room for them.
+"""Where the servers listen, and for whom: loopback always, other machines only from networks that the configuration
+names, or with a certificate. Connections are let in one by one, and only while there is room for them.
 """
 
 from __future__ import annotations
@@ -13,10 +13,15 @@ from typing import TYPE_CHECKING, Final
 
 import structlog
 
-from heaved.outputs.shares import Arrivals
+from heaved.networks import is_allowed
+from heaved.outputs.shares import TOO_FAST, TOO_MANY, Arrivals, Shares
+from heaved.outputs.tls_connection import TlsConnection
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from heaved.networks import Network
+    from heaved.outputs.tls import Certificates
 
 _BACKLOG: Final = 100
 """Connections that may wait to be let in; as many are let in at once."""
@@ -25,9 +30,19 @@ _PAUSE_S: Final = 1.0
 _RESERVED: Final = 16
 """Descriptors that no connection gets: for sensors that come back, worker processes, the state file. (A quarter of a
 small number.)"""
+MOST_HANDSHAKES: Final = 64
+"""Clients that may be about to show who they are at once, of one address a part of them: until then each holds a
+descriptor, and nothing else."""
+TLS: Final = "tls"
+"""Reason under which handshakes are counted that come to nothing."""
 _EXHAUSTED: Final = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 
 _log = structlog.get_logger(__name__)
+
+
+def alike(reason: str, message: str) -> str:
+    """By what two refusals are one line of the log and a count: of a handshake, whose and why."""
+    return message if reason == TLS else reason
 
 
 class ListenError(OSError):
@@ -48,17 +63,27 @@ class Listener:
         host: str,
         port: int,
         protocol: Callable[[str], asyncio.BaseProtocol],
-        too_fast: Callable[[str, str], object],
+        refuse: Callable[[str, str, str], object],
+        *,
+        certificates: Certificates | None = None,
+        networks: tuple[Network, ...] = (),
+        outsider: str = "",
     ) -> None:
         """``section`` of the configuration, for messages; ``protocol``: makes what serves a peer, told its address;
-        ``too_fast``: told the address of one that connects too often, and that in words.
+        ``refuse``: told of one that is not let in, a reason for statistics, its address, and why in words.
+        With ``certificates`` TLS is spoken, and only with who is in one of ``networks`` or on this machine; of others
+        it is said that their address ``outsider``. Without, it is up to what serves them.
         """
         self._section = section
         self._host = host
         self._port = port
         self._protocol = protocol
         self._arrivals = Arrivals()
-        self._too_fast = too_fast
+        self._refuse = refuse
+        self._certificates, self._networks, self._outsider = certificates, networks, outsider
+        self._handshakes = Shares(MOST_HANDSHAKES)
+        self._under_way = 0
+        self._shaking: set[TlsConnection] = set()
         self._sockets: list[socket.socket] = []
         self._pauses: dict[socket.socket, asyncio.TimerHandle] = {}
         self._joining: set[asyncio.Task[None]] = set()
@@ -89,6 +114,8 @@ class Listener:
             pause.cancel()
         for joining in self._joining:
             joining.cancel()
+        for shaking in tuple(self._shaking):
+            shaking.abort()
         self._pauses.clear()
         for listening in self._sockets:
             asyncio.get_running_loop().remove_reader(listening)
@@ -111,9 +138,26 @@ class Listener:
             peer = str(address[0])
             if not self._arrivals.admits(peer, asyncio.get_running_loop().time()):
                 connection.close()
-                self._too_fast(peer, self._arrivals.refusal(peer))
+                self._refuse(TOO_FAST, peer, self._arrivals.refusal(peer))
+                continue
+            if self._certificates is not None and not self._may_shake_hands(peer):
+                connection.close()
                 continue
             self._let_in(connection, peer)
+
+    def _may_shake_hands(self, address: str) -> bool:
+        """Whether a handshake is begun with ``address``; then it has a place, to be given back."""
+        if not is_allowed(address, self._networks):
+            self._refuse("not_allowed", address, f"{address} {self._outsider}")
+            return False
+        if self._under_way >= MOST_HANDSHAKES:
+            self._refuse("too_many_clients", address, f"{MOST_HANDSHAKES} connections are about to agree on TLS")
+            return False
+        if not self._handshakes.take(address):
+            self._refuse(TOO_MANY, address, f"{self._handshakes.refusal(address)} until they agree on TLS")
+            return False
+        self._under_way += 1
+        return True
 
     def _let_in(self, connection: socket.socket, address: str) -> None:
         connection.setblocking(False)
@@ -123,10 +167,29 @@ class Listener:
         joining.add_done_callback(self._joining.discard)
 
     async def _join(self, connection: socket.socket, address: str) -> None:
+        handshake = None if self._certificates is None else self._handshake(self._certificates, address)
         try:
-            await asyncio.get_running_loop().connect_accepted_socket(lambda: self._protocol(address), connection)
+            await asyncio.get_running_loop().connect_accepted_socket(
+                lambda: handshake or self._protocol(address), connection
+            )
         except OSError:  # It has gone again.
             connection.close()
+            if handshake is not None:
+                handshake.connection_lost(None)
+        else:
+            if handshake is not None and handshake.is_under_way:
+                self._shaking.add(handshake)
+
+    def _handshake(self, certificates: Certificates, address: str) -> TlsConnection:
+        def over(fault: str) -> None:
+            self._shaking.discard(made)
+            self._under_way -= 1
+            self._handshakes.give_back(address)
+            if fault:
+                self._refuse(TLS, address, f"{address}: {fault}")
+
+        made = TlsConnection(certificates.context, lambda: self._protocol(address), over)
+        return made
 
     def _pause(self, listening: socket.socket, error: OSError) -> None:
         loop = asyncio.get_running_loop()

@@ -13,7 +13,6 @@ import asyncio
 import errno
 import socket
 import time
-from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, Final, cast
 
@@ -38,7 +37,7 @@ from heaved.outputs.modbus_frames import (
 from heaved.outputs.output import OutputHealth
 from heaved.outputs.register_map import Mode, RegisterMap, RegistersParams
 from heaved.outputs.register_push import RegisterPush
-from heaved.outputs.shares import TOO_FAST, TOO_MANY, Shares
+from heaved.outputs.shares import TOO_MANY, Shares
 from heaved.serial_port import SerialPort
 from heaved.text import printable
 
@@ -156,7 +155,7 @@ class TcpRegisters:
         while True:
             listener = Listener(
                 "registers", self._link.host, self._link.port, lambda peer: _Connection(self, peer),
-                partial(self.complain, TOO_FAST),
+                self.complain,
             )  # fmt: skip
             try:
                 self.address = await listener.start()

@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import asyncio
 import time
-from functools import partial
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 import structlog
 
 from heaved.networks import checked_networks, is_allowed
 from heaved.outputs import wire
-from heaved.outputs.listen import Listener
+from heaved.outputs.listen import Listener, alike
 from heaved.outputs.records import ErrorRecord, StatusRecord, VersionRecord
-from heaved.outputs.shares import TOO_FAST, TOO_MANY, Shares
+from heaved.outputs.shares import TOO_MANY, Shares
 from heaved.outputs.subscriber import Subscriber
 from heaved.samples import CraftMotion, DelayedHeave, HullAngles, MotionFrame, MruComparison, SeaState
 
@@ -27,7 +26,11 @@ if TYPE_CHECKING:
 
     import msgspec
 
+    from heaved.outputs.tls import Certificates
+
 Slow = TypeVar("Slow", DelayedHeave, HullAngles, CraftMotion, MruComparison, SeaState)
+
+_OUTSIDER: Final = "is not in a network of [stream] allow"
 
 _log = structlog.get_logger(__name__)
 
@@ -53,6 +56,7 @@ class Publisher:
 
     Attributes:
         dropped: lines dropped for slow clients since the start, all clients together.
+        together: frames that are handed over at once; more than one costs less and makes them older.
     """
 
     def __init__(
@@ -69,28 +73,34 @@ class Publisher:
         utc_s: Callable[[float], float],
         stuck_s: float = 10.0,
         clock: Callable[[], float] = time.monotonic,
+        certificates: Certificates | None = None,
     ) -> None:
         """``clock``: the monotonic clock that ``MotionFrame.t_s`` is read from; ``utc_s``: UTC, seconds since 1970, of
-        a time on it.
+        a time on it. With ``certificates`` TLS is spoken.
 
         Raises:
-            ValueError: ``host`` reaches beyond this machine and ``allow`` names no network, or an entry is none.
+            ValueError: ``host`` reaches beyond this machine, ``allow`` names no network and there are no
+                ``certificates``, or an entry is none.
         """
         self.dropped = 0
+        self.together = 1
         self.queue_frames = queue_frames
         self.stuck_s = stuck_s
         self.clock = clock
         self._metrics = metrics
         self._utc_s = utc_s
-        self._networks = checked_networks("stream", host, allow)
+        self._networks = checked_networks("stream", host, allow, wants_certificates=certificates is not None)
         self._listener = Listener(
-            "stream", host, port, lambda address: Subscriber(self, address), partial(self.refusal, TOO_FAST)
-        )
+            "stream", host, port, lambda address: Subscriber(self, address), self.refusal,
+            certificates=certificates, networks=self._networks, outsider=_OUTSIDER,
+        )  # fmt: skip
         self._max_clients = max_clients
         self._shares = Shares(max_clients)
         self._version = version
         self._status = status
         self._sequence = 0
+        self._gathered: list[tuple[bytes, float, list[Subscriber]]] = []
+        """Heads of frames that wait for others, when they are valid, and for whom they are."""
         self._served: dict[Subscriber, None] = {}  # A set that keeps the order of arrival.
         self._newest: dict[str, object] = {}
         """Of each slower class, what was published last."""
@@ -141,11 +151,31 @@ class Publisher:
     def _publish_motion(self, frame: MotionFrame) -> None:
         self._sequence += 1
         subscribers = [client for client in self._served if client.wants("MOTION", frame.t_s)]
+        if self.together > 1 or self._gathered:
+            self._gather(frame, subscribers)
+            return
         if not subscribers:
             return
         head = wire.motion_head(frame, seq=self._sequence, utc_s=self._utc_s(frame.t_s))
         line = head + wire.motion_tail(self.clock() - frame.t_s, 0)
         self._metrics.count_sent(sum([client.send_motion(line, head, frame.t_s) for client in subscribers]))
+
+    def _gather(self, frame: MotionFrame, subscribers: list[Subscriber]) -> None:
+        head = wire.motion_head(frame, seq=self._sequence, utc_s=self._utc_s(frame.t_s)) if subscribers else b""
+        self._gathered.append((head, frame.t_s, subscribers))
+        if len(self._gathered) >= self.together:
+            self._send_gathered()
+
+    def _send_gathered(self) -> None:
+        gathered, self._gathered = self._gathered, []
+        now_s = self.clock()
+        of_each: dict[Subscriber, list[tuple[bytes, bytes, float]]] = {}
+        for head, t_s, subscribers in gathered:
+            line = head + wire.motion_tail(now_s - t_s, 0)
+            for client in subscribers:
+                of_each.setdefault(client, []).append((line, head, t_s))
+        sent = sum([client.send_motions(lines) for client, lines in of_each.items() if client in self._served])
+        self._metrics.count_sent(sent)
 
     def _publish_new(self, name: str, found: Slow | None, made: Callable[[Slow, float], msgspec.Struct]) -> None:
         """What is slower than the frames and comes with many of them: once, if anybody subscribes to class ``name``."""
@@ -158,6 +188,7 @@ class Publisher:
     async def close(self, drain_s: float = 0.5) -> None:
         """Stop listening, give the clients ``drain_s`` to take what is queued for them, close every connection."""
         self._listener.close()
+        self._send_gathered()
         connected = [*self._served, *self._lingering]
         for client in connected:
             client.finish()
@@ -173,7 +204,7 @@ class Publisher:
         """Serve ``client``, or say why not."""
         address = client.address
         if not is_allowed(address, self._networks):
-            return self.refusal("not_allowed", address, f"{address} is not in a network of [stream] allow")
+            return self.refusal("not_allowed", address, f"{address} {_OUTSIDER}")
         if self.clients >= self._max_clients:
             message = f"{self._max_clients} clients are connected and no more are served ([stream] max_clients)"
             return self.refusal("too_many_clients", address, message)
@@ -188,7 +219,7 @@ class Publisher:
     def refusal(self, reason: str, address: str, message: str) -> ErrorRecord:
         """Count and log what a client did wrong, and make the record that tells it."""
         self._metrics.count_client_error(reason)
-        _log.warning("stream client error", reason=reason, peer=address, error=message, alike=reason)
+        _log.warning("stream client error", reason=reason, peer=address, error=message, alike=alike(reason, message))
         return ErrorRecord(message=message)
 
     def linger(self, client: Subscriber) -> bool:

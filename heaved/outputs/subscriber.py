@@ -24,7 +24,7 @@ from heaved.outputs.requests import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
 _MAX_ERRORS: Final = 5
 _MAX_REQUESTS_PER_S: Final = 20
@@ -198,6 +198,14 @@ class Subscriber(asyncio.Protocol):
         self._is_silent = False
         self._transport.write(self._with_tail(head, t_s) if self._dropped else line)
         return True
+
+    def send_motions(self, lines: Sequence[tuple[bytes, bytes, float]]) -> int:
+        """The same of several at once; how many were written now."""
+        if self._paused or self._dropped:
+            return sum([self.send_motion(*one) for one in lines])
+        self._is_silent = False
+        self._transport.write(b"".join([line for line, _, _ in lines]))
+        return len(lines)
 
     def send(self, line: bytes) -> None:
         """Write a line, or queue it."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import ssl
 import time
 from math import inf
 from typing import TYPE_CHECKING, Final, Protocol
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 import msgspec
 import structlog
 
-from heaved.client.stream_client import SILENCE_S, Trouble, UnreachableError
+from heaved.client.stream_client import SILENCE_S, Trouble, UnreachableError, explain_tls
 from heaved.host_name import HostName
 from heaved.outputs import wire
 from heaved.outputs.records import (
@@ -98,9 +99,17 @@ class DaemonClock:
 class Follower:
     """Tells an audience what the stream says."""
 
-    def __init__(self, host: str, port: int, audience: Audience, clock: Callable[[], float] = time.monotonic) -> None:
-        """``host`` and ``port``: of the daemon's stream."""
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        audience: Audience,
+        clock: Callable[[], float] = time.monotonic,
+        tls: ssl.SSLContext | None = None,
+    ) -> None:
+        """``host`` and ``port``: of the daemon's stream; ``tls``: None where it speaks none."""
         self._where = f"{host}:{port}"
+        self._tls, self._name = tls, host
         self._host, self._port = HostName(host), port
         self._audience = audience
         self._clock = clock
@@ -140,9 +149,14 @@ class Follower:
         for address in addresses:
             try:
                 async with asyncio.timeout(_CONNECT_S):
-                    return await asyncio.open_connection(address, self._port, limit=_MAX_LINE_BYTES)
+                    return await asyncio.open_connection(
+                        address, self._port, limit=_MAX_LINE_BYTES, ssl=self._tls,
+                        server_hostname=self._name if self._tls is not None else None,
+                    )  # fmt: skip
             except OSError as error:
                 failure = error
+        if isinstance(failure, ssl.SSLError):
+            raise UnreachableError(Trouble.TLS, f"{self._where}: {explain_tls(failure)}") from failure
         if isinstance(failure, TimeoutError):
             raise UnreachableError(Trouble.SILENT, f"{self._where}: no answer to the connection: is the host up?")
         reason = os.strerror(failure.errno) if failure.errno else failure  # asyncio puts its own words into strerror.
@@ -188,6 +202,8 @@ class Follower:
             raise UnreachableError(
                 Trouble.NOT_HEAVED, f"{self._where}: not a heaved daemon: a line without end"
             ) from error
+        except ssl.SSLError as error:
+            raise UnreachableError(Trouble.TLS, f"{self._where}: {explain_tls(error)}") from error
         except OSError as error:
             message = f"{self._where}: connection lost: {error.strerror or error}"
             raise UnreachableError(Trouble.CLOSED, message) from error

@@ -18,16 +18,20 @@ from typing import TYPE_CHECKING, Final
 import structlog
 from aiohttp import web
 
-from heaved.networks import is_loopback_host, parse_networks
+from heaved.networks import EVERYWHERE, is_loopback_host, parse_networks
 from heaved.outputs.http_listener import HttpListener
-from heaved.outputs.listen import ListenError
+from heaved.outputs.listen import ListenError, alike
 from heaved.outputs.shares import TOO_MANY, Shares
+from heaved.outputs.tls import Certificates
 from heaved.page.follower import Follower
 from heaved.page.hub import Hub
 from heaved.text import printable
 
 if TYPE_CHECKING:
+    import ssl
     from collections.abc import Callable, Iterable
+
+    from heaved.outputs.tls import TlsParams
 
 PORT: Final = 8570
 MOST_VIEWERS: Final = 24
@@ -116,28 +120,39 @@ class PageServer:
         allow: Iterable[str],
         stream_host: str,
         stream_port: int,
+        stream_tls: ssl.SSLContext | None = None,
+        files: TlsParams | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """``allow``: networks that may connect, besides this machine.
+        """``allow``: networks that may connect, besides this machine. ``stream_tls``: None where the stream has none.
+        With ``files`` the page is served as https, and to browsers with a certificate alone.
 
         Raises:
-            PageError: ``host`` reaches beyond this machine and ``allow`` names no network, or an entry is none.
+            PageError: ``host`` reaches beyond this machine, ``allow`` names no network and there are no ``files``, an
+                entry is none, or a file cannot be used.
         """
         try:
             networks = parse_networks(allow)
         except ValueError as error:
             raise PageError(f"--{error}") from error
+        self._given = files
+        try:
+            self._certificates = Certificates(files) if files is not None else None
+        except ValueError as error:
+            raise PageError(f"--cert, --key, --client-ca: {error}") from error
+        if not networks and files is not None:
+            networks = EVERYWHERE
         if not networks and not is_loopback_host(host):
             raise PageError(
                 f"--host {host} can be reached from other machines: name the networks that may look, "
-                "for example --allow 192.168.10.0/24"
+                "for example --allow 192.168.10.0/24, or want certificates of them (--cert, --key, --client-ca)"
             )
         self._host, self._port = host, port
         self._clock = clock
         self._files = static_files()
         self.hub = Hub(_digest(self._files), clock)
         self._shares = Shares(MOST_VIEWERS)
-        self._follower = Follower(stream_host, stream_port, self.hub, clock)
+        self._follower = Follower(stream_host, stream_port, self.hub, clock, stream_tls)
         self._listener = HttpListener(
             "page",
             host,
@@ -147,10 +162,28 @@ class PageServer:
             most=_MOST_CONNECTIONS,
             answer=self._answer,
             complain=self._complain,
+            certificates=self._certificates,
         )
         machine = socket.gethostname()
         self._names = (host, machine, f"{machine}.local")
         self._following: asyncio.Task[None] | None = None
+        self._warning: asyncio.Task[None] | None = None
+
+    @property
+    def scheme(self) -> str:
+        """Of its address."""
+        return "http" if self._certificates is None else "https"
+
+    def renew_certificates(self) -> None:
+        """Read the files again, for connections to come; with one that cannot be used those of before stay."""
+        if self._certificates is None or self._given is None:
+            return
+        try:
+            self._certificates.renew(self._given)
+        except ValueError as error:
+            _log.error("new certificates refused, the old ones stay", fault=str(error))
+        else:
+            _log.info("certificates read again")
 
     async def start(self) -> tuple[str, int]:
         """Listen, and follow the daemon; returns the address that was bound (port 0 lets the system choose one).
@@ -167,14 +200,18 @@ class PageServer:
                 "the port, or give another --port or --host"
             ) from error
         self._following = asyncio.create_task(self._follower.run(), name="follow the stream")
+        if self._certificates is not None:
+            self._warning = asyncio.create_task(self._certificates.keep_warning(), name="certificates")
         return address
 
     async def close(self) -> None:
         """Stop listening and following, and end every connection."""
-        if self._following is not None:
-            self._following.cancel()
-            await asyncio.wait([self._following])
-            self._following = None
+        tasks = [task for task in (self._following, self._warning) if task is not None]
+        for task in tasks:
+            task.cancel()
+        if tasks:
+            await asyncio.wait(tasks)
+        self._following = self._warning = None
         await self._listener.close()
 
     async def failed(self) -> None:
@@ -183,7 +220,7 @@ class PageServer:
         await self._following
 
     def _complain(self, reason: str, message: str) -> None:
-        _log.warning("page client error", reason=reason, error=message, alike=reason)
+        _log.warning("page client error", reason=reason, error=message, alike=alike(reason, message))
 
     async def _answer(self, request: web.BaseRequest) -> web.StreamResponse:
         if not is_own_host(request.headers.get("Host", ""), self._names):
@@ -255,7 +292,8 @@ class PageServer:
 
 
 async def serve(server: PageServer, ready: Callable[[str], None], ended: asyncio.Event | None = None) -> None:
-    """Serve until SIGINT or SIGTERM, or until ``ended`` is set; ``ready`` is told the address for a browser.
+    """Serve until SIGINT or SIGTERM, or until ``ended`` is set; ``ready`` is told the address for a browser. With
+    https, SIGHUP has the certificates read again.
 
     Raises:
         PageError: the address cannot be bound.
@@ -263,9 +301,11 @@ async def serve(server: PageServer, ready: Callable[[str], None], ended: asyncio
     ended = ended or asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, ended.set)
+    if server.scheme == "https":
+        asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, server.renew_certificates)
     host, port = await server.start()
     try:
-        ready(f"http://{f'[{host}]' if ':' in host else host}:{port}/")
+        ready(f"{server.scheme}://{f'[{host}]' if ':' in host else host}:{port}/")
         tasks = [asyncio.create_task(ended.wait()), asyncio.create_task(server.failed())]
         done, waiting = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         for task in waiting:

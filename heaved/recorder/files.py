@@ -8,6 +8,7 @@ of them.
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 import re
@@ -30,6 +31,8 @@ UNFINISHED: Final = ".parquet.tmp"
 LOCK: Final = ".heaved.lock"
 ROWS_OF_GROUP: Final = 60_000
 """Of Parquet: ten minutes at 100 Hz."""
+ROOM_BYTES: Final = 16 << 20
+"""Of a disk that was full: an hour's recording at 100 Hz, so that it is not full again at once."""
 LEVEL: Final = 9
 """Of zstd: a minute's work for an hour's rows would be too much, seconds are not."""
 DAMAGED: Final = ".damaged"
@@ -71,6 +74,21 @@ def new_stem(directory: Path, utc_s: float) -> str:
         number += 1
         stem = f"{name}-{number}"
     return stem
+
+
+def looks_well(directory: Path, error: OSError) -> bool:
+    """Whether a disk that has failed like this is worth another try, as far as the system can be asked without one. A
+    failure that it does not show is not known to be over.
+    """
+    try:
+        found = os.statvfs(directory if error.errno != errno.ENOENT else directory.parent)
+    except OSError:
+        return False
+    if error.errno == errno.ENOSPC:
+        return found.f_bavail * found.f_frsize >= ROOM_BYTES and (found.f_favail > 0 or found.f_files == 0)
+    if error.errno == errno.EROFS:
+        return not found.f_flag & os.ST_RDONLY
+    return error.errno == errno.ENOENT
 
 
 # ---- while it grows --------------------------------------------------------------------------------------------------

@@ -19,6 +19,9 @@ FORMAT: Final = 1
 SAMPLES: Final = "samples"
 FRAMES: Final = "frames"
 TABLES: Final = (SAMPLES, FRAMES)
+HANDOVER: Final = ".handover"
+"""Ends the name of a file of messages that a daemon kept because it had to end before its recorder had begun: the next
+one makes rows of them."""
 
 
 class Stored(Enum):
@@ -101,7 +104,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     batch_s: float = 0.5
     """Rows are written when the first of them is so old: with what is on its way, less than a second."""
     retry_s: float = 60.0
-    """A disk that takes nothing is tried again after so long."""
+    """A disk that takes nothing is tried again after so long, or as soon as it looks well again."""
 
 
 class Call(Enum):
@@ -126,6 +129,10 @@ class Call(Enum):
     ATTITUDE = "attitude"
     CRANE = "crane"
     REFERENCE_MRU = "reference mru"
+    RELIEVED = "relieved"
+    """The machine could not do all: from here on predictions of roll, pitch and yaw are left out ..."""
+    RESUMED = "resumed"
+    """... and from here on no more."""
 
 
 CALLS: Final = tuple(Call)
@@ -144,6 +151,8 @@ class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """Rows that could not be."""
     size_bytes: int = 0
     """Of all files of the directory."""
+    has_begun: bool = False
+    """It reads what it is given from now on: said once, first, and nothing else with it."""
     note: str = ""
     """Something happened that a person should know: a torn file was mended, old ones were deleted."""
 

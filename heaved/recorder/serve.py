@@ -15,6 +15,7 @@ import sys
 import threading
 import time
 from contextlib import suppress
+from math import inf, nan
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Final
@@ -23,8 +24,19 @@ import msgspec
 import pyarrow as pa
 
 from heaved.recorder import messages
-from heaved.recorder.files import STREAM, InUseError, StreamFile, delete_old, lock, new_stem, pairs, to_parquet
-from heaved.recorder.layout import FORMAT, FRAMES, SAMPLES, Header, Report, Settings
+from heaved.recorder.files import (
+    DAMAGED,
+    STREAM,
+    InUseError,
+    StreamFile,
+    delete_old,
+    lock,
+    looks_well,
+    new_stem,
+    pairs,
+    to_parquet,
+)
+from heaved.recorder.layout import FORMAT, FRAMES, HANDOVER, SAMPLES, Header, Report, Settings
 from heaved.recorder.messages import Kind, MessageError, Splitter
 from heaved.recorder.tables import FrameRows, SampleRows
 
@@ -32,12 +44,21 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 NICENESS: Final = 10
+CONVERTER_NICENESS: Final = 19
+"""Of the thread that makes Parquet of an hour that is over, which may take as long as it likes."""
 _CHUNK_BYTES: Final = 1 << 18
 _TICK_S: Final = 0.25
 """It looks around so often when nothing comes."""
 _LIMITS_S: Final = 60.0
 """Sizes are looked at so often."""
+STEADY_S: Final = 86_400.0
+"""What is old by a clock that was not stepped for so long is. One that is set wrong would have all recordings deleted,
+and one that is set right those of before."""
+_STEP_S: Final = 60.0
+"""A greater change of UTC against the monotonic clock between two looks is a step."""
 _IN_USE_S: Final = 1.0
+_LOOK_S: Final = 1.0
+"""A disk that takes nothing is looked at so often."""
 _MOST_OFFSET_S: Final = 1e12
 """Of UTC to the monotonic clock; a column has room for nine times as much."""
 _STDIN, _STDOUT = 0, 1
@@ -65,9 +86,14 @@ class Recorder:
         self._first_s = 0.0
         """When the first of the rows that wait came."""
         self._retry_s = 0.0
-        """The disk is not tried before."""
+        """The disk is not tried before, unless it looks well again:"""
+        self._refused: OSError | None = None
+        """why it took nothing; None: it does."""
+        self._look_s = 0.0
         self._limits_s = 0.0
         self._size_bytes = 0
+        self._utc_offset_s, self._steady_since_s = nan, 0.0
+        """UTC minus the monotonic clock at the last look, and since when it has not been stepped."""
         self._fault = ""
 
     @property
@@ -129,7 +155,7 @@ class Recorder:
             self.write(now_s)
         if now_s >= self._limits_s:
             self._limits_s = now_s + _LIMITS_S
-            self._limit()
+            self._limit(now_s)
 
     def write(self, now_s: float) -> None:
         """Write what waits; what the disk does not take is lost, and said."""
@@ -138,23 +164,33 @@ class Recorder:
             return
         rows = self._waiting()
         try:
-            if now_s < self._retry_s:
+            if not self._is_worth_while(now_s):
                 self.lost += rows
             else:
                 self._write(samples, frames)
                 self.rows += rows
-                self._fault = ""
+                self._fault, self._refused = "", None
         except (OSError, InUseError, pa.ArrowException) as error:
             self.lost += rows
             assert self.settings is not None
             # Who has the directory may just be ending: one like this, before the configuration was read again.
             retry_s = min(_IN_USE_S, self.settings.retry_s) if isinstance(error, InUseError) else self.settings.retry_s
             self._retry_s = now_s + retry_s
+            self._refused = error if isinstance(error, OSError) else None
             self._fault = explain(error, self.directory, retry_s)
             self._close()
         samples.clear()
         frames.clear()
         self.tell()
+
+    def _is_worth_while(self, now_s: float) -> bool:
+        """Whether the disk is tried: it took the last rows, it is time to, or it looks well again."""
+        if now_s >= self._retry_s:
+            return True
+        if self._refused is None or now_s < self._look_s:
+            return False
+        self._look_s = now_s + _LOOK_S
+        return looks_well(self.directory, self._refused)
 
     def close(self, now_s: float) -> None:
         """Write the rest; no more comes, and others may have the directory."""
@@ -193,7 +229,9 @@ class Recorder:
             with suppress(FileExistsError):
                 # Not its parents: where a disk should be mounted and is not, nothing shall be filled in its place.
                 self.directory.mkdir(mode=0o750)
-            self._lock = lock(self.directory)
+            held = lock(self.directory)
+            self._take_over(held)
+            self._lock = held
             self._wake()
         if self._files is None:
             self._stem = new_stem(self.directory, time.time())
@@ -209,6 +247,27 @@ class Recorder:
         if len(frames):
             self._files[1].write(frames.batch())
 
+    def _take_over(self, held: int) -> None:
+        """Write what an earlier daemon has left for us, in files of its own, before ours begin. ``held``: the lock."""
+        for path in sorted(self.directory.glob(f"*{HANDOVER}")):
+            scribe = Recorder(lambda _report: None, lambda: None)
+            scribe.settings, scribe._lock = self.settings, held
+            try:
+                for kind, body in Splitter().push(path.read_bytes()):
+                    scribe.take(kind, body, 0.0)
+                scribe.write(0.0)
+            except (OSError, MessageError) as error:
+                with suppress(OSError):
+                    path.rename(f"{path}{DAMAGED}")
+                self.tell(f"{path.name} cannot be taken over and is kept: {error}")
+                continue
+            finally:
+                scribe._close()
+            if scribe.lost:
+                continue  # The disk takes nothing, as the rows that are written next will find: with the next start.
+            path.unlink()
+            self.tell(f"{scribe.rows} rows that the daemon before had to leave are recorded ({path.name})")
+
     def _close(self) -> None:
         files, self._files = self._files, None
         for file in files or ():
@@ -217,16 +276,21 @@ class Recorder:
             self._stem = ""
             self._wake()
 
-    def _limit(self) -> None:
+    def _limit(self, now_s: float) -> None:
         assert self.settings is not None
+        now_utc_s = time.time()
+        offset_s, before_s = now_utc_s - now_s, self._utc_offset_s
+        self._utc_offset_s = offset_s
+        if not abs(offset_s - before_s) < _STEP_S:
+            self._steady_since_s = now_s
         if self._lock is None:  # Not ours to delete in.
             return
         try:
             gone = delete_old(
                 self.directory,
                 max_bytes=self.settings.max_bytes,
-                max_age_s=self.settings.max_age_s,
-                now_utc_s=time.time(),
+                max_age_s=self.settings.max_age_s if now_s - self._steady_since_s >= STEADY_S else inf,
+                now_utc_s=now_utc_s,
                 keep=self.current,
             )
             self._size_bytes = sum(pair.size_bytes for pair in pairs(self.directory))
@@ -251,6 +315,8 @@ class Converter:
         self._awake.set()
 
     def _run(self) -> None:
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), CONVERTER_NICENESS)
         while True:
             settings = self._recorder.settings
             self._awake.wait(settings.retry_s if settings else None)
@@ -288,6 +354,8 @@ class Converter:
 def explain(error: Exception, directory: Path, retry_s: float) -> str:
     """Why nothing can be recorded, and what to do."""
     again = f"; tried again every {retry_s:g} s" if retry_s else "; tried again"
+    if retry_s and isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EROFS, errno.ENOENT):
+        again = f"; tried again once that is so, at the latest after {retry_s:g} s"
     if not isinstance(error, OSError):
         return f"{error}{again}"
     what = {
@@ -323,6 +391,7 @@ def main() -> int:
 
     recorder = Recorder(report, lambda: converter.wake() if converter is not None else None)
     converter = Converter(recorder, notes)
+    report(Report(is_up=False, has_begun=True))
     code = _serve(recorder, notes)
     os._exit(code)  # A conversion that is under way is begun again next time.
 

@@ -203,6 +203,9 @@ class Rerun:
         elif call in (Call.PIPELINE, Call.HULL, Call.ATTITUDE, Call.CRANE, Call.REFERENCE_MRU):
             if self._is_as_recorded:
                 self._configure(call, _decoded(self._hour, row.record))
+        elif call in (Call.RELIEVED, Call.RESUMED):
+            if self._is_as_recorded and self._learning is None:
+                self.pipeline.relieve(is_relieved=call is Call.RELIEVED)
         elif self._learning is None:
             self._learn(row)
 

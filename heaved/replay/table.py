@@ -33,6 +33,8 @@ _HULL: Final = (
     HULL.only(*(f"{axis}_deg" for axis in "xyz"), *(f"static_{axis}_deg" for axis in "xyz")),
     HULL_STD.only(*(f"{axis}_std_arcsec" for axis in "xyz")),
 )
+PLACES: Final = "?,?"
+"""Of quality and delayed heave, until they are known."""
 _NO_FORECAST: Final = HeaveForecast(horizon_s=nan)
 _NO_ROCK: Final = RockPrediction(horizon_s=nan)
 _NO_HULL: Final = HullAngles(t_s=nan, state="")
@@ -83,7 +85,7 @@ class Table:
             f"({', '.join(values)})", ["frame", "forecasts", "rocks", "hull", "attitude"]
         )
         """All but quality and delayed heave, in the order of the columns."""
-        cells = ["%.6f"] * (1 + len(_NOW.names)) + ["%%s"] * 2 + ["%.6f"] * len(ahead)
+        cells = ["%.6f"] * (1 + len(_NOW.names)) + [PLACES] + ["%.6f"] * len(ahead)
         self._row = (",".join(cells) + "\n").encode()
         """All numbers at once, in two thirds of the time of one after the other, and as bytes, which is a tenth faster
         again. Quality and delayed heave are put in when it is written."""
@@ -120,7 +122,8 @@ class Table:
 
     def _write_first(self) -> None:
         t_s, quality, text = self._waiting.popleft()
-        self._write(text % (quality, _blank(f"{self._delayed.at(t_s):.6f}")))
+        before, _, after = text.partition(PLACES)
+        self._write(f"{before}{quality},{_blank(f'{self._delayed.at(t_s):.6f}')}{after}")
 
 
 def _of_horizons(found: Sequence[Ahead], horizons_s: list[float], none: Ahead) -> Sequence[Ahead]:

@@ -35,6 +35,11 @@ class Adapter(msgspec.Struct, frozen=True, kw_only=True):
     """Of the adapter, as it says itself."""
     maker: str = ""
     serial_number: str = ""
+    """As the kernel shows it; empty: it has none."""
+    usb_id: str = ""
+    """Vendor and product, such as ``0403:6001``; empty: a port of the board."""
+    socket: str = ""
+    """Of the bus, such as ``1-1.2``; of one among several ports of an adapter with its interface, ``1-1.2:1.0``."""
     held_by: tuple[str, ...] = ()
     """Processes that have it open."""
     refusal: str = ""
@@ -50,7 +55,9 @@ def adapters() -> list[Adapter]:
             stable_path=stable_path(port.device),
             name=_told(port.product) or _told(port.description),
             maker=_told(port.manufacturer),
-            serial_number=_told(port.serial_number),
+            serial_number=port.serial_number or "",
+            usb_id="" if port.vid is None else f"{port.vid:04x}:{port.pid:04x}",
+            socket=port.location or "",
             held_by=tuple(holders(port.device)),
             refusal=refusal(port.device),
         )

@@ -52,9 +52,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """A lag that is greater is none."""
     wander_hz: float = 4.0
     good_m: float = 0.1
-    """Standard error of the foot of the beam up to which it is known;"""
-    written_m: float = 1.0
-    """with a greater one than this it is not written."""
+    """Standard error of the foot of the beam up to which it is known."""
 
 
 TUNING: Final = Tuning()

@@ -100,27 +100,6 @@ def with_keys(text: str, table: str, values: Mapping[str, Value], *, index: int 
     return _checked(result, meant, f"[{table}]" if index is None else f"[[{table}]] number {index + 1}")
 
 
-def with_device(text: str, values: Mapping[str, Value]) -> str:
-    """The text with another ``[[device]]``, below the last one.
-
-    Raises:
-        EditError: as :func:`with_keys`.
-    """
-    meant = copy.deepcopy(_decoded(text))
-    devices = meant.setdefault("device", [])
-    if not isinstance(devices, list):
-        raise EditError("device is one table: write [[device]], once for each device")
-    devices.append({name: _plain(value) for name, value in values.items()})
-    newline = _newline(text)
-    block = newline.join(["[[device]]", *(f"{name} = {_written(value)}" for name, value in values.items()), ""])
-    tables = _tables(text)
-    last = max((i for i, one in enumerate(tables) if one.path[:1] == ("device",)), default=None)
-    at = len(text) if last is None else _below_keys(text, tables[last])
-    before = text[:at]
-    gap = "" if not before else newline if before.endswith("\n") else 2 * newline
-    return _checked(before + gap + block + text[at:], meant, "[[device]]")
-
-
 def difference(before: str, after: str, name: str) -> list[str]:
     """What changes, as a unified diff without line ends; empty: nothing."""
     lines = difflib.unified_diff(before.splitlines(), after.splitlines(), name, f"{name} (new)", lineterm="", n=2)

@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from heaved.devices.profile import Block, Profile, Quantity, field_registers
+from heaved.setup.survey import signed_word
 from heaved.text import printable
 
 if TYPE_CHECKING:
@@ -130,7 +131,7 @@ class View:
         self._polls, self._last_s = self._polls + 1, now_s
         for cell in self.cells:
             words = tuple(registers[i] for i in cell.indices)
-            value = values[cell.quantity] if cell.quantity is not None else float(_signed(words[0]))
+            value = values[cell.quantity] if cell.quantity is not None else float(signed_word(words[0]))
             cell.take(words, value, now_s)
         for column in (polls.sent_s, polls.round_trips_s, polls.registers, polls.values):
             column.clear()
@@ -175,7 +176,7 @@ class View:
             "": name + (" ◀" if now_s - cell.leapt_at_s < _FADES_S else ""),
             "register": f"{'input ' if cell.function == 'input' else ''}0x{cell.address:02X}",
             "hex": " ".join(f"{word:04X}" for word in cell.words),
-            "raw": " ".join(str(_signed(word) if is_signed else word) for word in cell.words),
+            "raw": " ".join(str(signed_word(word) if is_signed else word) for word in cell.words),
             "type": cell.kind,
             "value": value,
             "unit": unit,
@@ -195,10 +196,6 @@ def _shown_in(quantity: Quantity | None) -> tuple[float, str]:
     ending = (quantity or "").rpartition("_")[2]
     unit = _UNITS.get(ending, "")
     return (degrees(1.0) if unit.startswith("deg") and ending != "c" else 1.0), unit
-
-
-def _signed(word: int) -> int:
-    return word - 0x10000 if word & 0x8000 else word
 
 
 class Screen:

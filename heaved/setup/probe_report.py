@@ -15,6 +15,7 @@ from heaved.setup.device_table import Table, toml
 from heaved.setup.polling import ACCELERATIONS, Channel, Measured
 from heaved.setup.sensor_record import folded_hz, record_to_see_s
 from heaved.setup.survey import Survey
+from heaved.text import printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -43,7 +44,7 @@ def adapter_lines(found: Sequence[Adapter]) -> Iterator[str]:
     """The adapters of this machine."""
     for adapter in found:
         told = [adapter.name, f"by {adapter.maker}" if adapter.maker else ""]
-        told += [f"serial number {adapter.serial_number}" if adapter.serial_number else ""]
+        told += [f"serial number {printable(adapter.serial_number)}" if adapter.serial_number else ""]
         yield f"{adapter.path}  {', '.join(filter(None, told)) or 'says nothing of itself'}"
         if adapter.stable_path != adapter.path:
             yield f"    write it as {adapter.stable_path}, which stays"

@@ -49,6 +49,10 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Of which the spectrum is the mean."""
     padding: int = 4
     """Frequencies looked at in each bin of the record."""
+    lobe: int = 2
+    """Bins to either side over which the window spreads a line,"""
+    flank: int = 6
+    """and those up to which it must stand out of what is beside it."""
     longest: int = 2048
     """Newest values in which lines are looked for: more would cost time and show engines that change their speed;"""
     ticks: int = 8192
@@ -261,7 +265,7 @@ def lines(t_s: Array, x: Array, most: int = 3) -> list[Line]:
     """The strongest lines above the waves, each taken out of the record before the next is looked for.
 
     ``t_s``, ``x`` (n,): a record whose times need not be even. A line counts when its power exceeds what the noise
-    beside it shows in one of a thousand records.
+    beside it, on either side, shows in one of a thousand records: short waves fall with the frequency, and are none.
     """
     if len(x) < TUNING.fewest:
         return []
@@ -269,15 +273,17 @@ def lines(t_s: Array, x: Array, most: int = 3) -> list[Line]:
     span_s = float(t_s[-1] - t_s[0])
     t, rest = t_s - t_s[0], np.asarray(x - np.polyval(np.polyfit(t_s - t_s[0], x, 1), t_s - t_s[0]))
     top_hz = 0.5 * TUNING.nyquist * (len(x) - 1) / span_s
-    f = np.arange(max(TUNING.vibration_hz, 4.0 / span_s), top_hz, 1.0 / (TUNING.padding * span_s))
-    if len(f) < 8 * TUNING.padding:
+    bottom_hz = max(TUNING.vibration_hz, 4.0 / span_s)
+    f = np.arange(max(bottom_hz - TUNING.flank / span_s, 1.0 / span_s), top_hz, 1.0 / (TUNING.padding * span_s))
+    if len(f) < (8 + TUNING.flank) * TUNING.padding:
         return []
     window = np.hanning(len(x))
     least = log(len(f) / TUNING.padding / TUNING.chance) / log(2.0)
     found: list[Line] = []
-    while len(found) < most:
+    may_be = f >= bottom_hz
+    while len(found) < most and may_be.any():
         power = np.abs(_transform(t, rest * window, f)) ** 2
-        k = int(np.argmax(power))
+        k = int(np.argmax(power * may_be))
         floor = _beside(power, k)
         if power[k] <= least * floor or 2.0 * sqrt(power[k]) / float(np.sum(window)) <= 1e-9:
             break
@@ -286,6 +292,7 @@ def lines(t_s: Array, x: Array, most: int = 3) -> list[Line]:
         parts = np.linalg.lstsq(waves * window[:, None], rest * window, rcond=None)[0]
         rest = rest - waves @ parts
         found.append(Line(at, float(np.hypot(*parts))))
+        may_be &= np.abs(f - at) > TUNING.lobe / span_s  # What is left of it, where its speed or strength changes.
     return found
 
 
@@ -304,10 +311,11 @@ def _transform(t: Array, x: Array, f: Array) -> NDArray[np.complex128]:
 
 
 def _beside(power: Array, k: int) -> float:
-    """Median of the spectrum about bin ``k``."""
-    reach = 32 * TUNING.padding
+    """Of the spectrum about bin ``k``: the largest of the medians about it, on its left and on its right."""
+    reach, lobe, flank = 32 * TUNING.padding, TUNING.lobe * TUNING.padding, TUNING.flank * TUNING.padding
     start = min(max(k - reach, 0), max(len(power) - 2 * reach, 0))
-    return float(np.median(power[start : start + 2 * reach]))
+    parts = power[start : start + 2 * reach], power[max(k - flank, 0) : max(k - lobe, 0)], power[k + lobe : k + flank]
+    return float(max(np.median(part) for part in parts if len(part)))
 
 
 def _vertex(power: Array, k: int) -> float:

@@ -17,13 +17,14 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 
 from heaved.config.read import data_directory, load
-from heaved.setup.udev import GROUP, Adapter, kept_rules, rules
+from heaved.setup.udev import GROUP, kept_rules, rules
 from heaved.setup.unit import UNIT_PROGRAM, needs, serial_ports, unit_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from heaved.config import Config
+    from heaved.setup.adapters import Adapter
 
     Run = Callable[[Sequence[str]], None]
     """Runs a command of the machine."""

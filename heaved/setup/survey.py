@@ -180,7 +180,7 @@ def guess(seen: Sequence[Seen]) -> Guess | None:
 
 
 def _integers(words: Sequence[Seen | None]) -> Guess | None:
-    columns = [[_signed(word) for word in one.raw] for one in words if one is not None]
+    columns = [[signed_word(word) for word in one.raw] for one in words if one is not None]
     first = words[0]
     if first is None or len(columns) < 3 or not all(one is not None and one.moves for one in words):
         return None
@@ -226,7 +226,8 @@ def _steady_length(columns: Sequence[Sequence[float]]) -> float:
     return mean if pstdev(lengths) < _STEADY * mean else 0.0
 
 
-def _signed(word: int) -> int:
+def signed_word(word: int) -> int:
+    """A register as a number that may be negative."""
     return word - 0x10000 if word & 0x8000 else word
 
 
@@ -299,7 +300,7 @@ def notes(found: Survey) -> Iterator[str]:
 
 def _seen_line(one: Seen) -> str:
     low, high = min(one.raw), max(one.raw)
-    signed = [_signed(word) for word in one.raw]
+    signed = [signed_word(word) for word in one.raw]
     as_signed = f" (as int16 {min(signed)} to {max(signed)})" if high & 0x8000 else ""
     return f"{one.function} 0x{one.address:02X} moves: {low} to {high}{as_signed}"
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 
 from heaved.links import SerialLink, TcpLink, UdpLink, parse_any_link, parse_link, parse_service_link
+from heaved.networks import is_loopback_host
 from heaved.outputs.influx import PORTS as INFLUX_PORTS
 from heaved.outputs.mqtt import PORTS as MQTT_PORTS
 from heaved.outputs.register_map import Mode
@@ -37,6 +38,7 @@ LOW_PORT: Final = (
     "CapabilityBoundingSet=CAP_NET_BIND_SERVICE",
     "PrivateUsers=no",  # In a user namespace of its own it would have the right over no port of the machine.
 )
+_EVERYTHING: Final = {"any": "every address"}
 DEVICE_SCHEMES: Final = ("tcp", "rtu", "serial", "udp-listen")
 
 
@@ -97,7 +99,11 @@ def needs(config: Config) -> tuple[list[Need], list[str]]:
             _add_host(path, link.host, found, cautions)
     for path, networks in _allowed(config):
         found += [
-            Need(key=path, setting=f"IPAddressAllow={network}", said=f"{network} may be talked to")
+            Need(
+                key=path,
+                setting=f"IPAddressAllow={network}",
+                said=f"{_EVERYTHING.get(network, network)} may be talked to",
+            )
             for network in networks
         ]
     others, more = _other_needs(config)
@@ -123,9 +129,11 @@ def _add_host(path: str, host: str, found: list[Need], cautions: list[str]) -> N
 
 def _allowed(config: Config) -> Iterator[tuple[str, tuple[str, ...]]]:
     """Networks that the configuration lets in."""
-    yield "stream.allow", config.stream.allow
-    if config.http.enabled:
-        yield "http.allow", config.http.allow
+    for name, table in (("stream", config.stream), ("http", config.http)):
+        if name == "stream" or config.http.enabled:
+            yield f"{name}.allow", table.allow
+            if table.tls and not table.allow and not is_loopback_host(table.host):
+                yield f"{name}.tls", ("any",)
     if config.registers.enabled:
         yield "registers.allow", config.registers.allow
     for array in ("device", "output"):
@@ -163,9 +171,13 @@ def _secrets(config: Config) -> list[str]:
         f"{name}.{key}: {file} must be readable by the service, whose user changes: hand it over as a credential "
         f"(systemctl edit heaved: LoadCredential={name}:{file}), and set {key} to "
         f'"/run/credentials/heaved.service/{name}"'
-        for name, table in (("mqtt", config.mqtt), ("influx", config.influx))
+        for name, table, is_on in (
+            ("mqtt", config.mqtt, config.mqtt.enabled),
+            ("influx", config.influx, config.influx.enabled),
+            ("tls", config.tls, config.wants_tls),
+        )
         for key in ("password_file", "token_file", "key_file")
-        if table.enabled and (file := getattr(table, key, "")) and not file.startswith("/run/credentials/")
+        if is_on and (file := getattr(table, key, "")) and not file.startswith("/run/credentials/")
     ]
 
 

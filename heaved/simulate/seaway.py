@@ -135,16 +135,6 @@ def heave_spectrum(name: str, f_hz: Array) -> Array:
     return vessel_on(name).heave.power(f_hz) * wave_spectrum(name, f_hz)
 
 
-def roll_spectrum(name: str, f_hz: Array) -> Array:
-    """One-sided spectrum of true roll, rad2/Hz. ``name`` and ``Raises`` as :func:`wave_spectrum`."""
-    return vessel_on(name).roll.power(f_hz) * wave_spectrum(name, f_hz)
-
-
-def pitch_spectrum(name: str, f_hz: Array) -> Array:
-    """One-sided spectrum of true pitch, rad2/Hz. ``name`` and ``Raises`` as :func:`wave_spectrum`."""
-    return vessel_on(name).pitch.power(f_hz) * wave_spectrum(name, f_hz)
-
-
 def vessel_on(name: str) -> Responses:
     """Which vessel floats on the sea ``name``."""
     return VESSELS.get(name, CRANE_VESSEL)

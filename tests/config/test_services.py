@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from far_ends import certificates, needs_openssl
+from tls_keys import make_keys
 
 from heaved.config.read import ConfigError, parse
 from heaved.config.rules import cautions
@@ -118,4 +119,55 @@ def test_a_password_that_everyone_can_read_is_no_fault_but_said(tmp_path: Path) 
         assert cautions(read(f'[mqtt]\n{named}link = "{link}"')) == []
     assert cautions(read(f'[influx]\n{named}link = "http://db"')) == [
         "influx.link: password or token go over the network for everyone to read: use https://"
+    ]
+
+
+# ---- TLS of our own servers ------------------------------------------------------------------------------------------
+
+
+def tls_of(keys: Path, **changes: str) -> str:
+    files = {"certificate_file": "server.pem", "key_file": "server.key", "client_ca_file": "ca.pem"} | changes
+    return "[tls]\n" + "".join(f'{key} = "{keys / name}"\n' for key, name in files.items())
+
+
+def test_tls_takes_all_three_files() -> None:
+    assert faults_of("[stream]\ntls = true\n[tls]\nkey_file = 'key'") == [
+        "tls.key_file: must be an absolute path (got 'key')",
+        "tls.certificate_file: [stream] with tls = true needs it: give an absolute path",
+        "tls.client_ca_file: [stream] with tls = true needs it: give an absolute path",
+    ]
+    assert "[stream] and [http] with tls = true" in faults_of("[stream]\ntls = true\n[http]\ntls = true")[0]
+    assert read("[http]\nenabled = false\ntls = true").http.tls  # Nobody listens.
+
+
+def test_beyond_this_machine_with_networks_or_certificates() -> None:
+    for table in ("stream", "http"):
+        (fault,) = faults_of(f'[{table}]\nhost = "0.0.0.0"')
+        assert fault == (
+            f"{table}.host: 0.0.0.0 listens beyond this machine; name who may connect in {table}.allow, or want "
+            f"certificates of them: {table}.tls = true, with [tls]"
+        )
+        read(f'[{table}]\nhost = "0.0.0.0"\nallow = ["10.0.0.0/8"]')
+        read(f'[{table}]\nhost = "0.0.0.0"\ntls = true\n{tls_of(Path("/keys"))}')
+
+
+@needs_openssl
+def test_files_of_tls_are_looked_at_before_it_runs(tmp_path: Path) -> None:
+    make_keys(tmp_path)
+    on = "[stream]\ntls = true\n"
+    config = read(on + tls_of(tmp_path), to_run=True)
+    assert cautions(config) == []
+    for changes, words in {
+        ("key_file", "none.key"): "tls.key_file: ",
+        ("key_file", "display.key"): "tls.certificate_file: ",
+        ("client_ca_file", "display.key"): "tls.client_ca_file: ",
+        ("certificate_file", "server.csr"): "tls.certificate_file: ",
+    }.items():
+        (fault,) = faults_of(on + tls_of(tmp_path, **dict([changes])), to_run=True)
+        assert fault.startswith(words)
+    assert "has ended on" in cautions(read(on + tls_of(tmp_path, certificate_file="ended.pem"), to_run=True))[0]
+    (tmp_path / "server.key").chmod(0o644)
+    assert cautions(config) == [f"tls.key_file: others than its owner may read {tmp_path}/server.key: chmod 600 it"]
+    assert cautions(read(tls_of(tmp_path), to_run=True)) == [
+        "tls.certificate_file: is used by nobody: set tls = true in [stream], [http] or both"
     ]

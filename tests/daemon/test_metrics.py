@@ -11,6 +11,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from heaved.daemon.metrics import Metrics
 from heaved.outputs.output import OutputHealth
+from heaved.outputs.tls import Span
 from heaved.samples import (
     CorrectionState,
     CraftMotion,
@@ -78,7 +79,10 @@ CONTRACT = {
     ("heaved_quiet_confidence_ratio", "gauge", ()),
     ("heaved_quiet_start_seconds", "gauge", ()),
     ("heaved_tick_lateness_seconds", "histogram", ()),
+    ("heaved_certificate_end_timestamp_seconds", "gauge", ("file",)),
     ("heaved_clock_steps", "counter", ()),
+    ("heaved_frames_at_once", "gauge", ()),
+    ("heaved_overloaded_seconds", "counter", ("relief",)),
     ("heaved_state_saves", "counter", ("result",)),
     ("heaved_state_loads", "counter", ("result",)),
     ("heaved_client_errors", "counter", ("reason",)),
@@ -136,6 +140,7 @@ def exercise(metrics: Metrics) -> None:
     metrics.count_sent(2)
     metrics.count_dropped("slow_client")
     metrics.count_client_error("bad_request")
+    metrics.show_certificates([Span("certificate_file", 1.7e9, 1.8e9), Span("certificate_file", 1.7e9, 1.75e9)])
     metrics.clock_steps.inc()
     metrics.state_saves.labels("saved").inc()
     metrics.state_loads.labels("restored").inc()
@@ -153,6 +158,7 @@ def test_names_types_and_labels_are_the_contract() -> None:
     found = {(family.name, family.type, own_labels(family)) for family in families(metrics).values()}
     assert found == CONTRACT
     assert all(family.documentation for family in families(metrics).values())
+    assert value(metrics, "heaved_certificate_end_timestamp_seconds", file="certificate_file") == 1.75e9
 
 
 def test_what_can_go_wrong_is_counted_from_zero() -> None:
@@ -353,7 +359,10 @@ def test_scores_of_predictions_that_are_not_made_are_nan() -> None:
 
 def test_every_gauge_of_the_estimators_can_become_nan() -> None:
     """A new one must be in the table above."""
-    kept = {"heaved_build_info", "heaved_device_up", "heaved_output_up", "heaved_quality", "heaved_clients"}
+    kept = {
+        "heaved_build_info", "heaved_device_up", "heaved_output_up", "heaved_quality", "heaved_clients",
+        "heaved_certificate_end_timestamp_seconds", "heaved_frames_at_once",
+    }  # fmt: skip
     assert {name for name, kind, _ in CONTRACT if kind == "gauge"} - kept == ALL
 
 

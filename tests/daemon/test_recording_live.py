@@ -11,6 +11,7 @@ import time
 from asyncio.subprocess import DEVNULL, PIPE
 from collections import Counter
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,8 @@ from running import PATIENCE_S, SWELL, demo_config, plant_of, running
 from heaved.config import RecordingParams
 from heaved.config.read import data_directory, load
 from heaved.daemon import recording
-from heaved.daemon.recording import EXTRA, recording_directory
+from heaved.daemon.load import Relief
+from heaved.daemon.recording import EXTRA, RecordingOutput, recording_directory
 from heaved.daemon.state import StateFile
 from heaved.estimation.heave import params as heave
 from heaved.estimation.heave.laser.geometry import Geometry
@@ -32,6 +34,7 @@ from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.hull import estimate as hull
 from heaved.estimation.hull.remembered import SavedHull
 from heaved.estimation.imu.attitude_memory import SavedAttitudeError
+from heaved.estimation.motion_frame import LEFT_OUT
 from heaved.outputs import wire
 from heaved.recorder.layout import FRAMES, Call
 from heaved.recorder.read import frame_values, open_recorded
@@ -204,6 +207,32 @@ async def test_a_replay_follows_a_new_configuration_where_the_daemon_did(tmp_pat
     assert_same(found, frames)
 
 
+async def test_a_replay_leaves_out_what_the_daemon_left_out(tmp_path: Path) -> None:
+    """On a machine that did not keep up for a while, and read its configuration again meanwhile."""
+    config, path = recording_config(tmp_path), tmp_path / "heaved.toml"
+    async with published(config, path) as (daemon, frames):
+        await until(lambda: len(frames) > 100)
+        daemon._load.relief = Relief.LEFT_OUT
+        daemon._relieve(Relief.NONE, Relief.LEFT_OUT)
+        told = len(frames)
+        await until(lambda: len(frames) > told + 50)
+        tables = f'[stream]\nport = 0\n[http]\nport = 0\n[state]\ndirectory = "{tmp_path / "state"}"\n'
+        tables += '[recording]\nenabled = true\nvessel = "Test"\n[heave]\nforecast_horizons_s = [1.0]\n'
+        path.write_text(tables + device_tables(daemon.config))
+        await daemon.reload()
+        assert len(daemon.config.heave.forecast_horizons_s) == 1
+        told = len(frames)
+        await until(lambda: len(frames) > told + 50)
+        daemon._relieve(Relief.LEFT_OUT, Relief.NONE)
+        told = len(frames)
+        await until(lambda: len(frames) > told + 50)
+    assert sum(LEFT_OUT[0] in frame.quality.reasons for frame in frames) >= 100
+    found, calls, _, remarks = again(recording_directory(config))
+    assert remarks == []
+    assert (calls[Call.RELIEVED], calls[Call.RESUMED]) == (2, 1)
+    assert_same(found, frames)
+
+
 async def test_other_limits_take_effect_at_once(tmp_path: Path) -> None:
     """Another process has the directory then: the first has ended, and what it had is on the disk."""
     config, path = recording_config(tmp_path), tmp_path / "heaved.toml"
@@ -307,6 +336,30 @@ async def test_a_recorder_that_takes_nothing_costs_the_daemon_nothing(
         assert health.lost["full"] < lost + 2000
     _, _, _, remarks = again(recording_directory(config))
     assert any("calls are missing" in remark for remark in remarks)
+
+
+@pytest.mark.parametrize("command", ["import time; time.sleep(100)", "raise SystemExit('no memory')"])
+async def test_a_daemon_that_stops_before_its_recorder_has_begun_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    """One that still loads, and one that does not start: the next one has the rows."""
+    config = recording_config(tmp_path)
+    with monkeypatch.context() as patch:
+        made = partial(RecordingOutput, command=(sys.executable, "-c", command))
+        patch.setattr(recording, "RecordingOutput", made)
+        async with published(config) as (_, frames):
+            await until(lambda: len(frames) > 150)
+    assert len(list(recording_directory(config).iterdir())) == 1
+    async with published(config) as (daemon, _):
+        await until(lambda: health_of(daemon).is_up)
+    source = LiveRecording(recording_directory(config))
+    assert source.remarks == []
+    emitted: list[MotionFrame] = []
+    hour, rows = next(iter(source.runs()))
+    rerun = Rerun(hour, None, emitted.append, lambda what, result: None, None)
+    for row in rows:
+        rerun.take(row)
+    assert_same(emitted, frames)
 
 
 async def test_without_the_extra_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 import pytest
+from output_peers import free_port
 from running import demo_config, plant_of, running, until
 
 from heaved.devices.profile import DeviceSpec, Profile, Sentence, SentenceField
@@ -64,14 +65,8 @@ async def speaking(port: int, data: bytes) -> AsyncIterator[None]:
             await task
 
 
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 async def test_the_tip_follows_the_sentences_and_goes_with_them(tmp_path: Path) -> None:
-    port = free_port()
+    port = free_port(socket.SOCK_DGRAM)
     crane = DeviceSpec(name="box", role="crane", link=f"udp-listen://127.0.0.1:{port}", profile=BOX, rate_hz=20.0)
     async with plant_of(demo_config(tmp_path)) as (_, polled):
         config = msgspec.structs.replace(

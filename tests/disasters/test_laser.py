@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 import numpy as np
 import pytest
-from evidence.faults.disasters import Deed, Span, blank, creeping, mapped, noisy, raised, rows
+from evidence.faults.disasters import Deed, blank, creeping, mapped, noisy, raised, rows
+from evidence.faults.moves import Span
 from numpy.typing import NDArray
 from pipelines import pipeline, rms
 

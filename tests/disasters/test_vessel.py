@@ -8,9 +8,15 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 from evidence.faults import table
-from evidence.faults.judge import Plan, Task, run
+from evidence.faults.disasters import DISASTERS as ALL
+from evidence.faults.disasters import spoiled
+from evidence.faults.judge import Plan, Task, frames, pipeline, run
+from evidence.scenarios import Setting, build, triplet
+
+from heaved.samples import HeaveState
 
 
 class Record(NamedTuple):
@@ -49,6 +55,9 @@ DISASTERS: dict[str, dict[Record, float | None]] = {
     "acceleration_frozen": {SHORT: 60.0},
     "old_readings": {ROUGH: 5.0},
     "az_step_0.5": {ROUGH: 60.0, SHORT: 60.0},
+    "sensor_restarts": {SHORT: 40.0},
+    "turn_into_sea": {ROUGH: 60.0},
+    "list_3": {ROUGH: 5.0},
     "az_in_g": {SHORT: None},
     "attitude_signs": {ROUGH: None, SHORT: None},
     "aiding_jump": {ROUGH: None, SHORT: 5.0},
@@ -86,3 +95,18 @@ def test_what_is_degraded_is_right_within_its_deviation_too(name: str, record: R
     found = run(Task(name=name, sea=record.sea, rate_hz=record.rate_hz, seed=record.seed, plan=PLAN))
     assert found.off["heave"] + found.lies["heave"] <= BY_CHANCE
     assert found.off["forecast"] + found.lies["forecast"] <= BY_CHANCE
+
+
+@pytest.mark.parametrize(("sea", "rate_hz"), [("S6", 10.0), ("S4", 20.0)])
+def test_the_vertical_acceleration_alone_serves_a_vessel_that_does_not_lean(sea: str, rate_hz: float) -> None:
+    setting = Setting(rate_hz=rate_hz, tilt="none", duration_s=260.0, scored_from_s=0.0)
+    made = build(sea, triplet(4), setting).recording
+    alone = ALL["az_alone"]
+    given = [frame for frame, _ in frames(pipeline(alone), spoiled(made, alone, alone.span(0.0), 1), made.t_s)]
+    later = [frame for frame in given if frame.t_s > 65.0]
+    usable = [frame for frame in later if frame.quality.heave is HeaveState.DEGRADED and np.isfinite(frame.heave_m)]
+    assert len(usable) > 0.9 * len(later)
+    t_s = np.array([frame.t_s for frame in usable])
+    off = np.array([frame.heave_m for frame in usable]) - np.interp(t_s, made.truth.t_s, made.truth.heave_m)
+    assert np.all(np.abs(off) < 4.0 * np.array([frame.heave_std_m for frame in usable]))
+    assert np.sqrt(np.mean(off[t_s > 120.0] ** 2)) < 0.06 * np.std(made.truth.heave_m)

@@ -136,24 +136,30 @@ def test_on_a_crane_base_that_bends_the_crane_goes_with_it(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_deviation_is_that_of_heave_attitude_and_joints(seed: int) -> None:
+def test_the_deviation_is_that_of_heave_attitude_its_moment_and_joints(seed: int) -> None:
     """Against the spread of many draws."""
     rng = np.random.default_rng(seed)
     slew, boom, jib = rng.uniform(-3, 3), 0.9, -0.2
     roll, pitch = 0.15, -0.1
-    stds = np.array([0.03, 0.002, 0.001, 0.1, 0.05, 0.05])
+    roll_rate, pitch_rate = 0.08, -0.05
+    stds = np.array([0.03, 0.002, 0.001, 0.1, 0.05, 0.05, 0.03])
     made = tip(PARAMS, slew, boom, jib)
     spread = [
         tuple((std * np.array(way)).tolist())
-        for way, std in zip((made.by_slew, made.by_boom, made.by_jib), stds[3:].tolist(), strict=True)
+        for way, std in zip((made.by_slew, made.by_boom, made.by_jib), stds[3:6].tolist(), strict=True)
     ]
     x, y, z = spread
     arm = moving_arm(Place(made.at_m, (0.0, 0.0, 0.0), (x, y, z)), None)
-    found = arm_motion("a", arm, 0.0, 0.0, AttitudeMotion(roll, pitch, 0.0, 0.0, stds[1], stds[2]), stds[0])
+    attitude = AttitudeMotion(roll, pitch, roll_rate, pitch_rate, stds[1], stds[2], late_std_s=stds[6])
+    found = arm_motion("a", arm, 0.0, 0.0, attitude, stds[0])
     drawn = []
-    for h, r, p, s, b, j in (stds * rng.standard_normal((4000, 6))).tolist():
+    for h, r, p, s, b, j, late in (stds * rng.standard_normal((4000, 7))).tolist():
         joints = np.array([slew + s, boom + b, jib + j, 0.0])
-        drawn.append(h + height(joints, roll + r, pitch + p, hook=False) - height(joints, 0.0, 0.0, hook=False))
+        drawn.append(
+            h
+            + height(joints, roll + r + late * roll_rate, pitch + p + late * pitch_rate, hook=False)
+            - height(joints, 0.0, 0.0, hook=False)
+        )
     assert found.heave_std_m == pytest.approx(np.std(drawn), rel=0.06)
 
 

@@ -181,6 +181,8 @@ NOT_REASONS = {
     "heave/saved_state.py",
     # Why a fit of the sea came to nothing, in the log.
     "heave/sea/refit.py",
+    # Names of the columns of a fit.
+    "imu/leaks.py",
     # Names of sets of points.
     "common/sigma.py",
 }

@@ -87,7 +87,7 @@ class Greeter(asyncio.Protocol):
         transport.close()
 
 
-def never(_address: str, message: str) -> None:
+def never(_reason: str, _address: str, message: str) -> None:
     pytest.fail(message)
 
 

@@ -91,6 +91,46 @@ async def test_a_stuck_client_costs_the_others_nothing(serve: Serve, connect: Co
     await slow_peer.close()
 
 
+async def test_frames_that_go_together_are_all_there_in_order_and_as_old_as_they_say(
+    serve: Serve, connect: Connect
+) -> None:
+    served = await serve(queue_frames=1000)
+    slow = await connect_slow(served)
+    fast, thin = await connect(served), await connect(served)
+    await thin.ask('?WATCH={"classes":["MOTION"],"rate_hz":10}')
+    await thin.settle()
+    served.publisher.together = 4
+    records = []
+    for number in range(402):
+        served.clock.now_s = 100.0 + 0.01 * number
+        served.publisher.publish(make_frame(served.clock.now_s))
+        if number % 4 == 3:
+            records += await fast.records(4)
+    served.publisher.together = 1  # What waits goes with the next one.
+    served.clock.now_s += 0.01
+    served.publisher.publish(make_frame(served.clock.now_s))
+    records += await fast.records(3)
+    assert [record["seq"] for record in records] == list(range(1, 404))
+    assert [record["age_s"] for record in records] == pytest.approx([0.03, 0.02, 0.01, 0.0] * 100 + [0.02, 0.01, 0.0])
+    assert all(record["dropped"] == 0 for record in records)
+    assert len(await thin.records(40)) == 40
+    peer = Peer(*await asyncio.open_connection(sock=slow))
+    assert (await peer.record())["class"] == "VERSION"
+    assert [record["seq"] for record in await peer.records(403)] == list(range(1, 404))
+    await peer.close()
+
+
+async def test_what_waits_for_others_is_delivered_at_the_end(serve: Serve, connect: Connect) -> None:
+    served = await serve()
+    peer = await connect(served)
+    served.publisher.together = 4
+    served.publish(2)
+    closing = asyncio.create_task(served.publisher.close())
+    assert [record["seq"] for record in await peer.records(2)] == [1, 2]
+    await peer.close()
+    await closing
+
+
 async def test_age_of_a_line_that_waited(serve: Serve) -> None:
     served = await serve(queue_frames=1000)
     slow = await connect_slow(served)

@@ -11,15 +11,21 @@ from typing import TYPE_CHECKING
 
 import msgspec
 import pytest
+from far_ends import needs_openssl
 from stream_peers import Serve, make_frame
+from tls_keys import client_context, make_keys, params
 
 from heaved.outputs import wire
+from heaved.outputs.credentials import tls_context
 from heaved.outputs.records import MotionRecord
+from heaved.outputs.tls import Certificates
 from heaved.page import follower
 from heaved.page.follower import DaemonClock, Follower, Known, Link
 
 if TYPE_CHECKING:
+    import ssl
     from collections.abc import AsyncIterator, Callable
+    from pathlib import Path
 
 
 class Ear:
@@ -61,9 +67,9 @@ class Ear:
 
 
 @asynccontextmanager
-async def following(host: str, port: int) -> AsyncIterator[Ear]:
+async def following(host: str, port: int, tls: ssl.SSLContext | None = None) -> AsyncIterator[Ear]:
     ear = Ear()
-    task = asyncio.create_task(Follower(host, port, ear).run())
+    task = asyncio.create_task(Follower(host, port, ear, tls=tls).run())
     try:
         yield ear
     finally:
@@ -92,6 +98,18 @@ async def saying(text: bytes) -> AsyncIterator[int]:
 def motion(mono_s: float, age_s: float = 0.0) -> MotionRecord:
     line = wire.encode_motion(make_frame(mono_s), seq=1, utc_s=0.0, sent_mono_s=mono_s + age_s)
     return msgspec.json.decode(line, type=MotionRecord)
+
+
+@needs_openssl
+async def test_a_daemon_with_tls(serve: Serve, tmp_path: Path) -> None:
+    make_keys(tmp_path)
+    served = await serve(certificates=Certificates(params(tmp_path)))
+    async with following("localhost", served.port, client_context(tmp_path)) as ear:
+        await ear.until(lambda: ear.links and ear.links[-1].is_up)
+    async with following("localhost", served.port, tls_context(str(tmp_path / "foreign.pem"))) as ear:
+        await ear.until(lambda: "its certificate is not accepted" in ear.trouble)
+    async with following("localhost", served.port, client_context(tmp_path, "")) as ear:
+        await ear.until(lambda: "it does not accept our certificate" in ear.trouble)
 
 
 async def test_it_hears_all_classes_and_lives_through_a_restart(serve: Serve) -> None:

@@ -12,15 +12,20 @@ from typing import TYPE_CHECKING, Any
 
 import aiohttp
 import pytest
+from far_ends import needs_openssl
 from stream_peers import Serve, make_frame, make_status
+from structlog.testing import capture_logs
+from tls_keys import client_context, make_keys, params
 from waiting import PATIENCE_S, holds
 
 from heaved.outputs import http_listener, wire
+from heaved.outputs.tls import Certificates
 from heaved.page import server as server_module
 from heaved.page.server import PageError, PageServer, is_own_host, static_files
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
+    from pathlib import Path
 
 
 @asynccontextmanager
@@ -79,6 +84,50 @@ async def events_of(host: str, port: int) -> AsyncIterator[Events]:
         yield Events(reader, writer)
     finally:
         writer.transport.abort()
+
+
+# ---- TLS -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    directory = tmp_path_factory.mktemp("keys")
+    make_keys(directory)
+    return directory
+
+
+@needs_openssl
+async def test_with_tls_on_both_sides(serve: Serve, keys: Path) -> None:
+    """The stream is followed with a certificate, and the page shown to who has one, on which network ever."""
+    served = await serve(certificates=Certificates(params(keys)))
+    options = {"host": "0.0.0.0", "files": params(keys), "stream_tls": client_context(keys), "stream_host": "localhost"}
+    async with page_of(served.port, **options) as (page, _, port):
+        assert page.scheme == "https"
+        url = f"https://localhost:{port}"
+        connector = aiohttp.TCPConnector(ssl=client_context(keys), family=socket.AF_INET)
+        async with aiohttp.ClientSession(connector=connector) as browser:
+            async with browser.get(f"{url}/") as response:
+                assert (response.status, await response.read()) == (200, static_files()["/"][0])
+            async with asyncio.timeout(PATIENCE_S), browser.get(f"{url}/events") as response:
+                while b'"is_up":true' not in await response.content.readline():
+                    pass
+        with capture_logs() as logs:
+            page.renew_certificates()
+        assert [line["event"] for line in logs] == ["certificates read again"]
+
+
+@needs_openssl
+async def test_a_renewed_certificate_that_cannot_be_used_is_refused(keys: Path, tmp_path: Path) -> None:
+    mine = tmp_path / "server.key"
+    mine.write_bytes((keys / "server.key").read_bytes())
+    async with page_of(files=params(keys, key=str(tmp_path / "server"))) as (page, _, _port):
+        mine.write_text("nothing")
+        with capture_logs() as logs:
+            page.renew_certificates()
+    assert [line["event"] for line in logs] == ["new certificates refused, the old ones stay"]
+    files = params(keys, key=str(tmp_path / "server"))
+    with pytest.raises(PageError, match=r"--cert, --key, --client-ca: .* cannot be used"):
+        PageServer(host="127.0.0.1", port=0, allow=(), stream_host="h", stream_port=1, files=files)
 
 
 # ---- what is answered ------------------------------------------------------------------------------------------------

@@ -3,6 +3,8 @@
 import copy
 import subprocess
 import sys
+from collections import deque
+from collections.abc import Mapping, Sequence, Set
 from math import inf, isfinite, isinf, isnan, nan
 from typing import Literal
 
@@ -495,7 +497,6 @@ def test_the_course_of_learning(trained: tuple[Pipeline, list[tuple[float, str]]
     summary = pipe.summary()
     assert (summary.trained_failed, summary.trained_rejected, summary.trained_accepted) == (1, 2, 1)
     assert summary.training_windows >= 4
-    assert summary.last_accepted_t_s == pytest.approx(verdicts[2][0], abs=0.06)
     states = [f.quality.correction for f in frames]
     assert states[0] is CorrectionState.LEARNING
     assert states[-1] is CorrectionState.ACTIVE
@@ -624,7 +625,6 @@ def test_late_and_failed_fits_change_nothing_and_are_counted(short: Recording) -
     assert pipe.summary().fitted == {"failed": 3, "rejected": 1}
     assert pipe.accept_fit(look(pasts[2])) == "accepted"
     assert pipe.accept_fit(look(pasts[2])) == "rejected"
-    assert pipe.summary().last_fitted_t_s == pytest.approx(60.0, abs=0.2)
 
 
 def test_what_is_published_of_the_sea_is_json(seen: Pipeline, longer: Recording) -> None:
@@ -638,6 +638,37 @@ def test_what_is_published_of_the_sea_is_json(seen: Pipeline, longer: Recording)
     # Significant height: 4 standard deviations of the heave. In two minutes there are fifteen waves.
     assert frame.sea.significant_height_m == pytest.approx(4.0 * np.std(longer.truth.heave_m), rel=0.25)
     assert frame.delayed.t_s == pytest.approx(longer.t_s[-1] - 60.0, abs=0.1)
+
+
+def parts(kept: object) -> list[tuple[str, object]]:
+    """What is within something of the house, with its name there; of others, what they contain."""
+    if isinstance(kept, msgspec.Struct):
+        return list(msgspec.structs.asdict(kept).items())
+    if isinstance(kept, Mapping):
+        return [("", one) for pair in kept.items() for one in pair]
+    if isinstance(kept, (Sequence, Set, deque)) and not isinstance(kept, (str, bytes)):
+        return [("", one) for one in kept]
+    if not type(kept).__module__.startswith("heaved."):
+        return []
+    slots = [slot for kind in type(kept).__mro__ for slot in getattr(kind, "__slots__", ())]
+    names = [*getattr(kept, "__dict__", {}), *(slot for slot in slots if hasattr(kept, slot))]
+    return [(name, getattr(kept, name)) for name in names]
+
+
+def test_what_is_kept_are_plain_numbers(seen: Pipeline) -> None:
+    """A number of numpy in what is kept makes numbers of numpy of all that comes of it, which are times as slow."""
+    of_numpy: set[str] = set()
+    met: dict[int, object] = {}
+    to_see: list[tuple[str, object]] = [("pipeline", seen)]
+    while to_see:
+        name, kept = to_see.pop()
+        if isinstance(kept, np.generic):
+            of_numpy.add(name)
+        elif id(kept) not in met:
+            met[id(kept)] = kept
+            to_see += [(f"{name}.{part}", one) for part, one in parts(kept)]
+    assert len(met) > 1000
+    assert of_numpy == set()
 
 
 def test_the_sea_is_fitted_again_after_a_gap_that_starts_it_over(short: Recording) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import time
 from typing import TYPE_CHECKING, Any
 
 import pyarrow.parquet as pq
@@ -14,7 +15,7 @@ from running import demo_config
 from heaved.recorder import files
 from heaved.recorder.files import delete_old, new_stem, pairs, to_parquet, whole_batches
 from heaved.recorder.found import RecordedError
-from heaved.recorder.layout import SAMPLES
+from heaved.recorder.layout import HANDOVER, SAMPLES
 from heaved.recorder.read import open_recorded, rows_of
 
 if TYPE_CHECKING:
@@ -166,19 +167,56 @@ def test_no_two_pairs_have_one_name(tmp_path: Path) -> None:
     assert all(files.NAME.fullmatch(f"{name}.samples.arrows") for name in names)
 
 
+def test_a_clock_that_is_stepped_deletes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A year ahead, by a wrong fix; a day of it is another matter, and by then somebody knows."""
+    out = tmp_path / "out"
+    write_recording(out, Scribe(tmp_path), 1)
+    (old,) = pairs(out)
+    utc_s = [old.began_utc_s + 60.0]
+    monkeypatch.setattr(time, "time", lambda: utc_s[0])
+    scribe = Scribe(tmp_path, run="next")
+    desk = Desk(out, scribe, max_age_s=30.0 * 86400.0)
+
+    def passes(seconds: float, step_s: float = 0.0) -> list[str]:
+        utc_s[0] += seconds + step_s
+        desk.told(scribe.header() + scribe.offset() + scribe.instants(0, 10), elapsed_s=seconds)
+        desk.told(b"", elapsed_s=0.0)
+        return [pair.stem for pair in pairs(out)]
+
+    passes(1.0)
+    desk.recorder.write(desk.now_s)
+    assert old.stem in passes(100.0)
+    assert old.stem in passes(100.0, step_s=365.0 * 86400.0)
+    for _ in range(10):
+        assert old.stem in passes(3600.0)
+    assert old.stem in passes(100.0, step_s=-365.0 * 86400.0)
+    for _ in range(30):
+        assert old.stem in passes(3600.0)
+    for _ in range(31):
+        there = passes(86400.0)
+    assert old.stem not in there
+
+
 # ---- a disk that does not do its part --------------------------------------------------------------------------------
 
 
 DISKS = [
-    (errno.ENOSPC, "no room is left: free some, or lower"),
-    (errno.EROFS, "is read-only: mount it writable"),
-    (errno.EIO, "cannot be written to"),
+    (errno.ENOSPC, "no room is left: free some, or lower", True),
+    (errno.EROFS, "is read-only: mount it writable", True),
+    (errno.EIO, "cannot be written to", False),
 ]
+"""Failure, what is said of it, and whether the system shows when it is over."""
 
 
-@pytest.mark.parametrize(("number", "said"), DISKS)
+def _statvfs(*, free: bool, writable: bool) -> os.statvfs_result:
+    """Of a disk with blocks of 4 KiB."""
+    room = 1 << 20 if free else 0
+    return os.statvfs_result((4096, 4096, 1 << 21, room, room, 100, 100, 100, 0 if writable else os.ST_RDONLY, 255))
+
+
+@pytest.mark.parametrize(("number", "said", "is_shown"), DISKS)
 def test_a_disk_that_takes_nothing_is_said_counted_and_tried_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, said: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, said: str, is_shown: bool
 ) -> None:
     scribe = Scribe(tmp_path)
     out = tmp_path / "out"
@@ -203,13 +241,18 @@ def test_a_disk_that_takes_nothing_is_said_counted_and_tried_again(
         desk.told(b"", elapsed_s=1.0)
     assert not desk.reports[-1].is_up
     assert said in desk.reports[-1].detail
-    assert "tried again every 60 s" in desk.reports[-1].detail
+    assert ("tried again every 60 s" in desk.reports[-1].detail) is not is_shown
     assert desk.reports[-1].lost == 220
-    # There is room, but it is not tried at once.
-    desk.told(scribe.instants(200, 300))
-    desk.told(b"", elapsed_s=10.0)
+    # Nothing has changed, and it is not tried.
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "statvfs", lambda _: _statvfs(free=number == errno.EROFS, writable=number != errno.EROFS))
+        desk.told(scribe.instants(200, 300))
+        desk.told(b"", elapsed_s=10.0)
     assert (desk.reports[-1].is_up, desk.reports[-1].lost) == (False, 440)
-    desk.told(b"", elapsed_s=60.0)
+    # What the system shows to be over is tried at once, the rest after its time.
+    monkeypatch.setattr(os, "statvfs", lambda _: _statvfs(free=True, writable=True))
+    if not is_shown:
+        desk.told(b"", elapsed_s=60.0)
     desk.told(scribe.instants(300, 400))
     desk.told(b"", elapsed_s=1.0)
     assert desk.reports[-1].is_up
@@ -229,12 +272,33 @@ def test_a_directory_that_is_not_there_is_made_but_not_what_it_should_stand_on(t
     assert "is not there: mount or make it" in desk.reports[-1].detail
     assert not (tmp_path / "mount").exists()
     (tmp_path / "mount").mkdir()
-    desk.told(b"", elapsed_s=60.0)
     desk.told(scribe.instants(100, 200))
     desk.told(b"", elapsed_s=1.0)
     assert desk.reports[-1].is_up
     desk.recorder.close(desk.now_s)
     assert len(pairs(tmp_path / "mount" / "recordings")) == 1
+
+
+def test_what_a_daemon_had_to_leave_is_recorded_by_the_next(tmp_path: Path) -> None:
+    left, scribe, out = Scribe(tmp_path, run="left"), Scribe(tmp_path, run="next"), tmp_path / "out"
+    out.mkdir()
+    # Two hours of it, and beside it one that nobody can read.
+    told = left.header() + left.offset() + left.instants(0, 100)
+    told += left.header() + left.offset() + left.instants(100, 150)
+    (out / f"heaved-left-1{HANDOVER}").write_bytes(told)
+    (out / f"heaved-none-1{HANDOVER}").write_bytes(b"\xff" * 100)
+    desk = Desk(out, scribe)
+    desk.told(scribe.header() + scribe.offset() + scribe.instants(0, 100))
+    desk.told(b"", elapsed_s=1.0)
+    assert desk.reports[-1].rows == 220
+    desk.recorder.close(desk.now_s)
+    runs = {hours[0].header.run: hours for hours in open_recorded(out, SAMPLES).runs}
+    assert [row.seq for hour in runs["left"] for row in rows_of(hour)] == list(range(180))
+    assert [row.seq for hour in runs["next"] for row in rows_of(hour)] == list(range(120))
+    assert [path.name for path in out.glob(f"*{HANDOVER}*")] == [f"heaved-none-1{HANDOVER}.damaged"]
+    notes = " ".join(report.note for report in desk.reports)
+    assert "330 rows that the daemon before had to leave are recorded (heaved-left-1.handover)" in notes
+    assert "heaved-none-1.handover cannot be taken over" in notes
 
 
 def test_a_directory_of_another_daemon_is_left_to_it(tmp_path: Path) -> None:

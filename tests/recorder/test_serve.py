@@ -150,5 +150,7 @@ def test_who_tells_it_something_else_is_told_so(data: bytes) -> None:
 
 def test_it_ends_quietly_when_nothing_was_recorded() -> None:
     with process() as running:
-        assert running.communicate(b"", timeout=30) == (b"", b"")
+        said, errors = running.communicate(b"", timeout=30)
+        assert msgspec.json.decode(said, type=Report) == Report(is_up=False, has_begun=True)
+        assert errors == b""
         assert running.returncode == 0

@@ -41,16 +41,31 @@ def test_the_name_that_stays_is_found(tmp_path: Path) -> None:
 
 def test_adapters_are_told_with_name_maker_and_number(monkeypatch: pytest.MonkeyPatch, port: str) -> None:
     board = SimpleNamespace(
-        device="/dev/ttyS0", vid=None, product=None, description="n/a", manufacturer=None, serial_number=None
+        device="/dev/ttyS0",
+        vid=None,
+        pid=None,
+        location=None,
+        product=None,
+        description="n/a",
+        manufacturer=None,
+        serial_number=None,
     )
     usb = SimpleNamespace(
-        device=port, vid=0x403, product="FT232R\x1b[2J", description="FT232R", manufacturer="FTDI", serial_number="A1"
+        device=port,
+        vid=0x403,
+        pid=0x6001,
+        location="1-1.2",
+        product="FT232R\x1b[2J",
+        description="FT232R",
+        manufacturer="FTDI",
+        serial_number="A1",
     )
     monkeypatch.setattr(list_ports, "comports", lambda: [board, usb])
     first, second = adapters()
     assert (first.path, first.maker, first.serial_number, first.refusal) == (port, "FTDI", "A1", "")
     assert first.name == "FT232R\\x1b[2J"
-    assert second.name == ""
+    assert (first.usb_id, first.socket) == ("0403:6001", "1-1.2")
+    assert (second.name, second.usb_id, second.socket) == ("", "", "")
 
 
 def test_who_holds_a_port_is_named(port: str, tmp_path: Path) -> None:

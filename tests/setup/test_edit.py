@@ -66,13 +66,6 @@ def test_a_table_that_is_missing_is_added() -> None:
     assert edit.with_keys("", "laser", {"sign": -1}) == "[laser]\nsign = -1\n"
 
 
-def test_another_device_goes_below_the_last_one() -> None:
-    after = edit.with_device(PLAIN, {"name": "crane", "rate_hz": 5.0})
-    assert tomllib.loads(after)["device"][2] == {"name": "crane", "rate_hz": 5.0}
-    assert after.index('"crane"') < after.index("# ---- estimation ----")
-    assert edit.with_device("", {"name": "a"}) == '[[device]]\nname = "a"\n'
-
-
 AWKWARD: list[tuple[str, str]] = [
     ("values over lines", "[laser]\nbeam = [ # down\n  0.0, # ]\n  0.0,\n  -1.0,\n] # end\n# after\n"),
     ("strings with brackets", "[laser]\nname = \"a # ] \\\" [\"\nother = '''\n[laser]\nbeam = 3\n'''\nbeam = 1\n"),

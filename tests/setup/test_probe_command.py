@@ -36,7 +36,16 @@ def few_settings(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def plugged_in(monkeypatch: pytest.MonkeyPatch, *paths: str) -> None:
     ports = [
-        SimpleNamespace(device=path, vid=1, product="FT232R", description="x", manufacturer="FTDI", serial_number="A1")
+        SimpleNamespace(
+            device=path,
+            vid=1,
+            pid=2,
+            location="1-2",
+            product="FT232R",
+            description="x",
+            manufacturer="FTDI",
+            serial_number="A1",
+        )
         for path in paths
     ]
     monkeypatch.setattr(list_ports, "comports", lambda: ports)

@@ -183,6 +183,30 @@ def test_noise_alone_has_no_lines() -> None:
     assert sum(bool(lines(*white(seed, 100.0, 5.0))) for seed in range(40)) <= 1
 
 
+def short_waves(seed: int, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+    """The tail of a sea in the acceleration, which falls as the frequency rises and ends at 1.05 Hz."""
+    rng = np.random.default_rng(seed)
+    t_s = jittered(rng, 100.0, seconds)
+    waves = np.arange(0.1, 1.05, 0.002)
+    turns = 2 * np.pi * (np.outer(t_s, waves) + rng.random(len(waves)))
+    return t_s, 9.81 + np.sin(turns) @ (0.01 / waves) + 0.005 * rng.standard_normal(len(t_s))
+
+
+@pytest.mark.parametrize("seconds", [10.0, 60.0])
+def test_short_waves_are_no_lines(seconds: float) -> None:
+    assert sum(len(lines(*short_waves(seed, seconds))) for seed in range(20)) <= 2
+    t_s, x = short_waves(99, seconds)
+    found = lines(t_s, x + 0.2 * np.sin(2 * np.pi * 1.6 * t_s))
+    assert [round(line.frequency_hz, 1) for line in found] == [1.6]
+    assert found[0].amplitude == pytest.approx(0.2, rel=0.1)
+
+
+def test_a_line_that_changes_its_strength_is_named_once() -> None:
+    t_s = jittered(np.random.default_rng(8), 100.0, 10.0)
+    found = lines(t_s, (0.1 + 0.02 * t_s) * np.sin(2 * np.pi * 7.3 * t_s))
+    assert [round(line.frequency_hz, 1) for line in found] == [7.3]
+
+
 def test_a_record_that_is_constant_or_short_has_no_lines() -> None:
     t_s = np.arange(1000) / 100.0
     assert lines(t_s, np.full(1000, 9.81)) == []

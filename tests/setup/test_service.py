@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from msgspec.structs import replace
 
 from heaved.cli import main
 from heaved.config.read import data_directory, load
 from heaved.setup import service, udev, unit
-from heaved.setup.udev import Adapter
+from heaved.setup.adapters import Adapter
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,9 +30,15 @@ link = "{link}"
 profile = "witmotion-wt901c485"
 rate_hz = 20.0
 """
+TLS = '[tls]\ncertificate_file = "/c"\nkey_file = "/etc/heaved/server.key"\nclient_ca_file = "/a"'
 USB = "rtu:///dev/ttyUSB0?baudrate=115200"
 FTDI = Adapter(
-    device="/dev/ttyUSB0", vid=0x0403, pid=0x6001, serial_number="A50285BI", socket="1-1.2", product="USB RS485"
+    path="/dev/ttyUSB0",
+    stable_path="/dev/ttyUSB0",
+    name="USB RS485",
+    serial_number="A50285BI",
+    usb_id="0403:6001",
+    socket="1-1.2",
 )
 
 
@@ -174,6 +181,9 @@ def test_systemd_and_udev_are_told_only_of_what_is_new(root: Path, tmp_path: Pat
         ('[stream]\nhost = "0.0.0.0"\nallow = ["192.168.10.0/24"]', ["IPAddressAllow=192.168.10.0/24"]),
         ('[http]\nenabled = false\nallow = ["192.168.11.0/24"]', []),
         ('[http]\nhost = "::"\nallow = ["fd00::/64"]', ["IPAddressAllow=fd00::/64"]),
+        ('[stream]\nhost = "0.0.0.0"\ntls = true\n' + TLS, ["IPAddressAllow=any"]),
+        ('[stream]\nhost = "::"\ntls = true\nallow = ["fd00::/64"]\n' + TLS, ["IPAddressAllow=fd00::/64"]),
+        ("[http]\ntls = true\n" + TLS, []),
         ('[registers]\nenabled = true\nmode = "push"\nlink = "tcp://10.1.1.1:502"', ["IPAddressAllow=10.1.1.1"]),
         ('[registers]\nlink = "tcp://10.1.1.1:502"\nmode = "push"', []),
         (
@@ -228,6 +238,7 @@ def test_a_network_that_is_not_wanted_any_more_is_taken_back(root: Path, tmp_pat
             '[mqtt]\nenabled = true\nusername = "us"\npassword_file = "/etc/heaved/secret"',
             "LoadCredential=mqtt:/etc/heaved/secret",
         ),
+        ("[http]\ntls = true\n" + TLS, "LoadCredential=tls:/etc/heaved/server.key"),
     ],
 )
 def test_what_no_drop_in_can_do_is_said(more: str, said: str, root: Path, tmp_path: Path) -> None:
@@ -287,7 +298,7 @@ def links_made(rules: str, port: dict[str, str], parents: list[dict[str, str]]) 
 def usb(adapter: Adapter) -> tuple[dict[str, str], list[dict[str, str]]]:
     """The port of an adapter, and the devices above it, as the kernel shows them."""
     socket, _, interface = adapter.socket.partition(":")
-    attributes = {"idVendor": f"{adapter.vid:04x}", "idProduct": f"{adapter.pid:04x}"}
+    attributes = dict(zip(("idVendor", "idProduct"), adapter.usb_id.split(":"), strict=True))
     if adapter.serial_number:
         attributes["serial"] = adapter.serial_number
     hub = {"KERNELS": "1-1", "idVendor": "1d6b", "idProduct": "0002", "serial": "0000:00:14.0"}
@@ -295,28 +306,23 @@ def usb(adapter: Adapter) -> tuple[dict[str, str], list[dict[str, str]]]:
     return port, [{"KERNELS": adapter.socket}, {"KERNELS": socket, **attributes}, hub]
 
 
-def changed(adapter: Adapter, **changes: str) -> Adapter:
-    fields = {"device": adapter.device, "serial_number": adapter.serial_number, "socket": adapter.socket}
-    return Adapter(vid=adapter.vid, pid=adapter.pid, product=adapter.product, **(fields | changes))
-
-
 CASES = {
-    "by serial number": (FTDI, changed(FTDI, device="/dev/ttyUSB1", serial_number="A50285BJ", socket="1-1.3")),
+    "by serial number": (FTDI, replace(FTDI, path="/dev/ttyUSB1", serial_number="A50285BJ", socket="1-1.3")),
     "no serial number": (
-        changed(FTDI, serial_number=""),
-        changed(FTDI, device="/dev/ttyUSB1", serial_number="", socket="1-1.3"),
+        replace(FTDI, serial_number=""),
+        replace(FTDI, path="/dev/ttyUSB1", serial_number="", socket="1-1.3"),
     ),
     "the same serial number": (
-        changed(FTDI, serial_number="0001"),
-        changed(FTDI, serial_number="0001", device="/dev/ttyUSB1", socket="1-1.3"),
+        replace(FTDI, serial_number="0001"),
+        replace(FTDI, serial_number="0001", path="/dev/ttyUSB1", socket="1-1.3"),
     ),
     "ports of one adapter": (
-        changed(FTDI, socket="1-1.2:1.0"),
-        changed(FTDI, device="/dev/ttyUSB1", socket="1-1.2:1.10"),
+        replace(FTDI, socket="1-1.2:1.0"),
+        replace(FTDI, path="/dev/ttyUSB1", socket="1-1.2:1.10"),
     ),
     "an odd serial number": (
-        changed(FTDI, serial_number='A"*B, C'),
-        changed(FTDI, device="/dev/ttyUSB1", serial_number="AxxxB, D", socket="1-1.3"),
+        replace(FTDI, serial_number='A"*B, C'),
+        replace(FTDI, path="/dev/ttyUSB1", serial_number="AxxxB, D", socket="1-1.3"),
     ),
 }
 
@@ -334,14 +340,14 @@ def test_each_adapter_gets_its_own_name_and_no_other(case: str) -> None:
 
 def test_a_known_adapter_keeps_its_name_in_another_socket() -> None:
     (rule,) = udev.rules({"/dev/ttyUSB0": ("imu",)}, [FTDI])
-    assert links_made(rule.text, *usb(changed(FTDI, device="/dev/ttyUSB7", socket="3-4.1"))) == ["heaved-imu"]
+    assert links_made(rule.text, *usb(replace(FTDI, path="/dev/ttyUSB7", socket="3-4.1"))) == ["heaved-imu"]
 
 
 def test_only_ftdi_has_a_latency_timer() -> None:
     (rule,) = udev.rules({"/dev/ttyUSB0": ("imu",)}, [FTDI])
     assert 'DRIVER=="ftdi_sio"' in rule.text
     assert 'ATTR{latency_timer}="1"' in rule.text
-    other = Adapter(device="/dev/ttyUSB0", vid=0x1A86, pid=0x7523, socket="1-2")
+    other = Adapter(path="/dev/ttyUSB0", stable_path="/dev/ttyUSB0", usb_id="1a86:7523", socket="1-2")
     (rule,) = udev.rules({"/dev/ttyUSB0": ("imu",)}, [other])
     assert "latency_timer" not in rule.text
 

@@ -117,7 +117,9 @@ def _few(rig: Rig) -> list[episodes.Episode]:
 
 
 async def test_the_daemon_lives_through_a_few_seconds_of_it(tmp_path: Path) -> None:
-    settings = Settings(seed=1, minutes=2.5 / 60.0, quick=("crane",), with_page=False, own_disk=False, settles_s=0.0)
+    settings = Settings(
+        seed=1, minutes=2.5 / 60.0, quick=("crane",), with_page=False, own_disk=False, settles_s=0.0, laser_away_s=0.0
+    )
     async with asyncio.timeout(60.0):
         found = await Campaign(settings, tmp_path).run([Life("a few seconds", 1.0, False, _few)])
     (life,) = found.lives

@@ -18,8 +18,9 @@ import numpy as np
 import pytest
 from evidence.faults import judge as faults
 from evidence.faults import table as fault_table
-from evidence.faults.disasters import DISASTERS, HONEST_OF, IMU, Disaster, Span, spoiled
+from evidence.faults.disasters import DISASTERS, HONEST_OF, IMU, Disaster, spoiled
 from evidence.faults.judge import Outcome, Plan, Published, Task
+from evidence.faults.moves import Move, Span, growing, listed, met_by_a_swell, turned_into_the_sea
 
 from heaved.pipeline import Pipeline
 from heaved.samples import (
@@ -524,3 +525,40 @@ def test_the_vessel_that_lists_moves_its_sensors_with_it() -> None:
     assert by[t >= 15.0] == pytest.approx(3.0)
     rate = np.gradient(np.radians(by), t)
     assert moved.roll_rate_radps - truth.roll_rate_radps == pytest.approx(rate, abs=2e-4)
+
+
+MOVES: dict[str, Move] = {
+    "list": listed(radians(3.0), 5.0),
+    "sea grows": growing(0.1, 60.0),
+    "turn": turned_into_the_sea(0.8, 40.0),
+    "swell": met_by_a_swell(0.3, 60.0),
+}
+
+
+@pytest.mark.parametrize("name", MOVES)
+def test_what_a_vessel_does_is_a_motion(name: str) -> None:
+    """Velocities are the derivatives of what they are the velocities of."""
+    t = np.arange(0.0, 200.0, 0.05)
+    before, moved = seaway("S6", 1).motion(t), MOVES[name](seaway("S6", 1).motion(t), Span(80.0, inf))
+    inside = slice(40, -40)
+    for value, rate in (
+        (moved.heave_m, moved.heave_velocity_mps),
+        (moved.heave_velocity_mps, moved.heave_acceleration_mps2),
+        (moved.roll_rad, moved.roll_rate_radps),
+        (moved.pitch_rad, moved.pitch_rate_radps),
+        (moved.yaw_rad, moved.yaw_rate_radps),
+    ):
+        found = np.gradient(value, t)[inside]
+        np.testing.assert_allclose(found, rate[inside], atol=2e-3 * max(float(np.std(rate)), 1e-3) + 2e-5, rtol=2e-3)
+    later = t > 150.0
+    assert (
+        max(
+            float(np.max(np.abs(a - b)[later]))
+            for a, b in ((moved.heave_m, before.heave_m), (moved.roll_rad, before.roll_rad))
+        )
+        > radians(2.0)
+        or name == "sea grows"
+    )
+    assert np.std(moved.heave_m[t < 80.0]) == pytest.approx(
+        (0.1 if name == "sea grows" else 1.0) * np.std(before.heave_m[t < 80.0]), rel=0.3
+    )

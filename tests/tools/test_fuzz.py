@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from heaved.devices.profile import Decoded
 
-EXAMPLES = {"configuration": 20, "recorded": 20, "state": 60, "recorder-messages": 60}
+EXAMPLES = {"configuration": 20, "recorded": 20, "state": 60, "recorder-messages": 60, "torn-stream": 20, "tls": 60}
 """Of those that take longer; the others have 150."""
 
 FOUND: dict[str, list[bytes]] = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -20,6 +21,25 @@ def test_what_is_no_python_is_named() -> None:
     done = subprocess.run([SBOM, "/bin/false"], capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "/bin/false is no Python" in done.stderr
+
+
+def test_without_a_network_nobody_knows(tmp_path: Path) -> None:
+    """That the programs cannot be had is not that something is known against a package."""
+    python = tmp_path / "python"
+    python.write_text(
+        "#!/bin/sh\n"
+        'case "$1 $2" in\n'
+        '"-m venv") mkdir -p "$3/bin" && cp "$0" "$3/bin/python" ;;\n'
+        '"-m pip") echo "no route to host" >&2; exit 1 ;;\n'
+        "esac\n"
+    )
+    python.chmod(0o755)
+    done = subprocess.run(
+        [SBOM, sys.executable], capture_output=True, text=True, check=False, env={**os.environ, "PYTHON": str(python)}
+    )
+    assert done.returncode == 3
+    assert "no route to host" in done.stderr
+    assert "nothing is listed or audited: cyclonedx-bom>=5 pip-audit>=2.7 cannot be had without" in done.stderr
 
 
 @pytest.fixture

@@ -2,8 +2,8 @@
 # Tries the service under a running systemd: try_systemd.sh HEAVED.deb [HEAVED-TORCH.deb]. Needs root, debootstrap, a
 # mirror, cgroup v2.
 # A clean Debian is booted in namespaces of its own. The daemon reads simulated sensors there, first at an address that
-# the unit does not allow, then after heaved install-service; it records, is reloaded, killed, stopped and removed. With
-# the second package a network is trained under the unit's own restrictions.
+# the unit does not allow, then after heaved install-service; it records, is reloaded, killed, hung, stopped and removed.
+# What the unit takes away is tried under the unit's own restrictions; with the second package a network is trained there.
 # ROOT names a tree that is kept for another time; without it one is made and removed.
 set -euo pipefail
 package=${1:?usage: tools/debian/try_systemd.sh HEAVED.deb [HEAVED-TORCH.deb]}
@@ -48,7 +48,7 @@ until_true() { for _ in $(seq 100); do if "$@"; then return; fi; sleep 0.2; done
 all_up() { [ "$(device)" = "[True, True]" ]; }
 
 say "install"
-dpkg -P heaved >/dev/null 2>&1 || true
+dpkg -P heaved-torch heaved >/dev/null 2>&1 || true
 dpkg -i /heaved.deb >/dev/null
 ! systemctl is-active --quiet heaved
 ! systemctl is-enabled --quiet heaved
@@ -78,12 +78,109 @@ stat -c '%U' "/proc/$pid" && grep -E '^(Cap(Eff|Bnd)|NoNewPrivs|Seccomp):' "/pro
 systemctl show -p ActiveState -p NRestarts -p StatusText -p WatchdogUSec heaved
 nsenter --target "$pid" --mount -- ls -ld /var/lib/heaved/ /root /home 2>&1 || true
 
-say "reload, kill, stop"
+say "what the unit takes away"
+exposure=$(systemd-analyze security --no-pager heaved | sed -n 's/.*Overall exposure level for heaved.service: \([0-9.]*\).*/\1/p')
+echo "exposure $exposure"
+python3 -c "import sys; raise SystemExit(not 0.0 < float(sys.argv[1]) <= 1.5)" "$exposure"
+cat >/usr/lib/heaved-forbidden.py <<'PYTHON'
+import ctypes, mmap, os, resource, signal, socket, time
+
+libc = ctypes.CDLL(None, use_errno=True)
+
+
+def called(result):
+    if result == -1:
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+
+
+def write(path):
+    with open(path, "a") as file:
+        file.write("x")
+
+
+def execute_what_was_written():
+    mmap.mmap(-1, 4096, prot=mmap.PROT_READ | mmap.PROT_WRITE | mmap.PROT_EXEC)
+
+
+def talk(address):
+    with socket.create_connection(address, 1.0):
+        pass
+
+
+def others():
+    if [one for one in os.listdir("/proc") if one.isdigit() and os.stat(f"/proc/{one}").st_uid != os.getuid()]:
+        return
+    raise PermissionError("none are seen")
+
+
+FORBIDDEN = {
+    "write into /usr": lambda: write("/usr/lib/mark"),
+    "write into /etc": lambda: write("/etc/heaved/heaved.toml"),
+    "write into /var/lib": lambda: write("/var/lib/mark"),
+    "write into /boot": lambda: write("/boot/mark"),
+    "read /root": lambda: os.listdir("/root"),
+    "read the shadow": lambda: open("/etc/shadow").read(),
+    "read the kernel's log": lambda: open("/dev/kmsg").read(1),
+    "write into /sys": lambda: write("/sys/kernel/mm/ksm/run"),
+    "set a kernel parameter": lambda: write("/proc/sys/kernel/hostname"),
+    "set the host's name": lambda: called(libc.sethostname(b"x", 1)),
+    "set the clock": lambda: time.clock_settime(time.CLOCK_REALTIME, time.time()),
+    "mount": lambda: called(libc.mount(b"none", b"/tmp", b"tmpfs", 0, None)),
+    "a namespace of its own": lambda: called(libc.unshare(0x10000000)),
+    "another user": lambda: os.setuid(0),
+    "memory that is written and run": execute_what_was_written,
+    "a raw socket": lambda: socket.socket(socket.AF_PACKET, socket.SOCK_RAW),
+    "netlink": lambda: socket.socket(socket.AF_NETLINK, socket.SOCK_RAW),
+    "trace the first process": lambda: called(libc.ptrace(16, 1, 0, 0)),
+    "end the first process": lambda: os.kill(1, signal.SIGTERM),
+    "see the processes of others": others,
+    "an address that is not named": lambda: talk(("10.9.9.2", 9)),
+    "a file that runs as its owner": lambda: os.chmod(os.open("/tmp/x", os.O_CREAT | os.O_RDWR), 0o4755) or os.stat("/tmp/x"),
+}
+able = []
+for what, attempt in FORBIDDEN.items():
+    try:
+        attempt()
+    except (OSError, TimeoutError) as error:
+        # Nobody listens at the address: to be refused there would mean to have been let out.
+        if isinstance(error, ConnectionRefusedError):
+            able.append(what)
+    else:
+        able.append(what)
+with open(os.path.join(os.environ["STATE_DIRECTORY"], "mark"), "w") as file:
+    file.write("its own state")
+os.unlink(file.name)
+if resource.getrlimit(resource.RLIMIT_RTPRIO)[0]:
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
+else:
+    print("real-time scheduling is not shown: this machine gives its containers no LimitRTPRIO")
+print(len(FORBIDDEN) - len(able), "of", len(FORBIDDEN), "are refused;", "able to:", able or "nothing else")
+raise SystemExit(bool(able))
+PYTHON
+ip addr add 10.9.9.2/32 dev lo
+sed -e 's#^ExecStart=.*#ExecStart=/opt/heaved/bin/python /usr/lib/heaved-forbidden.py#' -e 's/^Type=notify/Type=oneshot/' \
+    -e '/^\(Restart\|Watchdog\|NotifyAccess\|ExecReload\)/d' /usr/lib/systemd/system/heaved.service >/etc/systemd/system/forbidden.service
+systemctl daemon-reload
+systemctl start forbidden || { journalctl -u forbidden --no-pager --since "@$began" | tail -n 5; false; }
+journalctl -u forbidden --no-pager --since "@$began" | grep -m 1 "are refused"
+rm /etc/systemd/system/forbidden.service /usr/lib/heaved-forbidden.py
+systemctl daemon-reload
+
+say "reload, kill, hang, stop"
 systemctl reload heaved
 until_true bash -c 'log | grep -q "configuration read again"'
 kill -KILL "$pid"
 until_true sh -c "test \$(systemctl show --value -p MainPID heaved) != $pid && systemctl is-active --quiet heaved"
 until_true all_up
+# A loop that hangs feeds no watchdog: it is ended within the watchdog's time and that of an end, and started again.
+pid=$(systemctl show --value -p MainPID heaved)
+start=$(date +%s%N)
+kill -STOP "$pid"
+until_true sh -c "test \$(systemctl show --value -p MainPID heaved) != $pid && systemctl is-active --quiet heaved"
+until_true all_up
+echo "a hung loop was back within $((($(date +%s%N) - start) / 1000000)) ms"
+log | grep -m 1 -i "watchdog timeout"
+test -s /var/lib/private/heaved/state.json
 start=$(date +%s%N)
 systemctl stop heaved
 ! log | grep "has failed"
@@ -125,11 +222,13 @@ PYTHON
 fi
 
 say "remove, purge"
+systemctl stop sensors
 systemctl enable heaved 2>/dev/null
 dpkg -r heaved >/dev/null
 ! systemctl is-active --quiet heaved
 dpkg -P heaved >/dev/null
-test -z "$(find / -xdev -path /proc -prune -o -path /sys -prune -o -iname '*heaved*' -print | grep -Ev '^/(heaved[^/]*$|var/(log|lib/dpkg))' || true)"
+left=$(find / -xdev -path /proc -prune -o -path /sys -prune -o -iname '*heaved*' -print | grep -Ev '^/(heaved[^/]*$|var/(log|lib/dpkg))' || true)
+[ -z "$left" ] || { echo "left behind: $left"; false; }
 say "all well"
 TRIAL
 cgroup=$(awk '$3 == "cgroup2" { print $2; exit }' /proc/mounts)/heaved-trial

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Sequence
+    from collections.abc import AsyncIterator, Collection, Sequence
     from pathlib import Path
 
     from heaved.devices.profile import DeviceSpec
@@ -30,11 +30,17 @@ class Running(msgspec.Struct, frozen=True):
 
 @asynccontextmanager
 async def running_daemon(
-    devices: Sequence[DeviceSpec], folder: Path, settings: str = "", *, http: bool = False
+    devices: Sequence[DeviceSpec],
+    folder: Path,
+    settings: str = "",
+    *,
+    http: bool = False,
+    cores: Collection[int] = (),
 ) -> AsyncIterator[Running]:
     """A daemon that polls ``devices``, its stream and, if it is asked for, its HTTP server on 127.0.0.1.
 
     Configuration, state and the log (``folder/log``) go to ``folder``. ``settings``: further tables, as TOML.
+    ``cores``: on which it runs, and its processes; none: on any.
 
     Raises:
         RuntimeError: it does not start; says what it has logged.
@@ -51,7 +57,10 @@ async def running_daemon(
         daemon = await asyncio.create_subprocess_exec(
             sys.executable, "-m", "heaved", "run", "--config", str(config),
             stdout=asyncio.subprocess.PIPE, stderr=errors, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+            start_new_session=True,  # Ctrl-C is for the tool, which then ends it.
         )  # fmt: skip
+    if cores:  # Long before it has threads or processes, which go where it is.
+        os.sched_setaffinity(daemon.pid, cores)
     try:
         assert daemon.stdout is not None
         addresses: dict[str, tuple[str, int]] = {}

@@ -7,9 +7,11 @@ them by coverage (``tools/fuzz.py``), the tests by hypothesis and with what was 
 
 from __future__ import annotations
 
+import asyncio
 import atexit
 import io
 import shutil
+import ssl
 import struct
 import tempfile
 import time
@@ -35,14 +37,19 @@ from heaved.devices.profile import SI, block_registers, decode, encode
 from heaved.devices.recording import Recording, RecordingError
 from heaved.devices.sentences import SentenceReader
 from heaved.estimation.heave import saved_state
+from heaved.estimation.heave.laser.geometry import Geometry
+from heaved.estimation.heave.laser.placement import LaserPlace, SavedPlace
 from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.heave.sea.model import SeaModel
+from heaved.estimation.hull.remembered import SavedFlexure, SavedHull
+from heaved.estimation.imu.attitude_memory import SavedAttitudeError
 from heaved.links import SerialLink, parse_any_link, parse_service_link
 from heaved.networks import is_allowed, parse_networks
 from heaved.outputs import modbus_frames, wire
 from heaved.outputs.http import HttpServer, Verdict
 from heaved.outputs.records import ErrorRecord, VersionRecord
 from heaved.outputs.requests import MAX_REQUEST_BYTES, BadRequest, LineSplitter, parse_request
+from heaved.outputs.tls_connection import TlsConnection
 from heaved.page.follower import Follower
 from heaved.page.server import PageServer, is_own_host
 from heaved.recorder import messages
@@ -453,6 +460,124 @@ _HTTP: Final = (
 )  # fmt: skip
 
 
+class _Wire(asyncio.Transport):
+    """Takes what is sent."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.sent = b""
+        self.is_over = False
+
+    def write(self, data: Any) -> None:
+        self.sent += bytes(data)
+
+    def write_eof(self) -> None:
+        """Nothing more is sent."""
+
+    def close(self) -> None:
+        self.is_over = True
+
+    abort = close
+
+    def is_closing(self) -> bool:
+        return self.is_over
+
+
+class _Ear(asyncio.Protocol):
+    """Hears, answers each piece, and goes on when the other side has ended."""
+
+    def __init__(self) -> None:
+        self.heard, self.ends = b"", 0
+
+    def connection_made(self, transport: Any) -> None:
+        self._transport = transport
+
+    def data_received(self, data: bytes) -> None:
+        self.heard += data
+        self._transport.write(data)
+
+    def eof_received(self) -> bool:
+        self.ends += 1
+        return True
+
+
+def tls(data: bytes) -> None:
+    """With TLS what is said is heard, in whatever pieces it comes, and nothing else is; a handshake is over once."""
+    if len(data) > 2:
+        _loop().run_until_complete(_spoken_tls(data[0], 1 + data[1] % 128, data[2:]))
+
+
+async def _spoken_tls(kind: int, size: int, said: bytes) -> None:
+    ear, overs = _Ear(), list[str]()
+    wire_ = _Wire()
+    server = TlsConnection(_anonymous(ssl.PROTOCOL_TLS_SERVER), lambda: ear, overs.append)
+    server.connection_made(wire_)
+    client, incoming, outgoing = _client()
+    is_agreed, expected = bool(kind & 1), b""
+    if is_agreed:
+        for _ in range(3):
+            with suppress(ssl.SSLWantReadError):
+                client.do_handshake()
+            for piece in _pieces(outgoing.read(), size):
+                server.data_received(piece)
+            incoming.write(wire_.sent)
+            wire_.sent = b""
+        _hold(overs == [""], f"no agreement: {overs}")
+        expected = said[: len(said) // 2] if kind & 2 else said
+        if expected:
+            client.write(expected)
+        if kind & 4:
+            with suppress(ssl.SSLWantReadError):
+                client.unwrap()
+    rest = said[len(expected) :]
+    for piece in _pieces(outgoing.read() + rest, size):
+        server.data_received(piece)
+    _hold(ear.heard == expected, "what is heard is not what is said")
+    _hold(ear.ends <= 1, "the end is heard twice")
+    if is_agreed and not rest and not kind & 4:
+        incoming.write(wire_.sent)
+        echoed = b""
+        with suppress(ssl.SSLWantReadError):
+            while True:
+                echoed += client.read(65536)
+        _hold(echoed == expected, "what is answered is not what is heard")
+    _hold(len(wire_.sent) < 1024 + 40 * len(said), "a long answer to a short word")
+    server.eof_received()
+    server.connection_lost(None)
+    _hold(len(overs) == 1, f"the handshake is over {len(overs)} times")
+    _plain(overs[0])
+
+
+def _client() -> tuple[ssl.SSLObject, ssl.MemoryBIO, ssl.MemoryBIO]:
+    incoming, outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
+    return _anonymous(ssl.PROTOCOL_TLS_CLIENT).wrap_bio(incoming, outgoing), incoming, outgoing
+
+
+@cache
+def _anonymous(side: Any) -> ssl.SSLContext:
+    """Without certificates, which no bytes of a client could lead through: all else is as it is."""
+    context = ssl.SSLContext(side)
+    context.check_hostname = False
+    context.verify_mode = ssl.CERT_NONE
+    context.minimum_version = context.maximum_version = ssl.TLSVersion.TLSv1_2
+    context.set_ciphers("aNULL:@SECLEVEL=0")
+    return context
+
+
+@cache
+def _loop() -> asyncio.AbstractEventLoop:
+    loop = asyncio.new_event_loop()
+    atexit.register(loop.close)
+    return loop
+
+
+_TLS: Final = (
+    b"\x01\x05?STATUS\n", b"\x05\x7f?VERSION\n" * 3, b"\x03\x00?STATUS\n\x17\x03\x03\x00\x04\0\0\0\0",
+    b"\x00\x10GET / HTTP/1.1\r\n\r\n", b"\x00\x03\x16\x03\x01\x00\x05\x01\x00\x00\x01\x03",
+    b"\x07\x01a\x15\x03\x03\x00\x02\x02\x28",
+)  # fmt: skip
+
+
 # ---- files -----------------------------------------------------------------------------------------------------------
 
 
@@ -579,9 +704,65 @@ def _recorded() -> list[bytes]:
     return made
 
 
+def torn_stream(data: bytes) -> None:
+    """What a crash leaves of a growing recording becomes Parquet with every batch that is whole, or is kept."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    from heaved.recorder.files import to_parquet, whole_batches
+
+    if not data:
+        return
+    whole = _streams()[data[0] % 2]
+    at = int.from_bytes(data[1:4], "big") % (len(whole) + 1)
+    directory = _scratch() / "torn"
+    shutil.rmtree(directory, ignore_errors=True)
+    directory.mkdir()
+    source = directory / "heaved-20260101T000000Z.samples.arrows"
+    source.write_bytes(whole[:at] + data[4:])
+    size = source.stat().st_size
+    try:
+        made = to_parquet(source, table_rows=2)
+    except (OSError, pa.ArrowException):  # What the recorder says of it.
+        _hold([path.name for path in directory.iterdir()] == [source.name], "what cannot be read is not as it was")
+        return
+    left = {path.suffix for path in directory.iterdir()}
+    _hold(left <= {".parquet", ".damaged"} and not source.exists(), f"{left} is left")
+    _hold(0 <= made.torn_bytes <= size, "more is torn than there was")
+    target = source.with_suffix(".parquet")
+    rows = pq.read_metadata(target).num_rows if target.exists() else 0
+    _hold(rows == made.rows, "rows are lost")
+    _hold(rows > 0 or not target.exists() or at < len(whole), "an empty file of nothing")
+    if made.kept:
+        _hold(sum(len(batch) for batch, _ in whole_batches(directory / made.kept)) == rows, "what is kept says other")
+
+
+@cache
+def _streams() -> list[bytes]:
+    """Of three batches of each table."""
+    import pyarrow as pa
+
+    made = []
+    for seed in _recorded()[::2]:
+        stream = io.BytesIO()
+        (batch,) = pa.ipc.open_stream(seed[1:])
+        with pa.ipc.new_stream(stream, batch.schema, options=pa.ipc.IpcWriteOptions(compression="zstd")) as writer:
+            for _ in range(3):
+                writer.write_batch(batch)
+        made.append(stream.getvalue())
+    return made
+
+
+def _torn_streams() -> list[bytes]:
+    ends = [[len(whole), len(whole) - 8, len(whole) - 20, len(whole) // 2, 8, 0] for whole in _streams()]
+    cut = [bytes((table,)) + at.to_bytes(3, "big") for table in (0, 1) for at in ends[table]]
+    return [*cut, cut[1] + bytes(64), cut[3] + b"\xff" * 512, cut[5] + _streams()[0][:300]]
+
+
 @cache
 def _pipeline() -> Pipeline:
-    return make_pipeline(load(data_directory() / "sensors.toml"))
+    config = load(data_directory() / "sensors.toml")
+    return make_pipeline(msgspec.structs.replace(config, hull=msgspec.structs.replace(config.hull, enabled=True)))
 
 
 def state(data: bytes) -> None:
@@ -601,10 +782,15 @@ def state(data: bytes) -> None:
         _hold(str(error), "refused without a reason")
         return
     assert saved is not None
-    with suppress(ValueError):
+    try:
         _pipeline().restore(saved.state, 60.0)
+    except ValueError:
+        _pipeline.cache_clear()
+    else:
         _hold(isfinite(_pipeline().heave.observer.bias_mps2), "a bias that is none")
-        StateFile.encode(_pipeline().state())
+        learned = _pipeline().state()
+        StateFile.encode(learned)
+        saved_state.check(msgspec.json.decode(msgspec.json.encode(learned), type=SavedState))
 
 
 def _sha256(body: bytes) -> bytes:
@@ -624,8 +810,23 @@ def _states() -> list[bytes]:
     )
     learned = SavedState(sea=sea, bias_mps2=0.02, bias_std_mps2=0.01, lead_learned_s=0.1, gain_learned=1.01)
     harmonic = SavedState(frequencies_hz=(0.08, 0.11, 0.2))
+    known = [1e-6 if i == j else 1e-8 for i in range(6) for j in range(i, 6)]
+    flexure = SavedFlexure(
+        std_rad=(1e-4, 1e-4, 2e-4), mu_radps=(0.1, 0.2, 0.3), lambda_radps=(1.0, 2.0, 3.0), noise_radps=(1e-5,) * 3
+    )
+    bent = SavedHull(
+        rotation_rad=(0.01, -0.02, 0.003), scale=(1e-3, 0.0, -1e-3), covariance=tuple(known), flexure=flexure,
+        unconfirmed_s=30.0,
+    )  # fmt: skip
+    leaning = SavedAttitudeError(lean_per_s=0.05, late_s=0.02, covariance=(1e-4, 1e-6, 1e-4), unconfirmed_s=10.0)
+    found = LaserPlace(is_elsewhere=True, ahead_m=3.0, ahead_std_m=0.2, port_m=-1.0, port_std_m=0.3)
+    elsewhere = SavedPlace(configured=Geometry(), geometry=Geometry(forward_m=3.0, port_m=-1.0), place=found)
+    stages = (
+        SavedState(hull=bent), SavedState(attitude_error=leaning), SavedState(laser_place=elsewhere),
+        msgspec.structs.replace(learned, hull=bent, attitude_error=leaning, laser_place=elsewhere),
+    )  # fmt: skip
     return [
-        *(b"." + msgspec.json.encode(one) for one in (learned, harmonic, SavedState())),
+        *(b"." + msgspec.json.encode(one) for one in (learned, harmonic, *stages, SavedState())),
         StateFile.encode(learned, 1.8e9), b'{"version":9}', b'{"version":2,"sha256":"","state":null}',
     ]  # fmt: skip
 
@@ -641,12 +842,16 @@ TARGETS: Final[dict[str, Target]] = {
     "links": Target(
         links, partial(list, _LINKS), 96, ("heaved.links", "heaved.networks", "heaved.text", "heaved.devices.probe")
     ),
+    "tls": Target(tls, partial(list, _TLS), 1024, ("heaved.outputs.tls_connection",)),
     "http": Target(http, partial(list, _HTTP), 96, ("heaved.page.server", "heaved.outputs.http", "heaved.text")),
     "stream-lines": Target(stream_lines, _stream_lines, 512, ("heaved.outputs", "heaved.client", "heaved.page")),
     "recording": Target(recording, partial(list, _RECORDINGS), 512, ("heaved.devices.recording",)),
     "recorder-messages": Target(recorder_messages, _told, 4096, ("heaved.recorder",)),
     "recorded": Target(recorded, _recorded, 1 << 17, ("heaved.recorder",)),
-    "state": Target(state, _states, 2048, ("heaved.daemon.state", "heaved.estimation.heave")),
+    "torn-stream": Target(torn_stream, _torn_streams, 2048, ("heaved.recorder.files",)),
+    "state": Target(
+        state, _states, 4096, ("heaved.daemon.state", "heaved.estimation.heave", "heaved.estimation.hull.remembered")
+    ),
     "configuration": Target(
         configuration, _configurations, 2048, ("heaved.config", "heaved.devices.profile", "heaved.links")
     ),

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from heaved.estimation.heave.harmonic.observer import HarmonicObserver
 from heaved.estimation.heave.laser.learning import LaserLearning
 from heaved.estimation.heave.sea.observer import SeaObserver
-from heaved.samples import DelayedHeave, HeaveForecast, TrainingWindow
+from heaved.samples import CorrectionState, DelayedHeave, HeaveForecast, TrainingWindow
 
 if TYPE_CHECKING:
     from heaved.estimation.heave.laser.correction import Params as CorrectionParams
@@ -82,9 +82,14 @@ class HeaveEstimator:
         """Take the vertical acceleration, and what else has become known of it."""
         observer, t_s = self.observer, up.t_s
         self.t_s = t_s
+        axes = self.laser.axes
         if up.is_of_another_kind:
             observer.cut()
-        observer.step(t_s, up.up_mps2, up.roll_rad, up.pitch_rad)
+            axes.cut()
+        observer.step(t_s, axes.step(up) if self.has_laser else up.up_mps2, up.roll_rad, up.pitch_rad)
+        if axes.amendment is not None:
+            observer.amend(axes.amendment.t_s, axes.amendment.more_mps2)
+            axes.amendment = None
         if up.amendment is not None:
             observer.amend(up.amendment.t_s, up.amendment.more_mps2)
         if up.noise is not None:
@@ -128,13 +133,14 @@ class HeaveEstimator:
         found = observer.forecast(shift_s, taught.learned_s, scale, taught.gain)
         if not taught.updates:
             return found
+        omega_radps = observer.omega_radps
         return tuple(
             [
-                msgspec.structs.replace(
-                    one,
+                HeaveForecast(
+                    horizon_s=one.horizon_s,
+                    heave_m=one.heave_m,
                     std_m=hypot(
-                        one.std_m,
-                        taught.error_std_m(one.heave_m, hypot(velocity_mps, observer.omega_radps * one.heave_m)),
+                        one.std_m, taught.error_std_m(one.heave_m, hypot(velocity_mps, omega_radps * one.heave_m))
                     ),
                 )
                 for one in found
@@ -152,6 +158,15 @@ class HeaveEstimator:
         if self.laser.placement.is_open(self.t_s):
             return None
         return self.correction.due(self.t_s, self.observer.omega_radps)
+
+    def correction_state(self, *, laser_is_fresh: bool) -> CorrectionState:
+        """What people should know of what is learned beside lead and gain: of the axes, and by the network."""
+        state = self.correction.state(laser_is_fresh=laser_is_fresh)
+        if state is CorrectionState.OFF or not self.laser.axes.is_in_use:
+            return state
+        if laser_is_fresh and self.laser.axes.is_applied:
+            return CorrectionState.ACTIVE
+        return CorrectionState.HOLDING
 
     def restore(self, observer: SavedObserver, correction: SavedNetwork | None, age_s: float) -> None:
         """Start from what an earlier run has learned ``age_s`` ago (nan: not known); call before the first sample.

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from heaved.estimation.common.bounds import HEAVE_M
+from heaved.estimation.heave.laser import axes as laser_axes
 from heaved.estimation.heave.laser.correction import SavedNetwork
 from heaved.estimation.heave.laser.placement import SavedPlace
 from heaved.estimation.heave.sea.model import SeaModel, heave_std
@@ -95,6 +96,8 @@ class SavedState(msgspec.Struct, frozen=True, kw_only=True):
     hull: SavedHull | None = None
     attitude_error: SavedAttitudeError | None = None
     laser_place: SavedPlace | None = None
+    axes: laser_axes.SavedAxes | None = None
+    """Of the accelerometers, as a laser has shown them."""
 
 
 def check(state: SavedState) -> None:
@@ -123,6 +126,12 @@ def check(state: SavedState) -> None:
         _check_hull(state.hull)
     if state.laser_place is not None:
         _check_place(state.laser_place)
+    if state.axes is not None:
+        if len(state.axes.weights) != laser_axes.COUNT:
+            raise ValueError(f"{len(state.axes.weights)} leaks of the accelerometers' axes, not {laser_axes.COUNT}")
+        most = laser_axes.TUNING.most
+        _within("leak of the accelerometers' axes", state.axes.weights, (-most, most), "")
+        _within("time since these were last confirmed", (state.axes.unconfirmed_s,), PLAUSIBLE.unconfirmed_s, "s")
     if (error := state.attitude_error) is not None:
         _within("lean of the attitude", (error.lean_per_s,), PLAUSIBLE.lean_per_s, "1/s")
         _within("lateness of the attitude", (error.late_s,), PLAUSIBLE.attitude_late_s, "s")

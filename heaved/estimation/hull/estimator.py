@@ -42,7 +42,7 @@ from heaved.estimation.hull.refit import (
     refit,
     run,
 )
-from heaved.estimation.hull.remembered import SavedHull, Trial, saved
+from heaved.estimation.hull.remembered import SavedHull, Trial, saved, three
 from heaved.estimation.hull.slow_motion import COLUMNS, SlowMotion, SlowPair, SlowReading
 from heaved.estimation.hull.so3 import Noise, So3Filter
 from heaved.estimation.hull.streams import RateCheck, RatePair, Stream, TwoStreams
@@ -471,8 +471,8 @@ class HullDeformation:
                 warnings=self._consistency.warnings(C, f.delay_s, self._checks, self._streams),
                 total_rad=to_euler(C),
                 static_rad=to_euler(C0),
-                dynamic_rad=_three(f.dynamic_rad),
-                std_rad=_three(std),
+                dynamic_rad=three(f.dynamic_rad),
+                std_rad=three(std),
                 reachable_std_rad=self._consistency.reachable_rad,
                 delay_s=f.delay_s,
                 delay_std_s=f.delay_std_s,
@@ -482,14 +482,9 @@ class HullDeformation:
             local_from_midships=C,
             static=C0,
             covariance_rad2=covariance,
-            bias_radps=_three(f.bias_radps),
+            bias_radps=three(f.bias_radps),
         )
 
 
 _UNKNOWN: Final = np.full((3, 3), nan)
 _UNKNOWN.setflags(write=False)
-
-
-def _three(values: Array) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return x, y, z

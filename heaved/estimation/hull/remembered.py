@@ -80,16 +80,16 @@ def saved(filter: So3Filter, flexure: Flexure | None) -> SavedHull:
     """What is to be remembered of a filter; ``flexure``: when it was fitted."""
     noise = filter.noise.sample_radps
     return SavedHull(
-        rotation_rad=_three(rotation_vector(filter.static)),
-        scale=_three(filter.x[At.SCALE : At.DELAY]),
+        rotation_rad=three(rotation_vector(filter.static)),
+        scale=three(filter.x[At.SCALE : At.DELAY]),
         covariance=tuple(filter.P[np.ix_(KEPT, KEPT)][HALF].tolist()),
         flexure=None
         if flexure is None
         else SavedFlexure(
-            std_rad=_three(flexure.std_rad),
-            mu_radps=_three(flexure.mu_radps),
-            lambda_radps=_three(flexure.lambda_radps),
-            noise_radps=_three(noise),
+            std_rad=three(flexure.std_rad),
+            mu_radps=three(flexure.mu_radps),
+            lambda_radps=three(flexure.lambda_radps),
+            noise_radps=three(noise),
         ),
     )
 
@@ -170,6 +170,7 @@ class Trial:
         return float(off @ np.linalg.solve(spread, off)) if np.isfinite(spread).all() else inf
 
 
-def _three(values: Array) -> Three:
+def three(values: Array) -> Three:
+    """An array (3,) as what a record keeps."""
     x, y, z = values.tolist()
     return x, y, z

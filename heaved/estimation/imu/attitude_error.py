@@ -74,6 +74,11 @@ class Lean(msgspec.Struct, frozen=True, gc=False):
     pitch_rad: float = 0.0
     roll_std_rad: float = 0.0
     pitch_std_rad: float = 0.0
+    late_std_s: float = 0.0
+    """How well it is known by how much the angles are late: off by as much of their own rates, both at once,"""
+    late_roll_std_rad: float = 0.0
+    """and what that comes to on average."""
+    late_pitch_std_rad: float = 0.0
 
 
 MEAN_S: Final = 60.0
@@ -85,7 +90,10 @@ makes of the integrals is no straight line."""
 SETTLED: Final = 7.0
 """So many times as long it takes to know that; before, it is known less by as much as is lacking."""
 SHOWN: Final = 2.0
-"""Standard deviations from which the record has shown a lean, or a lateness, to whoever wants the angles themselves."""
+"""Standard deviations from which the record has shown a lean to whoever wants the angles themselves,"""
+LATE_SHOWN: Final = 3.0
+"""and a lateness, which moves the end of a long arm by centimetres: of a sensor that is not late, two are shown once in
+a few records of ten minutes, for it is looked at every ten seconds."""
 COHERENT: Final = 3.0
 """Radians of the waves over which they have lost most of what they have in common with now."""
 
@@ -97,6 +105,7 @@ class AttitudeError:
         lean_per_s: k, 1/s; 0: the angles do not lean.
         late_s: by which the angles are later than the accelerations.
         covariance: (2, 2) of the two.
+        angles_late_s: by which the angles are late; where it is less than nothing it is the accelerometers that are.
         noise: what not knowing them better leaves in the vertical acceleration, as of the last look; take it away.
         unsized: what it leaves in the row that has just ended, by the two; take it away.
         amendment: what has been found out that is worth amending the past for; take it away.
@@ -111,6 +120,7 @@ class AttitudeError:
         self._if_any: Array = np.hypot(self._belief.null, self._belief.spread)
         """Of the two, where they are not nothing: whoever wants the angles has one sensor, not the average of those
         that lean and those that do not."""
+        self._know()
         self._memory: Memory | None = None
         """Of an earlier run, until the record has taken its place."""
         self._has_looked = False
@@ -148,6 +158,7 @@ class AttitudeError:
         self.covariance = memory.covariance
         self.covariance[0, 0] = max(of_lean, float(memory.covariance[0, 0]) + saved.lean_per_s**2)
         self._if_any = np.sqrt(np.square(memory.mean) + np.diag(memory.covariance))
+        self._know()
 
     def saved(self) -> SavedAttitudeError | None:
         """What a restart shall remember; None: nothing has been found."""
@@ -226,15 +237,13 @@ class AttitudeError:
         since_s = t_s - self._t_s
         if not -TUNING.hole_s <= since_s:
             return Lean()
-        std = sqrt(float(self.covariance[0, 0]))
+        std = self._lean_std
         k = self.lean_per_s if self.lean_per_s > SHOWN * std else 0.0
-        late2 = float(self.covariance[1, 1] if self.angles_late_s else self._if_any[1] ** 2)
-        late_roll2, late_pitch2 = late2 * self._square_roll_rate, late2 * self._square_pitch_rate
+        late2 = self._late_square
+        late = sqrt(late2), sqrt(late2 * self._square_roll_rate), sqrt(late2 * self._square_pitch_rate)
         if k == 0.0:
-            k2 = float(self._if_any[0] ** 2)
-            return Lean(
-                0.0, 0.0, sqrt(k2 * self._square_across + late_roll2), sqrt(k2 * self._square_along + late_pitch2)
-            )
+            k2 = self._lean_square
+            return Lean(0.0, 0.0, sqrt(k2 * self._square_across), sqrt(k2 * self._square_along), *late)
         settling = max(SETTLED * MEAN_S / max(self._followed_s, MEAN_S), 1.0)
         doubt = hypot(std, OF_LEAN * k * settling)
         turned = omega_radps * max(since_s, 0.0)
@@ -244,18 +253,15 @@ class AttitudeError:
         along = c * along + s * (self._off_x - self._rise_x)
         across = c * across + s * (self._off_y - self._rise_y)
         lost2 = doubt**2 + k * k * (1.0 - left * left)
-        return Lean(
-            k * across,
-            k * along,
-            sqrt(lost2 * self._square_across + late_roll2),
-            sqrt(lost2 * self._square_along + late_pitch2),
-        )
+        return Lean(k * across, k * along, sqrt(lost2 * self._square_across), sqrt(lost2 * self._square_along), *late)
 
-    @property
-    def angles_late_s(self) -> float:
-        """By which the angles are late. Where it is less than nothing it is the accelerometers that are."""
-        is_known = self._belief.null[1] > 0.0 or self.late_s > SHOWN * sqrt(float(self.covariance[1, 1]))
-        return max(self.late_s, 0.0) if is_known else 0.0
+    def _know(self) -> None:
+        """What is asked for with every sample, from what has been found: that changes once in ten seconds."""
+        self._lean_std = sqrt(float(self.covariance[0, 0]))
+        is_known = self._belief.null[1] > 0.0 or self.late_s > LATE_SHOWN * sqrt(float(self.covariance[1, 1]))
+        self.angles_late_s = max(self.late_s, 0.0) if is_known else 0.0
+        self._late_square = float(self.covariance[1, 1] if self.angles_late_s else self._if_any[1] ** 2)
+        self._lean_square = float(self._if_any[0] ** 2)
 
     def _close(self, t_s: float) -> None:
         """Keep the row that has ended, and look at them all when it is time to."""
@@ -309,5 +315,6 @@ class AttitudeError:
         self._has_looked = True
         solution[0] = max(solution[0], 0.0)
         self.lean_per_s, self.late_s = solution.tolist()
+        self._know()
         self.noise = attitude_fit.noise(record, solution, self.covariance)
         return solution

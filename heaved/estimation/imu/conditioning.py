@@ -165,9 +165,7 @@ class Conditioner:
         t_s = sample.t_s
         if sample.fault is not Fault.NONE:
             return self._none(t_s, sample.fault, sample.fault)
-        forces = sample.ax_mps2, sample.ay_mps2, sample.az_mps2
-        # Of fewer numbers a slam may come back to one that has been before.
-        if isfinite(sum(forces)) and self._old.step(t_s, forces, sample.az_mps2):
+        if self._is_old(sample):
             return self._none(t_s, Fault.STALE, Fault.STALE)
         force_t_s, ax, ay, az, fault = self._judge_forces(sample)
         if fault is Fault.OUT_OF_RANGE or self._units.reason:
@@ -213,6 +211,15 @@ class Conditioner:
             attitude_is_slow=self._angles.clock.is_slow,
             notes=self._notes,
         )
+
+    def _is_old(self, sample: ImuSample) -> bool:
+        """Whether it has been read before."""
+        forces = sample.ax_mps2, sample.ay_mps2, sample.az_mps2
+        # Of fewer numbers a slam may come back to one that has been before.
+        if not isfinite(sum(forces)):
+            return False
+        beside = sample.roll_rad, sample.pitch_rad, sample.gx_radps, sample.gy_radps
+        return self._old.step(sample.t_s, forces, sample.az_mps2, tuple(v for v in beside if isfinite(v)))
 
     def _none(self, t_s: float, device_fault: Fault, fault: Fault) -> Conditioned:
         """A sample of which nothing is taken."""

@@ -11,15 +11,16 @@ from math import cos, inf, isfinite, nan
 from typing import TYPE_CHECKING, Final
 
 import msgspec
-import numpy as np
 
 from heaved.estimation.common.ring import History
 from heaved.estimation.common.sample_rate import Arrivals
-from heaved.estimation.imu.attitude import Attitude, AttitudePropagator, level_acceleration
+from heaved.estimation.imu.attitude import UNKNOWN, AttitudePropagator, level_acceleration
 from heaved.estimation.imu.attitude_error import Amendment, AttitudeError, Lean
 from heaved.estimation.imu.attitude_fit import Noise, Unsized
 from heaved.estimation.imu.conditioning import NOTHING, Conditioned
+from heaved.estimation.imu.leaks import Leaks, leaks_mps2
 from heaved.estimation.imu.level_bias import LevelBias
+from heaved.estimation.imu.tilt_left import TILT_HZ, TILT_SHAPE, TiltLeft
 from heaved.samples import GRAVITY_MPS2, Fault, RockPrediction
 
 if TYPE_CHECKING:
@@ -47,22 +48,13 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Of that RMS."""
     tilt_seen_s: float = 20.0
     """Without an attitude, and with no memory of one, so much of a record shows how large it is."""
-    leans: float = 1.5
-    """Ships lean by so much of the slope of the waves, in a beam sea near their own period by more."""
     tilt_said_s: float = 10.0
     """So often it is said what noise that is."""
-    tilt_band_hz: float = 0.1
-    """Width of the spectrum of what leans, most: half of the power of its square is below that, falling in a straight
-    line (the spectrum of the square of a Gaussian of a rectangular one), the other half about twice its frequency."""
     tilt_lingers: float = 3.0
     """What tilt has done to the heave is gone after so many times as long as it was in the acceleration."""
 
 
 TUNING: Final = Tuning()
-TILT_HZ: Final = np.linspace(0.05, 0.95, 19) * TUNING.tilt_band_hz
-"""Where that is said,"""
-TILT_SHAPE: Final = (1.0 - TILT_HZ / TUNING.tilt_band_hz) / TUNING.tilt_band_hz
-"""and its density for a mean square of 1."""
 
 
 class VerticalAcceleration(msgspec.Struct, frozen=True, gc=False):
@@ -82,6 +74,8 @@ class VerticalAcceleration(msgspec.Struct, frozen=True, gc=False):
     roll_rad: float = nan
     pitch_rad: float = nan
     """Of that moment, as measured; nan: the tilt is not removed."""
+    leaks_mps2: Leaks | None = None
+    """What an IMU that is not as it is held to be would put into it; None: without an attitude nobody knows."""
 
 
 class Vertical:
@@ -93,6 +87,7 @@ class Vertical:
         notes: what there is to say of the IMU beside that.
         withheld: why accelerations that are there are not given; empty: they are.
         force_std_s: how well the time is known at which the accelerations were measured.
+        attitude: roll, pitch and yaw of the last sample, or of when they were last known.
         level_mps2: acceleration forward and to port in the level frame, of the last sample; nan: not known.
     """
 
@@ -104,6 +99,7 @@ class Vertical:
         self.withheld = ""
         self.force_std_s = 0.0
         self.level_mps2 = NO_LEVEL
+        self.attitude = UNKNOWN
         self._propagator = AttitudePropagator()
         self._attitudes = History(int(max_rate_hz))
         self._rates = History(int(max_rate_hz))
@@ -114,7 +110,7 @@ class Vertical:
         self._tilt_square = 0.0
         """Mean square of what the tilt makes of the vertical acceleration."""
         self._tilt_said_s = -inf
-        self._across = _TiltAcross()
+        self._left = TiltLeft()
         self._level_bias = LevelBias()
         self._attitude_error = AttitudeError(attitude_late_s)
 
@@ -131,15 +127,16 @@ class Vertical:
         if (attitude := readings.attitude) is not None:
             self._attitudes.push((attitude.t_s, attitude.roll_rad, attitude.pitch_rad))
         self._propagator.step(readings.sample, attitude, rock)
+        self.attitude = self._propagator.latest
         if self._propagator.are_rates_measured:
             self._rates.push((readings.sample.t_s, *self._propagator.rates))
         t_s, sample = readings.force_t_s, readings.sample
         if not isfinite(t_s):
             return None
         ax, ay, az = sample.ax_mps2, sample.ay_mps2, sample.az_mps2
-        has_tilt = t_s - self._propagator.latest.t_s <= TUNING.attitude_hold_s and isfinite(ax + ay)
+        has_tilt = t_s - self.attitude.t_s <= TUNING.attitude_hold_s and isfinite(ax + ay)
         if not has_tilt:
-            self._across.step(t_s, ax, ay, az)
+            self._left.step(t_s, ax, ay, az)
         is_of_another_kind = self._is_of_another_kind(t_s, has_tilt)
         if self.withheld:
             return None
@@ -150,7 +147,8 @@ class Vertical:
         lag_s = lag_s if lag_s >= TUNING.lag_s else 0.0
         roll, pitch = self._attitude_of_acceleration(t_s - lag_s)
         level_bias, propagator, error = self._level_bias, self._propagator, self._attitude_error
-        x, y, up = level_acceleration(ax - level_bias.x_mps2, ay - level_bias.y_mps2, az, roll, pitch)
+        fx, fy = ax - level_bias.x_mps2, ay - level_bias.y_mps2
+        x, y, up = level_acceleration(fx, fy, az, roll, pitch)
         self.level_mps2 = x, y
         # Angles moved back to where the accelerometers are would seem late against the gyroscopes.
         are_of_gyros = propagator.are_rates_measured and lag_s == 0.0
@@ -161,7 +159,8 @@ class Vertical:
         level_bias.step(t_s, ax, ay, az, roll, pitch)
         amendment, noise, unsized = error.amendment, error.noise, error.unsized
         error.amendment = error.noise = error.unsized = None
-        return VerticalAcceleration(t_s, up, is_of_another_kind, amendment, noise, unsized, roll, pitch)
+        leaks = leaks_mps2(fx, fy, az, roll, pitch)
+        return VerticalAcceleration(t_s, up, is_of_another_kind, amendment, noise, unsized, roll, pitch, leaks)
 
     def _is_of_another_kind(self, t_s: float, has_tilt: bool) -> bool:
         """Whether the tilt is removed from now on and was not, or the other way round; and whether the acceleration had
@@ -170,9 +169,11 @@ class Vertical:
         self.withheld = ""
         if has_tilt:
             self._tilted_s = t_s
-        elif self._tilt_now_square(t_s) > TUNING.tilt_matters_mps2**2:
-            self.withheld = TOO_TILTED
-            return False
+        else:
+            square, is_measured = self._tilt_now(t_s)
+            if is_measured and square > TUNING.tilt_matters_mps2**2:
+                self.withheld = TOO_TILTED
+                return False
         is_other = has_tilt != self._tilt_removed
         # One that comes and goes with a slow attitude sensor is one state, not two.
         has_lasted = is_other and t_s - self._tilt_since_s > TUNING.tilt_lasts_s
@@ -183,20 +184,25 @@ class Vertical:
             self._lingers_until_s = t_s + TUNING.tilt_lingers * lasted_s
         return has_lasted
 
-    def _tilt_now_square(self, t_s: float) -> float:
-        """Mean square of what a tilt that is not removed makes of the vertical acceleration: as it was while the
-        attitude was known, until horizontal accelerations have shown it since; 0: nothing is known of it.
+    def _tilt_now(self, t_s: float) -> tuple[float, bool]:
+        """Mean square of what a tilt that is not removed makes of the vertical acceleration, and whether it has been
+        measured: as it was while the attitude was known, until the accelerations have shown it since; 0: nothing is
+        known of it.
         """
-        if self._across.seconds(t_s) >= TUNING.tilt_seen_s and not t_s - self._tilted_s < TUNING.tilt_memory_s:
-            return self._across.square
-        return self._tilt_square
+        if self._shows_tilt(t_s):
+            return self._left.square, self._left.is_measured
+        return self._tilt_square, True
+
+    def _shows_tilt(self, t_s: float) -> bool:
+        """Whether the accelerations tell more of it than the attitude of before."""
+        return self._left.seconds(t_s) >= TUNING.tilt_seen_s and not t_s - self._tilted_s < TUNING.tilt_memory_s
 
     def _noise_of_tilt(self, t_s: float) -> Noise | None:
         """What a tilt that is not removed makes of the acceleration, when it is time to say so."""
         if t_s - self._tilt_said_s < TUNING.tilt_said_s:
             return None
         self._tilt_said_s = t_s
-        return Noise(TILT_HZ, self._tilt_now_square(t_s) * TILT_SHAPE)
+        return Noise(TILT_HZ, self._left.density if self._shows_tilt(t_s) else self._tilt_square * TILT_SHAPE)
 
     def _note_tilt(self, t_s: float, tilt_mps2: float) -> None:
         """Keep what the tilt makes of the vertical acceleration."""
@@ -204,11 +210,6 @@ class Vertical:
         self._t_s = t_s
         if share > 0.0:
             self._tilt_square += share * (tilt_mps2**2 - self._tilt_square)
-
-    @property
-    def attitude(self) -> Attitude:
-        """Roll, pitch and yaw of the last sample, or of when they were last known."""
-        return self._propagator.latest
 
     @property
     def rates_radps(self) -> tuple[float, float, float]:
@@ -259,50 +260,3 @@ class Vertical:
             if then is not None:
                 return then[1], then[2]
         return self.attitude.at(t_s)
-
-
-class _TiltAcross:
-    """How large the tilt's part of the vertical acceleration is, where no attitude tells: from the specific force
-    across the mast. A tilt of the angle a shows g sin(a) there and takes g (1 - cos(a)) off the mast, which is the
-    square of the former over 2 g; it is the variation of that which is taken for waves.
-
-    Where nothing is measured across, the vessel is held to lean by the slope of the waves, as ships do that are not
-    much longer than these: in deep water the surface has the slope of its vertical acceleration over g (Airy), so that
-    what is seen along the mast stands for what would be across.
-
-    Attributes:
-        square: its variance, (m/s2)2.
-    """
-
-    def __init__(self) -> None:
-        self.square = 0.0
-        self._mean = 0.0
-        self._upright = GRAVITY_MPS2
-        """Mean of what is measured along the mast."""
-        self._t_s = self._since_s = nan
-
-    def seconds(self, t_s: float) -> float:
-        """For how long it has been seen without a pause."""
-        return self._t_s - self._since_s if t_s - self._t_s <= TUNING.attitude_hold_s else 0.0
-
-    def step(self, t_s: float, x_mps2: float, y_mps2: float, z_mps2: float) -> None:
-        """Take a sample; nan: there is none."""
-        across_square = x_mps2 * x_mps2 + y_mps2 * y_mps2
-        if not isfinite(across_square):
-            if not isfinite(z_mps2):
-                return
-            across_square = (TUNING.leans * (z_mps2 - self._upright)) ** 2
-        part = across_square / (2.0 * GRAVITY_MPS2)
-        elapsed_s = t_s - self._t_s
-        self._t_s = t_s
-        if not elapsed_s <= TUNING.attitude_hold_s:
-            self._since_s, self._mean, self.square = t_s, part, 0.0
-            self._upright = z_mps2 if isfinite(z_mps2) else GRAVITY_MPS2
-            return
-        # At first the mean of what there is, later a fading one.
-        share = elapsed_s / min(max(t_s - self._since_s, elapsed_s), TUNING.tilt_memory_s)
-        if isfinite(z_mps2):
-            self._upright += share * (z_mps2 - self._upright)
-        off = part - self._mean
-        self._mean += share * off
-        self.square += share * (off * off - self.square)

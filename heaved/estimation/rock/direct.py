@@ -115,7 +115,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     whole_again_s: float = 0.5
     """... nothing has been missing for so long: then the lags tell more than the filter."""
     learned_s: float = 120.0
-    """Before, regressions on 40 s of lags are so young that they make much of what little is wrong with these."""
+    """Before, regressions on 40 s of lags are so young that they make much of what little is wrong with these, and
+    deviations are those of few errors."""
     rated_whole_again_s: float = 0.15
     """The same where rates are given, which the filter does not know of: that many of them are looked at."""
     filled_s: float = 10.0
@@ -129,6 +130,15 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     surprised: float = 1.5
     """when they are off by more than usual by so many of their deviations; what is more widens all others."""
     surprised_for_s: float = 4.0
+    foreign_s: float = 1.0
+    """Predictions for so long ahead, and those just named, show that something else than waves moves the ship, as a
+    crane that lifts or turns, ..."""
+    foreign: float = 4.0
+    """... when they are off by so many of their deviations: in waves that is so once in a thousand hours."""
+    foreign_share: float = 0.1
+    """Less of the motion's own deviation is not worth it."""
+    foreign_for_s: float = 4.0
+    """It goes on for so long after it has shown."""
     grown: float = 2.0
     """A force that is new moves a ship as the square of time, but not for more than so many times as long as it takes
     to be noticed: a ship comes back."""
@@ -169,6 +179,8 @@ class DirectPredictor:
         self._horizons = np.array([*self.horizons_s, *more_s])
         """And one more, where the curve of a moment without a sample would end too soon."""
         self._published = slice(0, len(self.horizons_s))
+        self._shown = slice(1, 1 + len(self.horizons_s))
+        """The same of a curve, which begins with now."""
         self._n = channels
         self._with_rates = rates
         self._no_rates = [0.0] * channels
@@ -209,10 +221,14 @@ class DirectPredictor:
         """Deviations and half-widths of those who made the latest predictions, if others are in office now."""
         self.surplus = [0.0] * self._n
         """By how much of themselves deviations are larger than usual: the motion has just become another one."""
+        self._foreign_until = [-inf] * self._n
+        """Row until which something else than waves moves a channel."""
+        self._unrated_row = -inf
+        """The last row whose rates were expected and are not known: what is off then may be off for that."""
         self._switch = Switch(self._horizons, count, self._n, first_choice(self._horizons))
         self._curve = self._unknown_curve
         """What is known of the latest sample (filled where it was missing) and of the horizons."""
-        self.values = self._unknown_curve[1:][self._published]
+        self.values = self._unknown_curve[self._shown]
         """What is predicted."""
 
     # -- what is known of the errors -------------------------------------------------------------------------------
@@ -361,7 +377,7 @@ class DirectPredictor:
     def at(self, t_s: float) -> Array:
         """Predictions as seen from a moment without a sample, a little after the last one."""
         if self._clock is None or not 0.0 <= t_s - self.t_s <= self._params.max_gap_s:
-            return self._unknown_curve[1:][self._published]
+            return self._unknown_curve[self._shown]
         at_s = t_s - self.t_s + self._clock.late_s + self._horizons[self._published]
         end_s = float(self._horizons[-1])
         seen: Array = self._curve_spline(np.minimum(at_s, end_s)) @ self._curve
@@ -433,8 +449,12 @@ class DirectPredictor:
         self._surprised_node = max(int(np.searchsorted(horizons, TUNING.surprised_s + 1e-6)) - 1, 0)
         self._bridged = bridged = samples_per_step(interval_s)
         """Samples between the first knots: so many missing in a row are no hole, for means hold the readings beside."""
-        ahead = max(round(float(horizons[self._surprised_node]) / interval_s / bridged), 1)
-        self._earlier: deque[list[float]] = deque(maxlen=ahead)
+        foreign_node = max(int(np.searchsorted(horizons, TUNING.foreign_s + 1e-6)) - 1, 0)
+        self._watched = tuple(
+            (node, deque[list[float]](maxlen=max(round(float(horizons[node]) / interval_s / bridged), 1)))
+            for node in dict.fromkeys((self._surprised_node, foreign_node))
+        )
+        """Horizons, by number, whose predictions are held against what came, and what was predicted since."""
         self._surprise = [0.0] * n
         """Of each channel: by how many deviations predictions were off lately, at most; it fades."""
         self._surprise_fade = exp(-bridged * interval_s / TUNING.surprised_for_s)
@@ -443,7 +463,7 @@ class DirectPredictor:
         ahead_s = interval_s * np.arange(1, ceil(horizons[-1] / interval_s) + 2)
         gap_weights = self._curve_spline(np.minimum(ahead_s, horizons[-1]))
         self._one_step = gap_weights[:1]
-        self._slopes = self._curve_spline.slope(horizons)
+        self._slopes = self._curve_spline.slope(horizons)[self._published]
         self._seen = np.zeros((n, count + 3, 1))
         self._lowest, self._highest = np.full(self._seen.shape, -inf), np.full(self._seen.shape, inf)
         """Of what is seen, while there are limits: of the curves, that is."""
@@ -473,7 +493,7 @@ class DirectPredictor:
     def _mapped(self) -> Array:
         """(n, H + 3, width) from the vectors to the latest sample, the predictions, one step on, the slope."""
         regressors, n = self._regressors, self._n
-        now, slope = (np.tile(row, (n, 1, 1)) for row in (regressors.sample, regressors.taps[-1]))
+        now, slope = (np.broadcast_to(row, (n, 1, len(row))) for row in (regressors.sample, regressors.taps[-1]))
         curve = np.concatenate([now, self._learner.weights], axis=1)
         return np.concatenate([curve, self._one_step @ curve, slope], axis=1)
 
@@ -515,6 +535,7 @@ class DirectPredictor:
             means.append(channel.mean)
         if self._with_rates:
             if not isfinite(sum(rates)):
+                self._unrated_row = self._row_index
                 # One that is missing is what the angles' extrapolation has for now. The slope of what was predicted
                 # from earlier ones of these would be fed with itself, and run away.
                 expected = (self._regressors.now() @ self._next_slope).tolist()
@@ -583,21 +604,42 @@ class DirectPredictor:
 
     def _be_surprised(self, known: Sequence[bool]) -> None:
         """Hold what was predicted some time ago against what there is now."""
-        curves, earlier, node = self._curves, self._earlier, self._surprised_node
-        if len(earlier) == earlier.maxlen:
-            now, stds = curves[:, 0].tolist(), self._switch.std[node].tolist()
-            for c, (is_known, x, expected, std) in enumerate(zip(known, now, earlier[0], stds, strict=True)):
-                surprise = self._surprise_fade * self._surprise[c]
-                off = abs(x - expected)
-                if is_known and 0.0 <= surprise * std < off < inf and std > 0.0 and c not in self.holed:
-                    surprise = off / std
-                self._surprise[c] = surprise
-                self.surplus[c] = max(0.0, surprise - TUNING.surprised - 1.0)
-        later = curves[:, node + 1].tolist()
-        for c, channel in enumerate(self._channels):
-            if channel.unsettled > 0 or not channel.ready:
-                later[c] = nan
-        earlier.append(later)
+        curves, channels = self._curves, self._channels
+        now = curves[:, 0].tolist()
+        unsettled = [channel.unsettled > 0 or not channel.ready for channel in channels]
+        for node, earlier in self._watched:
+            if len(earlier) == earlier.maxlen:
+                stds = self._switch.std[node].tolist()
+                for c, (is_known, x, expected, std) in enumerate(zip(known, now, earlier[0], stds, strict=True)):
+                    off = abs(x - expected)
+                    stds_off = off / std if is_known and std > 0.0 and c not in self.holed else nan
+                    if node == self._surprised_node:
+                        surprise = max(self._surprise_fade * self._surprise[c], stds_off if stds_off < inf else 0.0)
+                        self._surprise[c] = surprise
+                        self.surplus[c] = max(0.0, surprise - TUNING.surprised - 1.0)
+                    if TUNING.foreign < stds_off < inf:
+                        self._note_foreign(c, off, len(earlier) * self._bridged)
+            later = curves[:, node + 1].tolist()
+            earlier.append([nan if young else value for value, young in zip(later, unsettled, strict=True)])
+        for c, channel in enumerate(channels):
+            if self._row_index < self._foreign_until[c]:
+                channel.calm = 0
+
+    def _note_foreign(self, c: int, off: float, since: int) -> None:
+        """Something else than waves has moved a channel by so much within so many rows: nothing is learned from it, nor
+        predicted with what it has left in the lags, of which nothing was learned.
+        """
+        channel, row = self._channels[c], self._row_index
+        is_new = row >= self._foreign_until[c]
+        if (row - self._unrated_row) * self._interval_s < TUNING.foreign_s:
+            return
+        if is_new and (
+            channel.calm * self._interval_s < TUNING.learned_s or off < TUNING.foreign_share * channel.spread
+        ):
+            return
+        self._foreign_until[c] = row + round(TUNING.foreign_for_s / self._interval_s)
+        if is_new:
+            self._learner.unlearn(c, since)
 
     # -- holes -----------------------------------------------------------------------------------------------------
 
@@ -699,6 +741,6 @@ class DirectPredictor:
             self._levels, self._level = levels, np.array(levels)
         curves = self._curves.T
         self._curve = curves + self._level
-        self.values = self._curve[1:][self._published]
+        self.values = self._curve[self._shown]
         if abs(late_s) > TUNING.late_s:
-            self.values = self.values + late_s * (self._slopes[self._published] @ curves)
+            self.values = self.values + late_s * (self._slopes @ curves)

@@ -54,6 +54,8 @@ class RockEstimator:
 
     def __init__(self, params: Params) -> None:
         self.horizons_s = tuple(sorted({*params.horizons_s, *STANDARD_HORIZONS_S}))
+        self.unknown: Predictions = tuple(RockPrediction(horizon_s=h) for h in self.horizons_s)
+        """What is predicted by nobody."""
         self._predictor: Predictor = (
             MaximumLikelihoodPredictor(params)
             if params.predictor == "ml"

@@ -109,6 +109,10 @@ class Switch:
         self._quantile = np.minimum(np.maximum(quantile, TUNING.quantile_range[0]), TUNING.quantile_range[1])
         self._coverage += share[:, -1] * (1.0 - misses / np.maximum(scored, 1.0) - self._coverage)
 
+    def doubt(self, channel: int, experts: NDArray[np.bool_]) -> None:
+        """What is known of these experts (E,) is of another motion: they are chosen by errors that are to come."""
+        self._seconds[:, np.flatnonzero(experts), channel] = 0.0
+
     def choose(self, available: NDArray[np.bool_]) -> None:
         """Choose among the ``available`` (E, n) experts."""
         seconds = self._seconds[:, :-1]

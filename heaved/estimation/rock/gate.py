@@ -118,6 +118,11 @@ class Channel:
         return max(TUNING.farthest * sqrt(self._square), TUNING.farther * abs(x - self.mean))
 
     @property
+    def spread(self) -> float:
+        """Standard deviation about the slow mean."""
+        return sqrt(self._square)
+
+    @property
     def absent(self) -> int:
         """Samples on end that there were none of."""
         return self._absent

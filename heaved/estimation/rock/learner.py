@@ -229,6 +229,13 @@ class Learner:
         self._age[:, channel] = UNUSABLE
         self._made[:, :, SHOWN, channel] = np.nan
 
+    def unlearn(self, channel: int, since: int) -> None:
+        """The last so many samples of a channel are not to be learned from, and what was learned before has to show
+        again what it is worth.
+        """
+        self._age[self._row_end - 1 - since // self.every : self._row_end, channel] = UNUSABLE
+        self._switch.doubt(channel, self._floor[:, 0] > 0)
+
     # -- once a second, and every few ----------------------------------------------------------------------------
 
     def batch(self, channels: Sequence[Channel]) -> bool:

@@ -41,7 +41,7 @@ class Limits(msgspec.Struct, frozen=True):
         for row, now_s in zip(rows, at_s, strict=True):
             step = rate * (now_s - before_s)
             for x, last, largest in zip(row, before, self.largest, strict=True):
-                if abs(x) > largest or abs(x - last) > step:
+                if x > largest or x < -largest or x - last > step or last - x > step:
                     return False
             before, before_s = row, now_s
         return True

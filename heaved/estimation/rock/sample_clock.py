@@ -80,8 +80,8 @@ class SampleClock:
         off_s = since_s - (steps + phase) * interval_s
         slope, first = np.polyfit(steps, np.clip(off_s, -trusted * interval_s, trusted * interval_s), 1)
         self.interval_s = max(interval_s + float(slope), TUNING.least_s)
-        self._grid_s = t[-1] + steps[-1] * self.interval_s + float(first) + phase * interval_s
-        self.late_s = float(t[-1] - self._grid_s)
+        self._grid_s = float(t[-1] + steps[-1] * self.interval_s + float(first) + phase * interval_s)
+        self.late_s = float(t[-1]) - self._grid_s
         self.is_other = False
         self._moved_by = 0.0
         """By how much of the interval the last look has found it to be off."""

@@ -64,7 +64,7 @@ class TcpListenSender:
         pause_s = FIRST_PAUSE_S
         listener = Listener(
             f"output {self._health.name}", self._link.host, self._link.port, self._make_reader,
-            partial(self._say, "reader of an output refused"),
+            lambda _reason, address, why: self._say("reader of an output refused", address, why),
         )  # fmt: skip
         try:
             while True:

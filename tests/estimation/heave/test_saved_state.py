@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from heaved.config import Config
 from heaved.estimation.heave import saved_state
 from heaved.estimation.heave.laser import correction
+from heaved.estimation.heave.laser.axes import SavedAxes
 from heaved.estimation.heave.laser.correction import SavedNetwork
 from heaved.estimation.heave.laser.geometry import Geometry
 from heaved.estimation.heave.laser.placement import LaserPlace, SavedPlace
@@ -46,6 +47,7 @@ PLACE = SavedPlace(
     geometry=Geometry(forward_m=8.0, port_m=-3.0),
     place=LaserPlace(is_elsewhere=True, ahead_m=8.0, ahead_std_m=0.1, port_m=-3.0, port_std_m=0.1),
 )
+AXES = SavedAxes(weights=(0.04, 0.02, -0.04, -0.02, 0.0, 0.01))
 LEARNED = SavedState(sea=SEA, lead_learned_s=0.05, gain_learned=1.02, correction=NETWORK)
 SOUND = {
     "nothing": SavedState(),
@@ -54,6 +56,7 @@ SOUND = {
     "the harmonic observer's": SavedState(frequencies_hz=(0.08, 0.12)),
     "the hull's": SavedState(hull=HULL),
     "the place of the laser": SavedState(laser_place=PLACE),
+    "the axes of the accelerometers": SavedState(axes=AXES),
     "the attitude's errors": SavedState(attitude_error=ERROR),
     "none of an attitude, for sure": SavedState(
         attitude_error=SavedAttitudeError(lean_per_s=0.0, late_s=0.0, covariance=(0.0, 0.0, 0.0))
@@ -150,6 +153,10 @@ NONSENSE = {
         "uncertainty of the place of the laser inf m",
     ),
     "a laser that was seen in the future": (of_place(unconfirmed_s=-1.0), "last seen there -1 s"),
+    "axes that are few": (SavedState(axes=SavedAxes(weights=(0.1,))), "1 leaks of the accelerometers' axes"),
+    "axes on their side": (SavedState(axes=SavedAxes(weights=(1.0,) * 6)), "leak of the accelerometers' axes 1"),
+    "no axes": (SavedState(axes=SavedAxes(weights=(nan,) * 6)), "leak of the accelerometers' axes nan"),
+    "axes of the future": (SavedState(axes=SavedAxes(weights=(0.0,) * 6, unconfirmed_s=-1.0)), "confirmed -1 s"),
     "no spread": (of_network(input_std_m=nan), "heave that the correction was trained on nan"),
 }
 
@@ -192,11 +199,12 @@ def test_what_was_learned_is_restored_with_its_age() -> None:
     restored.restore(LEARNED, age_s=60.0)
     assert restored.state() == LEARNED
     with_hull = pipeline()
-    with_hull.restore(SavedState(hull=HULL, attitude_error=ERROR, laser_place=PLACE), age_s=60.0)
+    with_hull.restore(SavedState(hull=HULL, attitude_error=ERROR, laser_place=PLACE, axes=AXES), age_s=60.0)
     assert with_hull.state() == SavedState(
         hull=msgspec.structs.replace(HULL, unconfirmed_s=60.0),
         attitude_error=msgspec.structs.replace(ERROR, unconfirmed_s=60.0),
         laser_place=msgspec.structs.replace(PLACE, unconfirmed_s=60.0),
+        axes=msgspec.structs.replace(AXES, unconfirmed_s=60.0),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from math import inf, pi, sqrt
+from math import hypot, inf, pi, sqrt
 
 import msgspec
 import numpy as np
@@ -127,8 +127,8 @@ def test_angles_are_as_good_as_they_are_said_to_be_where_nothing_shows_their_err
         end = made.t_s > LASTS_S - 60.0
         lean = one.lean(float(made.t_s[-1]), 1.0)
         for measured, true, std in (
-            (made.roll_rad, made.truth.roll_rad, lean.roll_std_rad),
-            (made.pitch_rad, made.truth.pitch_rad, lean.pitch_std_rad),
+            (made.roll_rad, made.truth.roll_rad, hypot(lean.roll_std_rad, lean.late_roll_std_rad)),
+            (made.pitch_rad, made.truth.pitch_rad, hypot(lean.pitch_std_rad, lean.late_pitch_std_rad)),
         ):
             off = (measured - true)[end]
             ratios.append(float(np.mean(off**2)) / (std**2 + SENSORS["A"].attitude_noise_rad ** 2))

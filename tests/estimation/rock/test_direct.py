@@ -234,6 +234,26 @@ def test_a_list_that_comes_about_opens_the_deviations() -> None:
     assert np.mean(np.abs(error[calm]) < 1.96 * std[:-20][calm]) > 0.9
 
 
+def test_a_list_is_not_learned_from() -> None:
+    """Two minutes after one that is tens of times as large as what is known of the waves, they are predicted as well as
+    they would be without it, half a second and two seconds ahead.
+    """
+    t = np.arange(0.0, 420.0, 0.1)
+    rng = np.random.default_rng(4)
+    periods = tuple(rng.uniform(4.0, 8.0, 40).tolist())
+    x = waves(t, periods=periods, size=0.1) + 3e-4 * rng.standard_normal(len(t))
+    u = np.clip((t - 200.0) / 5.0, 0.0, 1.0)
+    listed = np.radians(3.0) * u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+    late = (t > 330.0) & (t < 410.0)
+    for horizon_s in (0.5, 2.0):
+        horizon = HORIZONS.index(horizon_s)
+        true = waves(t[late] + horizon_s, periods=periods, size=0.1)
+        without, after = (
+            rms(predict(t, x + step)[0][late, horizon, 0] - step[late] - true) for step in (0.0 * listed, listed)
+        )
+        assert after < 1.15 * without
+
+
 def test_a_steady_channel_takes_what_any_channel_takes() -> None:
     """With spikes, gaps, a stuck reading, a step of the level and a manoeuvre, against one never taken for steady."""
     rng = np.random.default_rng(11)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from evidence.campaign import deviations
 from evidence.campaign.clients import CLIENTS, PAYLOADS
+from evidence.campaign.far_ends import BEHAVIOURS
 from evidence.campaign.slaves import SerialSlave, TcpSlave
 
 if TYPE_CHECKING:
@@ -24,6 +25,12 @@ SHARES: Final = (0.02, 0.1, 0.3, 1.0)
 """Of the answers that deviate; of a frozen sensor all do."""
 
 
+DISK_S: Final = 4.0
+"""It is looked at once a second, rows wait for half a second; and a recorder is nobody's first, on a busy machine."""
+RECORDER_S: Final = 6.0
+"""A recorder that was killed is back: started again after one or two seconds, and loaded."""
+
+
 class Episode(NamedTuple):
     """A fault."""
 
@@ -31,6 +38,8 @@ class Episode(NamedTuple):
     run: Callable[[Rig], Awaitable[int]]
     """Returns how many events it was, beside those of answers, which count themselves."""
     group: str = ""
+    records_again_s: float = 0.0
+    """Within this after its end the recording goes on; 0: it is not asked."""
 
 
 def lasts_s(rig: Rig, most_s: float = 1.5) -> float:
@@ -221,6 +230,54 @@ async def disk_read_only(rig: Rig) -> int:
     return int(done)
 
 
+async def configured_wrongly(rig: Rig) -> int:
+    """SIGHUP with a file that nobody can take, then again with the right one."""
+    wrong = ("[heave", "[heave]\nobserver = 7\n", "[nothing]\n", "\0", "[stream]\nport = 99999\n")
+    rig.configure(rig.chance.choice(wrong))
+    rig.daemon.signal(signal.SIGHUP)
+    await asyncio.sleep(lasts_s(rig, 0.5))
+    rig.configure()
+    rig.daemon.signal(signal.SIGHUP)
+    return 1
+
+
+STEPS_S: Final = (0.7, 60.0, 3600.0, 86_400.0, 1e8)
+
+
+async def clock_stepped(rig: Rig) -> int:
+    """UTC goes back or ahead, by a little or by years, as often as three times."""
+    steps = rig.chance.randint(1, 3)
+    for _ in range(steps):
+        rig.clock.set(rig.clock.offset_s + rig.chance.choice((-1.0, 1.0)) * rig.chance.choice(STEPS_S))
+        rig.trace(f"  UTC is off by {rig.clock.offset_s:g} s")
+        await asyncio.sleep(lasts_s(rig, 2.5))
+    if rig.chance.random() < 0.5:
+        rig.clock.set(0.0)
+    return steps
+
+
+# ---- those to whom the daemon connects -------------------------------------------------------------------------------
+
+
+def far_end(name: str) -> Callable[[Rig], Awaitable[int]]:
+    """It breaks off, and whoever connects again finds one of the ways to go wrong."""
+
+    async def run(rig: Rig) -> int:
+        end = rig.far_ends[name]
+        end.behaviour = rig.chance.choice(list(BEHAVIOURS))
+        before = end.connections
+        end.part()
+        if rig.chance.random() < 0.2:
+            end.refuse()
+        await asyncio.sleep(lasts_s(rig, 3.0))
+        end.behaviour = ""
+        await end.open()
+        end.part()
+        return max(end.connections - before, 1)
+
+    return run
+
+
 # ---- clients ---------------------------------------------------------------------------------------------------------
 
 
@@ -262,6 +319,8 @@ def usual(rig: Rig) -> list[Episode]:
         Episode("laser: TCP reset", resets("laser")),
         Episode("SIGSTOP, SIGCONT", stopped),
         Episode("fitter or trainer killed", child_killed("fitter", "trainer")),
+        Episode("SIGHUP with a wrong configuration", configured_wrongly),
+        Episode("UTC stepped", clock_stepped),
     ]
     if rig.serial:
         found += [Episode("serial line unplugged", unplugged), Episode("serial line babbles", babbling)]
@@ -273,7 +332,11 @@ def usual(rig: Rig) -> list[Episode]:
             Episode("TCP half-open", half_open),
             Episode("slave restarted", restarts),
         ]
-    found += [Episode(f"clients of {place}", clients(place)) for place in PAYLOADS]
+    # Registers are served to a PLC, or pushed into one.
+    served = [place for place in PAYLOADS if not (rig.serial and place == "registers")]
+    found += [Episode(f"clients of {place}", clients(place)) for place in served]
+    met = [name for name in rig.far_ends if rig.serial or name != "plc"]
+    found += [Episode(f"far end: {name}", far_end(name)) for name in met]
     found.append(Episode("combined", combined))
     return found
 
@@ -297,9 +360,16 @@ def starved(_rig: Rig) -> list[Episode]:
     return [Episode("out of descriptors", out_of_descriptors), Episode("recorder killed", child_killed("recorder"))]
 
 
-def unwritable(rig: Rig) -> list[Episode]:
+def limited(_rig: Rig) -> list[Episode]:
     """What costs rows of the recording until the disk is tried again, which the daemon says."""
-    found = [Episode("no file may grow", file_size_limited)]
-    if rig.has_disk:
-        found += [Episode("disk full", disk_full), Episode("disk read-only", disk_read_only)]
-    return found
+    return [Episode("no file may grow", file_size_limited)]
+
+
+def unwritable(rig: Rig) -> list[Episode]:
+    """What costs rows of the recording until the disk is well again: the second of the two kills the recorder, too."""
+    if not rig.has_disk:
+        return limited(rig)
+    return [
+        Episode("disk full", disk_full, records_again_s=DISK_S),
+        Episode("disk read-only", disk_read_only, records_again_s=DISK_S + RECORDER_S),
+    ]

@@ -9,6 +9,7 @@ import asyncio
 import time
 from collections import Counter, defaultdict
 from contextlib import suppress
+from datetime import datetime
 from math import inf, isfinite, nan
 from typing import TYPE_CHECKING, Final
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    from evidence.campaign.process import Clock
     from evidence.campaign.truth import Truth
     from heaved.recorder.layout import Header
 
@@ -32,6 +34,10 @@ BEYOND_M: Final = 30.0
 """No vessel heaves so far."""
 ANGLE_LIMIT_DEG: Final = 1.0
 """Roll and pitch now have no published standard deviation: that of an honest reading is 0.02 degrees here."""
+STEP_SEEN_S: Final = 3.0
+"""The clock is looked at once a second, and lines wait."""
+TIME_OFF_S: Final = 0.55
+"""A smaller step is followed slowly."""
 GOES_ON_S: Final = 15.0
 """What is wrong again within this has not been well between."""
 _NO_SAMPLES: Final = frozenset({"no samples"} | {fault.value for fault in Fault})
@@ -51,6 +57,8 @@ class Line(msgspec.Struct):
     seq: int
     mono_s: float
     quality: _Quality
+    time: str = ""
+    """UTC."""
     heave_m: float = nan
     heave_std_m: float = nan
     roll_deg: float = nan
@@ -79,6 +87,8 @@ class Score:
         self.not_survived: list[str] = []
         self.recovery_s = 0.0
         self.valid_again_s = 0.0
+        self.records_s = 0.0
+        """Until the recording went on."""
         self.worst_stds = 0.0
         self.worst_m = 0.0
         self.worst_angle_deg = 0.0
@@ -99,6 +109,10 @@ class Judge:
         """``trace``: told of each change of state and reasons."""
         self._truth, self.trace = truth, trace
         self._said: tuple[object, ...] = ()
+        self.clock: Clock | None = None
+        """By how much the daemon's UTC is off that of the machine; None: nobody asks."""
+        self._stepped_s = -inf
+        self._offset_s = 0.0
         self.scores: defaultdict[str, Score] = defaultdict(Score)
         self.now = "none"
         self.last: Line | None = None
@@ -138,6 +152,7 @@ class Judge:
         if (said := (line.quality.heave, line.quality.laser, line.quality.reasons)) != self._said:
             self._said = said
             self.trace(f"  {line.mono_s:.3f} {line.quality.heave}: {'; '.join(line.quality.reasons)}")
+        self._check_time(line, score)
         true = self._truth.at(line.mono_s)
         heave_m = abs(line.heave_m - true.heave_m)
         if isfinite(line.heave_m) and abs(line.heave_m) > BEYOND_M:
@@ -169,6 +184,18 @@ class Judge:
         if len(score.wrong) > before:
             self._blame(score, line.mono_s, score.wrong[before:])
         self._changed.set()
+
+    def _check_time(self, line: Line, score: Score) -> None:
+        """A published time is that of its moment on the clock that was there then."""
+        if self.clock is None or not line.time:
+            return
+        now_s = time.monotonic()
+        if self.clock.offset_s != self._offset_s:
+            self._offset_s, self._stepped_s = self.clock.offset_s, now_s
+        true_s = time.time() - now_s + line.mono_s + self._offset_s
+        off_s = datetime.fromisoformat(line.time).timestamp() - true_s
+        if now_s - self._stepped_s > STEP_SEEN_S and abs(off_s) > TIME_OFF_S:
+            score.wrong.append(f"a time that is {off_s:.1f} s off, {now_s - self._stepped_s:.1f} s after a step")
 
     def _blame(self, score: Score, mono_s: float, wrong: Sequence[str]) -> None:
         """What goes on being wrong is of the fault with which it began."""

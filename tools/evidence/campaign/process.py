@@ -7,7 +7,7 @@ import contextlib
 import os
 import resource
 import signal
-import socket
+import struct
 import sys
 import time
 from pathlib import Path
@@ -25,6 +25,23 @@ _CHILDREN: Final = {
 }
 
 
+_STEPPED: Final = Path(__file__).with_name("clock")
+
+
+class Clock:
+    """By how much the UTC of the daemon and of its processes is off that of the machine: a file that they look into."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.set(0.0)
+
+    def set(self, offset_s: float) -> None:
+        """Step it."""
+        self.offset_s = offset_s
+        with self.path.open("r+b" if self.path.exists() else "wb") as file:
+            file.write(struct.pack("<d", offset_s))
+
+
 class Use(NamedTuple):
     """What the daemon has at one moment; its children not included."""
 
@@ -32,14 +49,6 @@ class Use(NamedTuple):
     rss_mb: float
     descriptors: int
     threads: int
-
-
-def free_port() -> int:
-    """A TCP port of 127.0.0.1 that nobody has now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 class DaemonProcess:
@@ -50,8 +59,9 @@ class DaemonProcess:
         ended: ends that nobody had asked for, in words.
     """
 
-    def __init__(self, config: Path, log: Path) -> None:
-        self._config, self._log = config, log
+    def __init__(self, config: Path, log: Path, clock: Path) -> None:
+        """``clock``: holds by how much its UTC is off, see :class:`Clock`."""
+        self._config, self._log, self._clock = config, log, clock
         self._process: Process | None = None
         self._drain: asyncio.Task[None] | None = None
         self.starts = 0
@@ -78,7 +88,7 @@ class DaemonProcess:
         with self._log.open("ab") as errors:
             self._process = await asyncio.create_subprocess_exec(
                 sys.executable, "-m", "heaved", "run", "--config", str(self._config),
-                stdout=asyncio.subprocess.PIPE, stderr=errors, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+                stdout=asyncio.subprocess.PIPE, stderr=errors, env=self._environment(),
             )  # fmt: skip
         self.starts += 1
         stdout = self._process.stdout
@@ -90,6 +100,10 @@ class DaemonProcess:
             raise RuntimeError(f"the daemon does not start; its log is {self._log}")
         self._drain = asyncio.create_task(_drain(stdout), name="stdout")
         self.uses.clear()
+
+    def _environment(self) -> dict[str, str]:
+        path = os.pathsep.join(filter(None, (str(_STEPPED), os.environ.get("PYTHONPATH", ""))))
+        return {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": path, "CAMPAIGN_CLOCK": str(self._clock)}
 
     async def kill(self) -> None:
         """SIGKILL, at once."""

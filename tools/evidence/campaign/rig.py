@@ -12,9 +12,11 @@ import time
 from math import inf
 from typing import TYPE_CHECKING, Final
 
-from evidence.campaign.process import DaemonProcess, free_port
+from evidence.campaign.far_ends import FarEnd
+from evidence.campaign.process import Clock, DaemonProcess
 from evidence.campaign.slaves import SerialSlave, Slave, TcpSlave
 from evidence.campaign.truth import ClockRegisters, Truth
+from evidence.processes import free_port
 
 if TYPE_CHECKING:
     import random
@@ -71,7 +73,10 @@ class Rig:
         clock = ClockRegisters(begin_s)
         for role in quick:
             self._add(role, clock.at, 100, 7, QUICK_TIMEOUT_S, serial=QUICK[role][2])
-        self.daemon = DaemonProcess(folder / "heaved.toml", folder / "log")
+        self.clock = Clock(folder / "clock")
+        judge.clock = self.clock
+        self.far_ends = {name: FarEnd(free_port(), chance) for name in ("reader", "database", "broker", "plc")}
+        self.daemon = DaemonProcess(folder / "heaved.toml", folder / "log", self.clock.path)
         self._following: asyncio.Task[None] | None = None
 
     def _add(self, name: str, registers: object, first: int, device_id: int, timeout_s: float, *, serial: bool) -> None:
@@ -113,7 +118,9 @@ class Rig:
                 state.write_bytes(learned)
         for link in self.links.values():
             await link.open()
-        (self.folder / "heaved.toml").write_text(self._configuration(), encoding="utf-8")
+        for far_end in self.far_ends.values():
+            await far_end.open()
+        self.configure()
         await self.daemon.start()
         if self._with_page:
             with (self.folder / "page.log").open("ab") as log:
@@ -137,6 +144,8 @@ class Rig:
             await self._page.wait()
         for link in self.links.values():
             link.close()
+        for far_end in self.far_ends.values():
+            await far_end.close()
         return code
 
     def release(self) -> None:
@@ -168,6 +177,10 @@ class Rig:
         """By itself."""
         return self._page is not None and self._page.returncode is not None
 
+    def configure(self, further: str = "") -> None:
+        """Write the daemon's configuration, with ``further`` behind it."""
+        (self.folder / "heaved.toml").write_text(self._configuration() + further, encoding="utf-8")
+
     def _configuration(self) -> str:
         tables = [
             f'[[device]]\nname = "imu"\nrole = "imu"\nlink = "{self.links["imu"].link}"\ndevice_id = 80\n'
@@ -186,7 +199,16 @@ class Rig:
         p = self.ports
         tables.append(
             f"[stream]\nport = {p['stream']}\n[http]\nport = {p['http']}\n"
-            f'[registers]\nenabled = true\nlink = "tcp://127.0.0.1:{p["registers"]}"\n'
+            + (
+                # One table, and so one or the other: a PLC that asks, or one that is written to.
+                f'[registers]\nenabled = true\nmode = "push"\nlink = "tcp://127.0.0.1:{self.far_ends["plc"].port}"\n'
+                if self.serial
+                else f'[registers]\nenabled = true\nlink = "tcp://127.0.0.1:{p["registers"]}"\n'
+            )
+            + f'[[output]]\nname = "winch"\ntelegram = "smc_hex"\nrate_hz = 50.0\n'
+            f'link = "tcp://127.0.0.1:{self.far_ends["reader"].port}"\n'
+            f'[influx]\nenabled = true\nlink = "http://127.0.0.1:{self.far_ends["database"].port}"\nrate_hz = 10.0\n'
+            f'[mqtt]\nenabled = true\nlink = "mqtt://127.0.0.1:{self.far_ends["broker"].port}"\nrate_hz = 10.0\n'
             f'[[output]]\nname = "dp"\ntelegram = "tss1"\nlink = "tcp-listen://127.0.0.1:{p["telegram"]}"\n'
             'rate_hz = 20.0\nlead = "transmission"\n'
             f'[recording]\nenabled = true\nwhat = "samples"\ndirectory = "{self.disk / "recordings"}"\n'

@@ -17,6 +17,7 @@ import msgspec
 
 from evidence.campaign import deviations, episodes
 from evidence.campaign.episodes import Episode
+from evidence.campaign.hours import laser_lost
 from evidence.campaign.judge import Judge, Kept, Score, recorded
 from evidence.campaign.rig import QUICK, Rig, can_mount, new_truth
 
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
 
 RECOVERS_S: Final = 1.0
 """Fresh readings are published so soon after their device is back."""
+LASER_AWAY: Final = "laser lost for an hour"
+LASER_FOUND_S: Final = 60.0
+"""Its target is elsewhere by then, and how far it is away has to be found anew: the constant_time_s of [laser]."""
 PATIENCE_S: Final = 15.0
 """Waited for, for a recovery that is late."""
 VALID_PATIENCE_S: Final = 6.0
@@ -35,6 +39,10 @@ PROMPT: Final = ("reference_mru", "pitch_sensor")
 """And those which always answer at once, so that the daemon has as many bad answers as it can take."""
 LOADED_S: Final = 0.5
 """Granted beside all times, to a machine that has other things to do."""
+STOPS_S: Final = 2.0
+"""Whatever hangs."""
+DISK_GAP_S: Final = 15.0
+"""An episode, the recorder started again, and a busy machine."""
 RECORDER_STARTS_S: Final = 30.0
 SECOND_S: Final = 1.0 + 2.0 * LOADED_S
 """The last second before an end may be missing from a recording."""
@@ -53,6 +61,8 @@ class Settings(msgspec.Struct, frozen=True):
     quick: tuple[str, ...] = tuple(QUICK)
     with_page: bool = True
     own_disk: bool = True
+    laser_away_s: float = 3600.0
+    """Of time that is data; 0: it stays."""
     settles_s: float = 180.0
     """A daemon that has learned nothing yet is valid within this; 0: valid heave is not waited for."""
 
@@ -66,6 +76,9 @@ class Life(msgspec.Struct, frozen=True):
     serial: bool
     offered: Callable[[Rig], list[Episode]]
     kills: bool = False
+    """The daemon, again and again, once it records,"""
+    stops: bool = False
+    """or it is told to stop as soon as it listens, its recorder not begun."""
     needs_valid: bool = True
     """Begins once the heave is valid."""
     most_gap_s: float = 0.0
@@ -76,8 +89,10 @@ LIVES: Final = (
     Life("IMU on TCP", 0.42, False, episodes.usual),
     Life("IMU on a serial line", 0.3, True, episodes.usual),
     Life("recorder and descriptors", 0.08, False, episodes.starved, needs_valid=False, most_gap_s=SECOND_S),
-    Life("disk", 0.1, False, episodes.unwritable, needs_valid=False, most_gap_s=inf),
+    Life("disk", 0.1, False, episodes.unwritable, needs_valid=False, most_gap_s=DISK_GAP_S),
+    Life("no file may grow", 0.05, False, episodes.limited, needs_valid=False, most_gap_s=inf),
     Life("daemon killed", 0.1, False, episodes.usual, kills=True, needs_valid=False),
+    Life("daemon stopped early", 0.06, False, episodes.usual, stops=True, needs_valid=False),
     Life("old readings in between", 0.05, False, episodes.old_readings),
 )
 
@@ -133,6 +148,8 @@ class Campaign:
     async def _lives(self, chosen: Sequence[Life]) -> Found:
         started_s, whole = time.monotonic(), sum(life.share for life in chosen)
         done = [await self._life(life, 60.0 * self._settings.minutes * life.share / whole) for life in chosen]
+        if self._settings.laser_away_s and self._is_wanted(LASER_AWAY):
+            await asyncio.to_thread(self._laser_away)
         scores = {name: score for name, score in sorted(self.judge.scores.items()) if name != "none" or score.wrong}
         for name, score in scores.items():
             self.failures += [f"{name}: {what}" for what in (*score.not_survived[:3], *score.wrong[:3])]
@@ -140,6 +157,19 @@ class Campaign:
             scores=scores, lives=done, failures=self.failures, took_s=time.monotonic() - started_s,
             events=sum(score.events for score in scores.values()), bad_answers=self._bad_answers,
         )  # fmt: skip
+
+    def _is_wanted(self, name: str) -> bool:
+        return not self._settings.only or any(word in name for word in self._settings.only)
+
+    def _laser_away(self) -> None:
+        """For hours, in minutes: no process, but the daemon's pipeline on samples."""
+        found = laser_lost(self._settings.sea, self._settings.seed, self._settings.laser_away_s, self._say)
+        for name, score in ((LASER_AWAY, found.score), (f"{LASER_AWAY}, afterwards", found.afterwards)):
+            score.events = score.episodes = 1
+            score.recovery_s = found.back_s
+            if found.back_s > LASER_FOUND_S:
+                score.not_survived.append(f"the laser is taken again {found.back_s:.1f} s after it is back")
+            self.judge.scores[name] = score
 
     async def _life(self, life: Life, seconds: float) -> LifeResult:
         own_disk = self._settings.own_disk and can_mount() and life.offered is episodes.unwritable
@@ -174,6 +204,8 @@ class Campaign:
                 slave.behave(*kinds, *values, share=0.95, most=4)
             if life.kills:
                 await self._kill(rig, time.monotonic() + seconds, ends_s)
+            elif life.stops:
+                await self._stop(rig, time.monotonic() + seconds, ends_s)
             else:
                 await self._episodes(rig, life, time.monotonic() + seconds)
             for slave in rig.quick:
@@ -264,6 +296,11 @@ class Campaign:
             last = judge.last
             said = "; ".join(last.quality.reasons) if last is not None else "nothing"
             score.not_survived.append(f"no fresh readings for {recovery_s:.2f} s after it was over ({said})")
+        if episode.records_again_s:
+            patience_s = episode.records_again_s + LOADED_S
+            if not await rig.records(time.time(), patience_s):
+                score.not_survived.append(f"the recording does not go on within {patience_s:g} s")
+            score.records_s = max(score.records_s, time.monotonic() - back_s)
         if rig.page_has_ended:
             score.not_survived.append("the page has ended")
         if self._settings.settles_s:
@@ -295,6 +332,29 @@ class Campaign:
             await rig.records(killed_utc_s + 0.5, RECORDER_STARTS_S)
             if self._chance.random() < 0.2:
                 score.valid_again_s = max(score.valid_again_s, await judge.valid_after(killed_s, 30.0))
+
+    async def _stop(self, rig: Rig, until_s: float, ends_s: list[float]) -> None:
+        judge = self.judge
+        judge.now = name = "daemon stopped early"
+        score = judge.scores[name]
+        while time.monotonic() < until_s:
+            await asyncio.sleep(self._chance.uniform(0.0, 1.5))
+            told_s = time.monotonic()
+            code = await rig.daemon.stop()
+            ends_s.append(time.monotonic())
+            score.events += 1
+            score.episodes += 1
+            took_s = ends_s[-1] - told_s
+            if took_s > STOPS_S + LOADED_S or code not in (0, 1):
+                score.not_survived.append(f"it ended after {took_s:.1f} s, exit code {code}")
+            self._look_at_state(rig, score)
+            started_utc_s = time.time()
+            await rig.daemon.start()
+            recovery_s = await judge.good_after(time.monotonic(), PATIENCE_S)
+            score.recovery_s = max(score.recovery_s, recovery_s)
+            if recovery_s > RECOVERS_S + LOADED_S:
+                score.not_survived.append(f"no fresh readings for {recovery_s:.2f} s after it listened")
+        await rig.records(started_utc_s, RECORDER_STARTS_S)
 
     def _look_at_state(self, rig: Rig, score: Score) -> None:
         """Whatever the moment: an old state or a new one, whole."""
@@ -355,6 +415,11 @@ def table(found: Found) -> str:
                 f"{sum(run.wrong_readings for run in life.kept)} of "
                 f"{sum(run.clock_readings for run in life.kept)} clock readings wrong"
             )
+    lines += [
+        f"* {name}: the recording went on after {score.records_s:.2f} s at the most."
+        for name, score in found.scores.items()
+        if score.records_s
+    ]
     lines += ["", *(f"* **failed**: {what}" for what in found.failures)]
     return "\n".join(lines)
 

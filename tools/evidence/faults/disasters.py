@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import inf, radians
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from evidence.faults.moves import Move, Span, growing, listed, met_by_a_swell, turned_into_the_sea
 from heaved.samples import GRAVITY_MPS2
 from heaved.simulate.gauge import LASER_DISTANCE_M
 from heaved.simulate.sensors import REGISTER_STEPS, Recording
@@ -34,19 +35,7 @@ EVERYTHING: Final = inf
 """Lasts until the end of the record."""
 
 
-class Span(NamedTuple):
-    """When it happens, s of the record."""
-
-    start_s: float
-    end_s: float
-
-    def holds(self, t_s: Array) -> Mask:
-        """(n,) instants at which it does."""
-        return (t_s >= self.start_s) & (t_s < self.end_s)
-
-
 Deed = Callable[[Recording, Span, np.random.Generator], Recording]
-Move = Callable[[Motion[Array], Span], Motion[Array]]
 
 
 class Asked(msgspec.Struct, frozen=True, kw_only=True):
@@ -69,6 +58,9 @@ class Disaster(msgspec.Struct, frozen=True, kw_only=True):
     deed: Deed | None = None
     move: Move | None = None
     """What the vessel itself does: the truth moves, and honest sensors with it."""
+    unforeseen_s: float = 0.0
+    """So long after it begins nobody knows from waves what the angles are going to be: no prediction of them is a lie,
+    but one that is made later."""
     lasts_s: float = EVERYTHING
     from_start: bool = False
     """From the first sample on, not from the time that the campaign says."""
@@ -164,6 +156,40 @@ def only_every(names: tuple[str, ...], nth: int) -> Deed:
     def deed(recording: Recording, span: Span, rng: np.random.Generator) -> Recording:
         gone = span.holds(recording.t_s) & (np.arange(recording.t_s.size) % nth != 0)
         return changed(recording, {name: np.where(gone, np.nan, getattr(recording, name)) for name in names})
+
+    return deed
+
+
+def restarted(hole_s: float, by_mps2: float) -> Deed:
+    """No rows for so long, and then az is off by so much for good: the sensor has found another zero."""
+
+    def deed(recording: Recording, span: Span, rng: np.random.Generator) -> Recording:
+        back = recording.t_s >= span.start_s + hole_s
+        moved = changed(recording, {"az_mps2": recording.az_mps2 + by_mps2 * back})
+        return rows(moved, back | (recording.t_s < span.start_s))
+
+    return deed
+
+
+def exchanged(one: str, other: str) -> Deed:
+    """Each is read in the place of the other."""
+
+    def deed(recording: Recording, span: Span, rng: np.random.Generator) -> Recording:
+        inside = span.holds(recording.t_s)
+        a, b = getattr(recording, one), getattr(recording, other)
+        return changed(recording, {one: np.where(inside, b, a), other: np.where(inside, a, b)})
+
+    return deed
+
+
+def scattered(name: str, std: float, share: float, far: float) -> Deed:
+    """Noise, and that share of the readings anywhere within ``far`` of what it should be."""
+
+    def deed(recording: Recording, span: Span, rng: np.random.Generator) -> Recording:
+        values = getattr(recording, name)
+        inside, n = span.holds(recording.t_s), values.size
+        off = np.where(rng.random(n) < share, rng.uniform(-far, far, n), std * rng.standard_normal(n))
+        return changed(recording, {name: values + inside * off})
 
     return deed
 
@@ -331,20 +357,6 @@ def raised(name: str, by: float) -> Deed:
     return mapped((name,), lambda values: values + by)
 
 
-def listed(by_rad: float, within_s: float) -> Move:
-    """The vessel lists to a new mean roll, in a smooth step; the sensors' origin does not rise."""
-
-    def move(truth: Motion[Array], span: Span) -> Motion[Array]:
-        u = np.clip((truth.t_s - span.start_s) / within_s, 0.0, 1.0)
-        return msgspec.structs.replace(
-            truth,
-            roll_rad=truth.roll_rad + by_rad * u**3 * (10.0 - 15.0 * u + 6.0 * u**2),
-            roll_rate_radps=truth.roll_rate_radps + by_rad / within_s * 30.0 * u**2 * (1.0 - u) ** 2,
-        )
-
-    return move
-
-
 # --- the table -------------------------------------------------------------------------------------------------------
 
 HONEST: Final = Asked(within_s=None, heave_ratio=None, rock_ratio=None)
@@ -495,7 +507,47 @@ DISASTERS: Final[dict[str, Disaster]] = {
     "gravity_removed": Disaster(
         what="gravity removed from az", deed=raised("az_mps2", -GRAVITY_MPS2), from_start=True, asked=STAYS_WRONG
     ),
-    "list_3": Disaster(what="a real list of 3 degrees within 5 s", move=listed(radians(3.0), 5.0), is_step=True),
+    "list_3": Disaster(
+        what="a real list of 3 degrees within 5 s", move=listed(radians(3.0), 5.0), is_step=True, unforeseen_s=6.0
+    ),
+    # The vessel and its sensors, at once or by themselves.
+    "list_and_bursts": Disaster(
+        what="a list of 3 degrees within 5 s while angles come in bursts for 60 s", move=listed(radians(3.0), 5.0),
+        deed=blank_in_bursts(ANGLES, 0.7, 0.5), lasts_s=60.0, unforeseen_s=6.0,
+    ),
+    "list_slow": Disaster(
+        what="a list of 3 degrees within 60 s", move=listed(radians(3.0), 60.0), is_step=True, unforeseen_s=60.0
+    ),
+    "turn_into_sea": Disaster(
+        what="waves are met 1.25 times as fast within 40 s", move=turned_into_the_sea(0.8, 40.0), is_step=True,
+        asked=Asked(heave_ratio=None, rock_ratio=None),
+    ),
+    "swell_arrives": Disaster(
+        what="a swell of 16 s, 0.1 m each of three lines, within 240 s", move=met_by_a_swell(0.1, 240.0), is_step=True,
+        asked=Asked(within_s=300.0, heave_ratio=None, rock_ratio=None),
+    ),
+    "sea_grows": Disaster(
+        what="the sea grows from a tenth of its height within 5 min", move=growing(0.1, 300.0), from_start=True,
+        asked=HONEST,
+    ),
+    "sensor_restarts": Disaster(
+        what="no rows for 15 s, then az + 0.1 m/s2", deed=restarted(15.0, 0.1), is_step=True
+    ),
+    "angles_exchanged": Disaster(
+        what="roll and pitch exchanged for 10 s", deed=exchanged("roll_rad", "pitch_rad"), lasts_s=10.0
+    ),
+    "az_gain_105": Disaster(
+        what="az 5 % too large from then on", deed=mapped(("az_mps2",), lambda values: 1.05 * values), is_step=True,
+        asked=STAYS_WRONG,
+    ),
+    "polls_7hz": Disaster(
+        what="7 polls a second", deed=slower_rows(7.0), from_start=True,
+        asked=Asked(back="usable", within_s=20.0, heave_ratio=None, rock_ratio=None),
+    ),
+    "clock_200ppm": Disaster(
+        what="measures 200 ppm slower than it is polled", deed=measured_slowly(1.0 - 2e-4), from_start=True,
+        asked=AS_WHOLE,
+    ),
     # A laser as aid.
     "clean_aiding": Disaster(what="nothing", laser="aiding", from_start=True, asked=HONEST),
     "aiding_jump": Disaster(
@@ -541,6 +593,10 @@ DISASTERS: Final[dict[str, Disaster]] = {
     ),
     "reference_gone": Disaster(
         what="no laser for 60 s", laser="reference", deed=blank(("laser_m",), 1.0), lasts_s=60.0
+    ),
+    "reference_scattered": Disaster(
+        what="laser with 5 cm of noise, one reading in 10 off by up to 3 m", laser="reference", from_start=True,
+        deed=scattered("laser_m", 0.05, 0.1, 3.0), asked=Asked(back="usable", within_s=20.0),
     ),
     # What a restart remembers.
     "memory_calmer": Disaster(

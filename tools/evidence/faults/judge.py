@@ -411,7 +411,7 @@ def judged(
         roll, pitch, roll_std, pitch_std = turned[:, 4 * k : 4 * k + 4].T
         roll_error, pitch_error = roll - truth.roll_rad(t + horizon_s), pitch - truth.pitch_rad(t + horizon_s)
         wrong = (np.abs(roll_error) > LIE * roll_std) | (np.abs(pitch_error) > LIE * pitch_std)
-        count("rock", wrong)
+        count("rock", wrong & ~((t + horizon_s >= span.start_s) & (t < span.start_s + disaster.unforeseen_s)))
         if horizon_s == AHEAD_S:
             rock_ahead = (roll_error, pitch_error)
     off_rad = np.maximum(np.abs(roll_rad - truth.roll_rad(t)), np.abs(pitch_rad - truth.pitch_rad(t)))

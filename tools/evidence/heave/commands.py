@@ -19,7 +19,7 @@ from evidence.commands import (
     positive,
     seeds_of,
 )
-from evidence.heave import asked, correction, estimators, evaluate, gates, shake, tables
+from evidence.heave import asked, correction, estimators, evaluate, gates, left_over, shake, tables, wrong_physics
 from evidence.results import LINES, Output, Report
 from evidence.scenarios import Setting
 from heaved.simulate import directional
@@ -155,10 +155,16 @@ def run_shake(options: Options, output: Output) -> Report:
 
 
 def run_correction(options: Options, output: Output) -> Report:
-    """The learned correction while a network is in use."""
-    outcomes = correction.table(seeds_of(options), options.jobs)
+    """The learned correction: where the physics is wrong and where it is right, and while a network is in use."""
+    seeds = seeds_of(options)
+    lines = wrong_physics.table(seeds, options.jobs)
+    output.write("wrong physics", lines)
+    outcomes = correction.table(seeds, options.jobs)
     output.write("correction", outcomes)
-    return Report(correction.report(outcomes), tuple(seeds_of(options)))
+    left = left_over.table(seeds[0], options.jobs)
+    output.write("left over", left)
+    parts = wrong_physics.report(lines), correction.report(outcomes), left_over.report(left)
+    return Report("\n\n".join(parts), tuple(seeds))
 
 
 # --- options ---------------------------------------------------------------------------------------------------------
@@ -254,5 +260,7 @@ COMMANDS = {
     "limits": Command(run_limits, _limits, "the least errors that are possible"),
     "gates": Command(run_gates, _gates, "short runs against their regression gates"),
     "shake": Command(run_shake, _shake, "heave on a hull that shakes: limit, ours, textbook, what is asked"),
-    "correction": Command(run_correction, _correction, "the learned correction while a network is in use"),
+    "correction": Command(
+        run_correction, _correction, "the learned correction: wrong physics, right, a network in use"
+    ),
 }

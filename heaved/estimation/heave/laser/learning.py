@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.heave.laser import correction, lead, reference
+from heaved.estimation.heave.laser.axes import AxisErrors
 from heaved.estimation.heave.laser.correction import ResidualCorrection
 from heaved.estimation.heave.laser.error_scale import DelayedScale
 from heaved.estimation.heave.laser.lead import LeadTracker
@@ -47,6 +48,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """The heave must be larger than what is not known of it by that for a laser to be told not to follow it."""
     elsewhere: float = 3.0
     """A gauge that is found elsewhere moves its readings by that many standard deviations of one."""
+    straightened: float = 0.3
+    """What is learned of what is left is begun anew when the axes have moved the heave by that share of it."""
     longest_pause_s: float = 0.5
     """Between readings further apart than this there was no laser."""
 
@@ -63,6 +66,7 @@ class LaserLearning:
         placement: where the gauge is.
         tilts: how the vessel stood; whoever steps this tells it first.
         reference: the laser as heave reference.
+        axes: what it has shown of the axes of the accelerometers.
         lead: what it has shown beyond the lead of the chain's own design.
         correction: the residual network, which learns from it.
         delayed: how sure the delayed heave is by it.
@@ -85,6 +89,7 @@ class LaserLearning:
         self.placement = Placement(laser.geometry, laser.noise_std_m)
         self.tilts = Tilts(int((TUNING.late_s + 1.0) * max_rate_hz))
         self.reference = Reference(laser)
+        self.axes = AxisErrors(max_rate_hz, laser.noise_std_m, enabled=network.enabled)
         self.lead = LeadTracker(comparison)
         self.correction = ResidualCorrection(network, self._outputs)
         self.delayed = DelayedScale(laser.noise_std_m)
@@ -96,6 +101,8 @@ class LaserLearning:
         self._geometry = self.placement.geometry
         """Of the gauge, as its readings have been taken until now."""
         self._is_tilt_missing = False
+        self._begun = 0
+        """Axes that were found, as often as has been heeded."""
         self._output_t_s = nan
         self._read_t_s = self._used_t_s = -inf
         self._lead_t_s = nan
@@ -115,7 +122,7 @@ class LaserLearning:
             return 1.0
         scale = self.reference.scale.at(t_s)
         # What agrees with it is right wherever the gauge is; what does not may be so by the gauge's place.
-        return min(scale, 1.0) if self.placement.is_open(t_s) else scale
+        return 1.0 if scale > 1.0 and self.placement.is_open(t_s) else scale
 
     def is_fresh(self, t_s: float) -> bool:
         """Whether there is a reading young enough to be published, of a laser that shows the heave."""
@@ -204,6 +211,21 @@ class LaserLearning:
         self.reference.move(self._output_t_s, by_m, is_elsewhere=is_elsewhere)
         self.correction.reset_rows()
 
+    def _straighten(self) -> None:
+        """What the axes are taken to put into the acceleration has changed, and the heave with it."""
+        self.reference.rebase(self._output_t_s)
+        is_much = self.axes.moved_m > TUNING.straightened * self.reference.error_rms_m()
+        if is_much:
+            self.correction.reset_rows()
+        if self.axes.begun == self._begun or not is_much:
+            return
+        self._begun = self.axes.begun
+        self._compared.clear()
+        self.reference.move(self._output_t_s, 0.0, is_elsewhere=True)
+        if self.placement.is_off or not self.placement.is_known:
+            # What a heave with leaks in it shows of the gauge's place is some of them.
+            self.placement.restart()
+
     def _aided(self, observer: HeaveObserver) -> LaserAided | None:
         """The observer that readings go into as measurements; None: they are compared with it."""
         return observer.laser_aided if self._is_aiding else None
@@ -233,11 +255,14 @@ class LaserLearning:
         if verdict is reference.Reading.NEW_TARGET:
             self._compared.clear()
             self.placement.retarget()
+            self.axes.retarget()
             self.correction.reset_rows()
             if aided is not None:
                 aided.stop_aiding(t_s, "it is on another target")
         if verdict is not reference.Reading.ACCEPTED:
             return
+        if self.axes.push(t_s, sample.laser_m, tilt, self.placement.configured):
+            self._straighten()
         self.placement.push(t_s, sample.laser_m, heave_m, velocity_mps, tilt)
         self._compared.push((t_s, heave_m, velocity_mps, sample.laser_m, *(tilt or UNTOLD)))
         if self.reference.is_known and self.reference.is_proven and not self._is_doubted:

@@ -386,8 +386,10 @@ class Placement:
     @property
     def remark(self) -> str:
         """For people; or nothing."""
+        if not self.is_off:
+            return ""
         forward, port = self.shown.ahead_m, self.shown.port_m
-        if self.is_off and isfinite(forward + port):
+        if isfinite(forward + port):
             ahead = f"{abs(forward):.1f} m {'ahead' if forward > 0.0 else 'aft'}"
             across = f"{abs(port):.1f} m to {'port' if port > 0.0 else 'starboard'}"
             return f"laser: {hypot(forward, port):.1f} m from where it is configured ({ahead}, {across})"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import deque
-from math import inf, isfinite
+from math import hypot, inf, isfinite
 from operator import itemgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -38,7 +38,7 @@ class Tilts:
     """Push the attitude of every sample; it knows that of readings in between, which may come some seconds later.
 
     Attributes:
-        std_rad: how well the lean is known that is taken out of roll and of pitch.
+        std_rad: how well it is known what is taken out of roll and of pitch.
     """
 
     def __init__(self, capacity: int) -> None:
@@ -50,7 +50,10 @@ class Tilts:
     def push(self, attitude: Attitude, lean: Lean, late_s: float) -> None:
         """Take what is known after a sample: what the sensor shows, how far that leans, by how much it is late."""
         self._late_s = late_s
-        self.std_rad = lean.roll_std_rad, lean.pitch_std_rad
+        self.std_rad = (
+            hypot(lean.roll_std_rad, lean.late_roll_std_rad),
+            hypot(lean.pitch_std_rad, lean.late_pitch_std_rad),
+        )
         last_s = self._rows[-1][0] if self._rows else -inf
         roll, pitch = attitude.roll_rad - lean.roll_rad, attitude.pitch_rad - lean.pitch_rad
         if attitude.t_s > last_s and isfinite(roll + pitch):

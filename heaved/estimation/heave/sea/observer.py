@@ -36,6 +36,8 @@ from heaved.estimation.heave.observer import (
     foretold,
     nothing_foretold,
 )
+from heaved.estimation.heave.sea.after_gap import TUNING as GAP
+from heaved.estimation.heave.sea.after_gap import AfterGap, Finding
 from heaved.estimation.heave.sea.blows import BlowDetector
 from heaved.estimation.heave.sea.consistency import TUNING as TRUST
 from heaved.estimation.heave.sea.consistency import Consistency, Trial
@@ -116,6 +118,8 @@ class SeaObserver:
         self._experience = Experience()
         self._disturbance: tuple[Array, Array] | None = None
         self._mistakes = Mistakes()
+        self._after_gap: AfterGap | None = None
+        """While it is asked whether the sensor has another bias than before a gap."""
         self._start_over()
 
     def _start_over(self) -> None:
@@ -124,6 +128,7 @@ class SeaObserver:
         self.acceleration_mps2 = nan
         self._bias_mps2 = nan
         self._is_warm = False
+        self._after_gap = None
         period_s = self._down_sampler.period_s
         self._down_sampler = DownSampler(period_s)
         if self._params.channels == "auto":
@@ -180,7 +185,9 @@ class SeaObserver:
             self._step_on_trial(heave, self._trial, *mean)
             return
         missed_s = mean[0] - heave.filter.t_s - heave.filter.steady.dt_s
+        self._begin_after_gap(heave.filter, mean[0], missed_s)
         predicted_m, innovation = self._filter(heave.filter, *mean)
+        self._ask_after_gap(heave.filter, *mean)
         if self._is_sound(heave.filter):
             if self._drift is not None:
                 self._follow_drift(heave, self._drift, mean[0], missed_s)
@@ -224,6 +231,27 @@ class SeaObserver:
             self._try(before, gap_s)
         if not isfinite(self.t_s):
             self._record.start(t_s)
+
+    def _begin_after_gap(self, f: SeaFilter, t_s: float, missed_s: float) -> None:
+        """After a gap the sensor may have another bias; with a laser that aids, or a drift, that is known otherwise."""
+        if missed_s > GAP.gap_s and f.gauge is None and f.rate is None and self._consistency.is_model_known:
+            self._after_gap = AfterGap(f, t_s)
+
+    def _ask_after_gap(self, f: SeaFilter, t_s: float, a_mps2: float) -> None:
+        """Whether it has; then all goes on as after a step of the level."""
+        if (asked := self._after_gap) is None:
+            return
+        if self._disturbances.step_s is not None or f.rate is not None:
+            self._after_gap = None
+            return
+        found = asked.step(f, t_s, a_mps2)
+        if found is Finding.ANOTHER:
+            f.restore(asked.other.state())
+            self._disturbances.restart()
+            self._record.cut(*asked.silent_s)
+            self.steps += 1
+        if found is not Finding.OPEN:
+            self._after_gap = None
 
     def _is_blow(self, t_s: float, a_mps2: float) -> bool:
         """Whether something strikes the hull in this mean, which is then of no use."""
@@ -426,6 +454,8 @@ class SeaObserver:
             factor = max(factor, DRIFT.changes)
         elif self._drift is not None and self._drift.doubt_m > 0.0:
             factor = hypot(factor, self._drift.doubt_m / heave.state_std_m)
+        if self._after_gap is not None:
+            factor = hypot(factor, self._after_gap.apart_m / heave.state_std_m)
         if (trial := self._trial) is not None:
             factor = max(factor, trial.factor)
             if trial.apart_m > 0.0:
@@ -473,6 +503,8 @@ class SeaObserver:
         # What a burst is will be known soon, and a filter that does not know of it is of no use.
         is_in_burst = self._heave is not None and self._heave.filter.burst_variance > 0.0
         is_changing = self._consistency.is_changing or is_in_burst
+        if self._after_gap is not None:
+            return None  # Whether it is one record will be known soon.
         if self._disturbances.is_burst or not self._record.is_due(self.t_s, is_changing=is_changing):
             return None
         p = self._params
@@ -610,6 +642,7 @@ class SeaObserver:
 
     def _install(self, system: SeaSystem, steady: Steady, t_s: float, x: Array, P: Array | None) -> SeaHeave:
         rejected = self.rejected
+        self._after_gap = None
         self._heave = SeaHeave(SeaFilter(system, steady, t_s, x, P), self._horizons_s, self._lead_s)
         self._heave.filter.rejected = rejected
         if self._disturbance is not None:
