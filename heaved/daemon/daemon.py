@@ -69,9 +69,9 @@ _AT_ONCE: Final = ("heave", "laser", "correction", "rock", "point", "compensatio
 _AT_RESTART: Final = ("stream", "http", "state", "runtime")
 _CANCEL_S: Final = 0.4
 """What a task may take to be cancelled."""
-_OUTPUTS_S: Final = 0.7
+_OUTPUTS_S: Final = 1.0
 """And an output, which may have something to say at its end: within the time that all parts have."""
-_STOP_S: Final = 0.8
+_STOP_S: Final = 1.1
 """What each part may take to stop; they stop side by side."""
 _EXIT_S: Final = 1.8
 """After a signal to stop the process is gone by then, whatever hangs."""
@@ -190,7 +190,7 @@ class Daemon:
         self._tasks.clear()
         is_clean = await cancelled(tasks, _CANCEL_S)
         parts: dict[str, Awaitable[object]] = {
-            "stream": self._publisher.close(0.5 * _STOP_S),
+            "stream": self._publisher.close(_CANCEL_S),
             **({"state": self.memory.save()} if self._is_restored else {}),  # Else there is nothing new to save.
             **self.workers.stopping(),
             "outputs": self._outputs.stop(_OUTPUTS_S),

@@ -43,7 +43,8 @@ from heaved.recorder.tables import FrameRows, SampleRows
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-NICENESS: Final = 10
+NICENESS: Final = 5
+"""The daemon goes first. At 10 a busy machine lets it wait for seconds, and what waits may be lost."""
 CONVERTER_NICENESS: Final = 19
 """Of the thread that makes Parquet of an hour that is over, which may take as long as it likes."""
 _CHUNK_BYTES: Final = 1 << 18

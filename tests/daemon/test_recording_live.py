@@ -211,7 +211,7 @@ async def test_a_replay_leaves_out_what_the_daemon_left_out(tmp_path: Path) -> N
     """On a machine that did not keep up for a while, and read its configuration again meanwhile."""
     config, path = recording_config(tmp_path), tmp_path / "heaved.toml"
     async with published(config, path) as (daemon, frames):
-        await until(lambda: len(frames) > 100)
+        await until(lambda: health_of(daemon).is_up and len(frames) > 100)
         daemon._load.relief = Relief.LEFT_OUT
         daemon._relieve(Relief.NONE, Relief.LEFT_OUT)
         told = len(frames)
