@@ -69,9 +69,9 @@ _AT_ONCE: Final = ("heave", "laser", "correction", "rock", "point", "compensatio
 _AT_RESTART: Final = ("stream", "http", "state", "runtime")
 _CANCEL_S: Final = 0.4
 """What a task may take to be cancelled."""
-_OUTPUTS_S: Final = 1.0
+_OUTPUTS_S: Final = 0.85
 """And an output, which may have something to say at its end: within the time that all parts have."""
-_STOP_S: Final = 1.1
+_STOP_S: Final = 0.95
 """What each part may take to stop; they stop side by side."""
 _EXIT_S: Final = 1.8
 """After a signal to stop the process is gone by then, whatever hangs."""

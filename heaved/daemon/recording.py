@@ -50,7 +50,7 @@ MOST_KEPT_BYTES: Final = 32 << 20
 """Five minutes at 100 Hz."""
 FIRST_PAUSE_S: Final = 1.0
 LONGEST_PAUSE_S: Final = 60.0
-GRACE_S: Final = 0.7
+GRACE_S: Final = 0.6
 """What the process may take to write the rest, once the daemon stops."""
 HANGS_AFTER_S: Final = 10.0
 """A disk that takes nothing for so long is said to hang."""

@@ -54,7 +54,9 @@ class Signals:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         signal.set_wakeup_fd(self._wakeup_fd)
         for number, handler in self._handlers.items():
-            signal.signal(number, handler)
+            # Whoever asks again while the interpreter ends is obeyed already: that is no error to be shown.
+            is_obeyed = number in _STOP and not self._seen.isdisjoint(_STOP)
+            signal.signal(number, signal.SIG_IGN if is_obeyed else handler)
         self._theirs.close()  # The thread reads its end, and ends.
 
     def tell(self, loop: asyncio.AbstractEventLoop) -> None:
