@@ -100,7 +100,9 @@ class HeaveObserver(Protocol):
 
     # --- input -------------------------------------------------------------------------------------------------------
 
-    def step(self, t_s: float, a_up_mps2: float, roll_rad: float = nan, pitch_rad: float = nan, /) -> None:
+    def step(
+        self, t_s: float, a_up_mps2: float, roll_rad: float = nan, pitch_rad: float = nan, yaw_rad: float = nan, /
+    ) -> None:
         """Take the vertical acceleration at ``t_s`` (later than the last one; nan: missing, nothing happens), with the
         angles of that moment (nan: not known).
         """

@@ -8,7 +8,7 @@ against it all the time, and to go over takes more than to go back.
 from __future__ import annotations
 
 from collections import deque
-from math import inf, isfinite, nan, sqrt
+from math import inf, isfinite, nan, pi, sqrt
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.heave.sea.joint_design import CHANNELS, Joint
+from heaved.estimation.heave.sea.joint_design import TUNING as DESIGN
 
 if TYPE_CHECKING:
     from heaved.samples import DelayedHeave
@@ -32,9 +33,9 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Of the squares of both errors."""
     told_s: float = 60.0
     """Seconds of comparisons from which they tell anything."""
-    better: float = 0.93
+    better: float = 0.95
     """RMS with the angles over that without, from which they are used,"""
-    no_worse: float = 0.98
+    no_worse: float = 0.99
     """and from which they are not any more."""
     quick_s: float = 20.0
     """Memory of the newest errors,"""
@@ -43,9 +44,11 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     fades_s: float = 8.0
     """In which the correction comes and goes."""
     hole_s: float = 60.0
-    """After a hole in the angles that is longer than ..."""
+    """Nothing is added for so long after a hole in the angles that is longer than ..."""
     bridged_s: float = 1.0
-    """... this, and after the filter was unsure, nothing is said for so long."""
+    """... this."""
+    most_stds: float = 4.0
+    """More of its standard deviations than these are not added: no wave does that, but a list, or another sea."""
     reaches_s: float = 0.5
     """Before now and beyond the last node it goes on in a straight line for so long."""
 
@@ -59,6 +62,7 @@ class JointCorrection:
     Attributes:
         design: the weights.
         known_s: since when what it is made of is known.
+        is_too_much: more would be added now than waves explain; as of the last call of :meth:`nodes`.
     """
 
     def __init__(self, design: Joint) -> None:
@@ -78,7 +82,9 @@ class JointCorrection:
         self._last = (0.0, 0.0)
         self._unknown = 0
         self._told: list[tuple[float, float]] | None = None
+        self._most_m = TUNING.most_stds * design.std_m
         self.known_s = -inf
+        self.is_too_much = False
 
     def fill(self, end_s: float, rows: Array) -> None:
         """Start with innovation, roll and pitch (n, 3) of the samples up to ``end_s``; nan: not known."""
@@ -105,13 +111,20 @@ class JointCorrection:
         self._told = None
 
     def nodes(self) -> list[tuple[float, float]]:
-        """Heave and its velocity to be added at each of the nodes."""
+        """Heave and its velocity to be added at each of the nodes, less of all of it where that is more than waves
+        explain.
+        """
         if self._told is None:
             end, fine = self._next + self._size, self._fine_count
             newest = self._rows[end - fine : end].ravel()
             last = end - fine
             means = self._means[last - 1 - self._group * (self._coarse_count - 1) : last : self._group].ravel()
-            told = (self._fine.dot(newest) + self._coarse.dot(means)).tolist()
+            found = self._fine.dot(newest) + self._coarse.dot(means)
+            now_m = abs(float(found[0]))
+            self.is_too_much = not now_m <= self._most_m
+            if self.is_too_much:
+                found *= self._most_m / now_m if isfinite(now_m) else 0.0
+            told = found.tolist()
             self._told = list(zip(told[::2], told[1::2], strict=True))
         return self._told
 
@@ -133,8 +146,8 @@ class JointCorrection:
         return h0 + u * (slope0 + u * (c2 + u * c3)), (slope0 + u * (2.0 * c2 + 3.0 * u * c3)) / width_s
 
     def ratio(self, tau_s: float, shown: float) -> float:
-        """Standard deviation of the heave with it over that without, ``tau_s`` after the last sample; ``shown``: what
-        experience has that to be now.
+        """Standard deviation of the heave with it over that without, ``tau_s`` after the last sample, 1 at most;
+        ``shown``: what experience has that to be now.
         """
         nodes_s, ratios = self.design.nodes_s, self.design.ratios
         less = max(shown / ratios[0], 1.0)
@@ -145,6 +158,13 @@ class JointCorrection:
                 share = (tau_s - nodes_s[k]) / (nodes_s[k + 1] - nodes_s[k])
                 return min(((1.0 - share) * ratios[k] + share * ratios[k + 1]) * less, 1.0)
         return min(ratios[-1] * less, 1.0)
+
+    def heads(self, yaw_rad: float) -> bool:
+        """Whether that is the heading for which the weights are, or one of the two is not known: waves that come from
+        elsewhere move the hull otherwise.
+        """
+        turned_rad = (yaw_rad - self.design.heading_rad + pi) % (2.0 * pi) - pi
+        return not abs(turned_rad) > DESIGN.turned_rad
 
     def is_known(self, t_s: float) -> bool:
         """Whether what it is made of has no hole any more that matters."""
@@ -157,18 +177,21 @@ class Experience:
 
     Attributes:
         weight: of the correction, 0 to 1.
-        shown: RMS error with that weight over that without; nan: not known.
+        shown: RMS error with that weight over that without; nan: not known, infinite: it is not to be used, and fades.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, size: int) -> None:
+        """``size``: how many steps of the filter the delayed heave is late, at most."""
+        self._waiting: deque[tuple[float, float, float]] = deque(maxlen=size)
         self.reset()
 
     def reset(self) -> None:
         """Forget everything."""
         self.weight, self.shown = 0.0, nan
+        self._left = nan
         self._best = 0.0
         self._is_better = False
-        self._waiting: deque[tuple[float, float, float]] = deque()
+        self._waiting.clear()
         self._slow = self._quick = (0.0, 0.0, 0.0)
         self._seconds = 0.0
 
@@ -196,16 +219,18 @@ class Experience:
         if self._seconds < TUNING.told_s or not (alone > 0.0 and square > 0.0):
             return
         self._best = min(max(both / square, 0.0), 1.0)
-        self.shown = sqrt(max(_left(self._slow, self._best), 0.0) / alone)
+        self._left = sqrt(max(_left(self._slow, self._best), 0.0) / alone)
         newest = _left(self._quick, self._best)
         is_bad = newest > TUNING.much_worse**2 * self._quick[0] and newest > alone
         limit = TUNING.no_worse if self._is_better else TUNING.better
-        self._is_better = self.shown < limit and not is_bad
+        self._is_better = self._left < limit and not is_bad
 
     def step(self, dt_s: float, *, may_be_used: bool) -> float:
         """The weight of the correction, ``dt_s`` after the last time."""
         change = dt_s / TUNING.fades_s
-        wanted = self._best if self._is_better and may_be_used else 0.0
+        is_used = self._is_better and may_be_used
+        wanted = self._best if is_used else 0.0
+        self.shown = self._left if is_used else inf
         self.weight += min(max(wanted - self.weight, -change), change)
         return self.weight
 

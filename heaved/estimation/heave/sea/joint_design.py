@@ -12,7 +12,7 @@ both less what so few pieces show by chance. With the spectrum S of the fitted s
 as they are at its ends, they make the matrix of spectra of what is there live: the innovations y of the filter of the
 acceleration (white, and all that is to be known of its past) and both angles. Its causal factor (Wilson 1972) gives
 Wiener's filter of the three for the heave of any moment. Less what the filter of the acceleration makes of y, this is a
-correction to its heave: weights on the last two minutes of y, roll and pitch. Old ones are small and smooth, and are
+correction to its heave: weights on the last four minutes of y, roll and pitch. Old ones are small and smooth, and are
 weights of means.
 
 Spectra are one-sided; the one of x and y is that of X conj(Y), for amplitudes of exp(+i w t).
@@ -20,7 +20,7 @@ Spectra are one-sided; the one of x and y is that of X conj(Y), for amplitudes o
 
 from __future__ import annotations
 
-from math import sqrt
+from math import inf, nan, radians, sqrt
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -43,11 +43,11 @@ CHANNELS: Final = 3
 class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """How it is learned, and how long the filter is."""
 
-    learned_s: float = 400.0
+    learned_s: float = 600.0
     """Most of the past that is looked at,"""
     least_s: float = 150.0
     """and least;"""
-    memory_s: float = 200.0
+    memory_s: float = 400.0
     """what is older counts less: the vessel turns, the sea changes."""
     piece_s: float = 80.0
     """Of the spectra: the resolution, 1/80 Hz, is that of a hull's own resonance."""
@@ -65,20 +65,29 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Where the sea has less than that, below its peak, the angles show how list and trim wander."""
     clear_of_waves: float = 0.8
     """So far below, as a share of that frequency."""
+    least_wander: float = 1e-11
+    """rad2 Hz, over the square of the frequency: list and trim may always wander by this, a hundredth of a degree in
+    two minutes (a ship under way: 1e-10 to 5e-8). Without it weights do not add up to nothing, and a list of 0.1
+    degrees makes half a metre of heave that stays."""
     noise_band_hz: tuple[float, float] = (1.5, 6.0)
     """Where they show their noise."""
-    never_known: float = 0.04
+    never_known: float = 0.01
     """This share of each angle is never taken to follow from the heave."""
-    doubt: float = 2.0
+    doubt: float = 1.0
     """Times that the square of the transfer function is less than what shows, by what few pieces show by chance."""
     least_noise_rad: float = 5e-5
     """That they have at least, rounded and smoothed as they may be: standard deviation of a sample at 20 Hz."""
+    turned_rad: float = radians(20.0)
+    """What was measured before the vessel turned by more than that is of other waves,"""
+    heading_s: float = 20.0
+    """from how it has headed on average for so long."""
     hole: float = 5.5
     """Angles further apart than this many samples are not interpolated."""
     known: float = 0.98
     """Share of the record of which both angles must be known."""
-    design_s: float = 512.0
-    """Period of the grid on which the filter is designed."""
+    design_s: float = 1024.0
+    """Period of the grid on which the filter is designed: four times its memory (with 512 s, what list and trim may do
+    comes round again, and the heave of S6S with a coherence of 0.95 is 1.46 instead of 1.21 times the limit)."""
     fine_s: float = 6.4
     """So new samples have weights of their own;"""
     mean_s: float = 0.5
@@ -89,6 +98,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Horizons closer than this to another are interpolated."""
     greatest: float = 1e3
     """A weight that is greater is of an angle that hardly moves (in half precision it would be coarse, too)."""
+    least_ratio: float = 0.1
+    """Of standard deviations with the angles and without, that anything may be said to have."""
     close: float = 1e-5
     """So far may the product of the factor with itself be from the matrix of coherences."""
     iterations: int = 25
@@ -104,6 +115,8 @@ class Joint(msgspec.Struct, frozen=True, kw_only=True):
     """(k,) how long after the last sample, 0 first."""
     ratios: tuple[float, ...]
     """(k,) standard deviation of the heave's error with the angles, over that without, by the model."""
+    std_m: float
+    """Standard deviation of what is added to the heave now, by the model."""
     coherence: float
     """Squared, of heave with both angles together, each frequency weighing as much as its heave."""
     dt_s: float
@@ -111,6 +124,8 @@ class Joint(msgspec.Struct, frozen=True, kw_only=True):
     """Samples in each of the means."""
     offsets_rad: tuple[float, float]
     """List and trim, which are no part of the waves."""
+    heading_rad: float
+    """For which they are; nan: not known."""
     fine: bytes
     """(2 k, m, 3) weights, float16, of the last m samples, the newest last: heave of each node, then its velocity."""
     coarse: bytes
@@ -136,9 +151,15 @@ class Learned(msgspec.Struct, frozen=True, eq=False):
 
 
 def joint(
-    system: SeaSystem, steady: Steady, a_mps2: Array, angles_rad: Array, horizons_s: Sequence[float]
+    system: SeaSystem,
+    steady: Steady,
+    a_mps2: Array,
+    angles_rad: Array,
+    horizons_s: Sequence[float],
+    heading_rad: float = nan,
 ) -> Joint | None:
-    """Learn and design. ``a_mps2`` (n,), ``angles_rad`` (n, 2): the past, every ``steady.dt_s``; a nan is not known.
+    """Learn and design. ``a_mps2`` (n,), ``angles_rad`` (n, 2): the past, every ``steady.dt_s``, in which the vessel
+    kept to ``heading_rad``; a nan is not known.
 
     None: there is too little of it, or nothing to be gained.
 
@@ -146,7 +167,19 @@ def joint(
         LinAlgError: the spectra cannot be factored.
     """
     found = learned(system.model, a_mps2, angles_rad, steady.dt_s)
-    return None if found is None else designed(system, steady, found, nodes(horizons_s))
+    return None if found is None else designed(system, steady, found, nodes(horizons_s), heading_rad)
+
+
+def heading(t_s: Array, yaw_rad: Array) -> tuple[float, float]:
+    """How the vessel heads at the end of ``t_s`` (n,), nan where that is not known, and since when about so."""
+    newest = yaw_rad[t_s > t_s[-1] - TUNING.heading_s] if len(t_s) else yaw_rad
+    newest = newest[np.isfinite(newest)]
+    if not len(newest):
+        return nan, -inf
+    now = np.exp(1j * newest).sum()
+    turned = np.abs(np.angle(np.exp(1j * yaw_rad) * np.conj(now)))
+    elsewhere = np.flatnonzero(turned > TUNING.turned_rad)  # What is not known has not turned.
+    return float(np.angle(now)), float(t_s[elsewhere[-1]]) if len(elsewhere) else -inf
 
 
 def even_angles(rows: Array, end_s: float, dt_s: float, count: int) -> Array:
@@ -301,7 +334,9 @@ def _frequencies(size: int, dt_s: float) -> Array:
 # --- the filter ------------------------------------------------------------------------------------------------------
 
 
-def designed(system: SeaSystem, steady: Steady, found: Learned, nodes_s: tuple[float, ...]) -> Joint | None:
+def designed(
+    system: SeaSystem, steady: Steady, found: Learned, nodes_s: tuple[float, ...], heading_rad: float = nan
+) -> Joint | None:
     """Weights for each of ``nodes_s``; None: nothing is to be gained.
 
     Raises:
@@ -324,12 +359,13 @@ def designed(system: SeaSystem, steady: Steady, found: Learned, nodes_s: tuple[f
     for k in range(2):
         measured[:, 1 + k, 1 + k] += found.noise_psd[k]
         measured[:, 1 + k, 1 + k] += found.wander_psd[k] / (1.0 + (f / found.wander_hz) ** 4)
+        measured[:, 1 + k, 1 + k] += TUNING.least_wander / np.maximum(f, f[1] / 2.0) ** 2
     cross = motion[:, 0, :] * seen.conj()
     factor = _factor(np.asarray(measured / 2.0, dtype=np.complex128))
     whitened = np.linalg.solve(factor, np.conj(cross / 2.0)[:, :, None])[:, :, 0].conj()
     alone = cross[:, 0] / 2.0 / sqrt(level / 2.0)
     variance = float(np.sum(sea)) * f[1]
-    rows, ratios = [], []
+    rows, ratios, std_m = [], [], 0.0
     for tau_s in nodes_s:
         turn = np.exp(1j * w * tau_s)
         for is_velocity in (False, True):
@@ -337,13 +373,16 @@ def designed(system: SeaSystem, steady: Steady, found: Learned, nodes_s: tuple[f
             told = np.fft.irfft(whitened * wanted[:, None], size, axis=0)
             told_alone = np.fft.irfft(alone * wanted, size)
             told[size // 2 :], told_alone[size // 2 :] = 0.0, 0.0
-            if not is_velocity:
-                left = [max(variance - float(np.sum(one**2)) / dt, 0.0) for one in (told, told_alone)]
-                ratios.append(sqrt(left[0] / left[1]) if left[1] > 0.0 else 1.0)
             response = np.linalg.solve(factor.transpose(0, 2, 1), np.fft.rfft(told, axis=0)[:, :, None])[:, :, 0]
             weights = np.fft.irfft(response, size, axis=0)
             weights[:, 0] -= told_alone / sqrt(level / 2.0)
             rows.append(weights)
+            if not is_velocity:
+                by = np.fft.rfft(weights, axis=0)
+                added = f[1] * float(np.einsum("fi,fij,fj", by, measured, by.conj()).real)
+                alone_left = max(variance - float(np.sum(told_alone**2)) / dt, added)
+                ratios.append(sqrt(max(1.0 - added / alone_left, TUNING.least_ratio**2)) if added > 0.0 else 1.0)
+                std_m = std_m if tau_s > 0.0 else sqrt(added)
     group = max(round(TUNING.mean_s / dt), 1)
     fine = round(TUNING.fine_s / dt)
     coarse = max(round((TUNING.filter_s - TUNING.fine_s) / dt) // group, 1)
@@ -353,11 +392,13 @@ def designed(system: SeaSystem, steady: Steady, found: Learned, nodes_s: tuple[f
     means = every[:, fine:].reshape(len(rows), coarse, group, CHANNELS).sum(axis=2)
     return Joint(
         nodes_s=nodes_s,
-        ratios=tuple([min(ratio, 1.0) for ratio in ratios]),
+        ratios=tuple(ratios),
+        std_m=std_m,
         coherence=found.coherence,
         dt_s=dt,
         group=group,
         offsets_rad=found.offsets_rad,
+        heading_rad=heading_rad,
         fine=every[:, :fine][:, ::-1].astype(np.float16).tobytes(),
         coarse=means[:, ::-1].astype(np.float16).tobytes(),
     )

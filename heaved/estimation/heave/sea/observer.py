@@ -70,8 +70,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     heave)."""
     cut_s: float = 0.2
     """Where what is measured changes, a few means are of both kinds."""
-    unsure_s: float = 30.0
-    """After the filter was unsure, what it says is not corrected by roll and pitch for so long."""
+    unsure_s: float = 60.0
+    """Roll and pitch do not correct the heave for so long after the filter was unsure, or they did what no waves do."""
     most_missed: int = 1000
     """Steps that were missed and are made up for."""
 
@@ -113,9 +113,9 @@ class SeaObserver:
         self._down_sampler = DownSampler()
         self._angle_samplers: tuple[DownSampler, ...] = ()
         """Of roll and pitch; none: they are not looked at."""
-        self._angles = RingBuffer(int(JOINT.learned_s / down_sampler.TUNING.least_s), 3)
-        """Their means."""
-        self._experience = Experience()
+        self._angles = RingBuffer(int(JOINT.learned_s / down_sampler.TUNING.least_s), 4)
+        """Time, means of roll and pitch, and yaw."""
+        self._experience = Experience(self._late_steps)
         self._disturbance: tuple[Array, Array] | None = None
         self._mistakes = Mistakes()
         self._after_gap: AfterGap | None = None
@@ -134,7 +134,7 @@ class SeaObserver:
         if self._params.channels == "auto":
             self._angle_samplers = DownSampler(period_s), DownSampler(period_s)
         self._angles.clear()
-        self._angle, self._angles_s = (nan, nan), -inf
+        self._angle, self._yaw_rad, self._angles_s = (nan, nan), nan, -inf
         self._experience.reset()
         self._unsure_s = -inf
         self._record.clear()
@@ -142,7 +142,7 @@ class SeaObserver:
         self.refreshes = 0
         self.sea: SeaState | None = None
         self.delayed: DelayedHeave | None = None
-        self._consistency = Consistency(int((self._params.delay_s + 5.0) / down_sampler.TUNING.least_s))
+        self._consistency = Consistency(self._late_steps)
         self._smoother: FixedLagSmoother | None = None
         self._ripening: deque[DelayedHeave] = deque()
         """Delayed heave of a past with holes, not yet as old as it shall be."""
@@ -160,9 +160,16 @@ class SeaObserver:
             kept = self._heave.filter
             self._install(kept.system, kept.steady, nan, np.zeros(len(kept.x)), kept.system.stationary.copy())
 
+    @property
+    def _late_steps(self) -> int:
+        """Steps of the filter that the delayed heave is late, at most."""
+        return int((self._params.delay_s + 5.0) / down_sampler.TUNING.least_s)
+
     # --- input -------------------------------------------------------------------------------------------------------
 
-    def step(self, t_s: float, a_up_mps2: float, roll_rad: float = nan, pitch_rad: float = nan, /) -> None:
+    def step(
+        self, t_s: float, a_up_mps2: float, roll_rad: float = nan, pitch_rad: float = nan, yaw_rad: float = nan, /
+    ) -> None:
         """Take the vertical acceleration at ``t_s`` (later than the last one; nan: missing, nothing happens), with the
         angles of that moment (nan: not known).
         """
@@ -172,7 +179,7 @@ class SeaObserver:
         self.t_s, self.acceleration_mps2 = t_s, a_up_mps2 - self._bias_mps2
         mean = self._down_sampler.step(t_s, a_up_mps2)
         if self._angle_samplers:
-            self._keep_angles(t_s, roll_rad, pitch_rad)
+            self._keep_angles(t_s, roll_rad, pitch_rad, yaw_rad)
         if mean is None or not self._record.follows(mean[0]) or self._is_blow(*mean):
             return
         heave = self._heave
@@ -197,15 +204,15 @@ class SeaObserver:
                 self._join(heave, heave.joint, mean[0], missed_s, innovation)
             self._moved(heave)
 
-    def _keep_angles(self, t_s: float, roll_rad: float, pitch_rad: float) -> None:
-        """Means of roll and pitch, of the very samples that those of the acceleration are of."""
+    def _keep_angles(self, t_s: float, roll_rad: float, pitch_rad: float, yaw_rad: float) -> None:
+        """Means of roll and pitch, of the very samples that those of the acceleration are of, and the heading then."""
         samplers = self._angle_samplers
         roll, pitch = samplers[0].step(t_s, roll_rad), samplers[1].step(t_s, pitch_rad)
         if roll is not None and pitch is not None:
-            self._angle = roll[1], pitch[1]
+            self._angle, self._yaw_rad = (roll[1], pitch[1]), yaw_rad
             if not roll[0] <= self._angles_s:
                 self._angles_s = roll[0]
-                self._angles.push((roll[0], *self._angle))
+                self._angles.push((roll[0], *self._angle, yaw_rad))
 
     def _join(self, heave: SeaHeave, joint: JointCorrection, t_s: float, missed_s: float, innovation: float) -> None:
         """What roll and pitch add to the heave, and how that has fared."""
@@ -214,12 +221,13 @@ class SeaObserver:
         for i in range(missed, 0, -1):
             joint.push(t_s - i * dt_s, 0.0, nan, nan)
         joint.push(t_s, innovation, *self._angle)
-        if not heave.is_converged or f.burst_variance > 0.0:
+        more_m = joint.nodes()[0][0]
+        if not heave.is_converged or f.burst_variance > 0.0 or joint.is_too_much:
             self._unsure_s = t_s
-        may_be_used = t_s - self._unsure_s > TUNING.unsure_s and joint.is_known(t_s)
+        may_be_used = t_s - self._unsure_s > TUNING.unsure_s and joint.is_known(t_s) and joint.heads(self._yaw_rad)
         may_be_used = may_be_used and f.gauge is None and f.rate is None
         if may_be_used:
-            self._experience.say(t_s, float(f.system.heave.dot(f.x)), joint.nodes()[0][0])
+            self._experience.say(t_s, float(f.system.heave.dot(f.x)), more_m)
         heave.joint_weight = self._experience.step((1 + missed) * dt_s, may_be_used=may_be_used)
         heave.joint_shown = self._experience.shown
 
@@ -602,7 +610,7 @@ class SeaObserver:
     def _take_joint(self, heave: SeaHeave, joint: JointCorrection, fit: SeaFit) -> None:
         """With the innovations of the new model's filter, and the angles as they were."""
         rows = self._angles.since(-inf)
-        known = even_angles(rows, fit.t_s, fit.dt_s, round(JOINT.filter_s / fit.dt_s))
+        known = even_angles(rows[:, :3], fit.t_s, fit.dt_s, round(JOINT.filter_s / fit.dt_s))
         innovations = np.nan_to_num(np.frombuffer(fit.innovation))[-len(known) :]
         before = np.zeros(len(known) - len(innovations))
         joint.fill(fit.t_s, np.column_stack((np.concatenate((before, innovations)), known)))
@@ -613,7 +621,7 @@ class SeaObserver:
         filters = [f for f in (heave.filter, self._aiding.unaided) if f is not None]
         cuts = deque(cut[1] for cut in self._record.cuts_s if cut[1] > from_s)
         blows = deque(blow_s for blow_s in self._record.blows_s if blow_s > from_s)
-        angles = self._angles.since(from_s)
+        angles = self._angles.since(from_s)[:, :3]
         for t_s, a_mps2 in self._record.since(from_s).tolist():
             if t_s > heave.filter.t_s:
                 while cuts and cuts[0] <= t_s:

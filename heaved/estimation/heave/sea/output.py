@@ -108,7 +108,8 @@ class SeaHeave:
         scale: published over modelled standard deviation.
         transfer: from the model before.
         joint, joint_weight: what roll and pitch add, if anything, and how much of that is taken.
-        joint_shown: standard deviation with them over that without, as it was of late.
+        joint_shown: standard deviation with them over that without, as it was of late; infinite: they are not trusted,
+            and what they add fades out.
         steady_std_m: standard deviation of the error of its heave once the filter is steady.
         sea_std_m: standard deviation of the heave of the fitted sea.
         omega_radps: mean frequency of the heave, standard deviation of its velocity over that of itself.
@@ -217,11 +218,13 @@ class SeaHeave:
         weight = self.joint_weight
         return Motion(motion.heave_m + weight * more_m, motion.velocity_mps + weight * more_mps)
 
-    def _joint_ratio(self, tau_s: float) -> float:
-        """What roll and pitch leave of the standard deviation ``tau_s`` after the filter's state."""
+    def _joined_std(self, std_m: float, tau_s: float) -> float:
+        """What that is of the heave with roll and pitch, ``tau_s`` after the filter's state."""
         if self.joint is None or self.joint_weight == 0.0:
-            return 1.0
-        return 1.0 - self.joint_weight * (1.0 - self.joint.ratio(tau_s, self.joint_shown))
+            return std_m
+        if self.joint_shown == inf:
+            return hypot(std_m, self.joint_weight * self.joint.at(tau_s)[0])
+        return std_m * (1.0 - self.joint_weight * (1.0 - self.joint.ratio(tau_s, self.joint_shown)))
 
     def unshifted(self, t_s: float, unaided: SeaFilter | None = None) -> Motion:
         """What the laser is compared with: nothing learned taken out, nothing left of another model. ``unaided``: the
@@ -253,7 +256,7 @@ class SeaHeave:
             if joint is not None:
                 tau_s = h - self._learned_s + d
                 heave_m += self.joint_weight * joint.at(tau_s)[0]
-                std_m = whole * hypot(modelled * modelled_m * self._joint_ratio(tau_s), left_m)
+                std_m = whole * hypot(self._joined_std(modelled * modelled_m, tau_s), left_m)
             else:
                 std_m = whole * hypot(modelled * modelled_m, left_m)
             found.append(foretold(h, gain * (heave_m + left_m), std_m))
@@ -277,7 +280,7 @@ class SeaHeave:
         else:
             std_m = self._modelled_m(late_s, (shift_s,))[0] * self.scale
         if self.joint_weight > 0.0:
-            std_m *= self._joint_ratio(shift_s + late_s - (self._learned_s if isfinite(self._learned_s) else 0.0))
+            std_m = self._joined_std(std_m, shift_s + late_s - (self._learned_s if isfinite(self._learned_s) else 0.0))
         if t_s < self.transfer.until_s:
             std_m = hypot(std_m, self.transfer.at(t_s + shift_s)[0])
         return std_m

@@ -109,12 +109,41 @@ def test_the_filter_leaves_what_the_limit_of_three_channels_leaves(share: float)
     motion = sea[:, None, None] * follows[:, :, None] * follows[:, None, :].conj()
     motion[:, 1:, 1:] += sea[:, None, None] * rest
     walk = SYSTEM.model.noise_psd + 2.0 * SYSTEM.model.bias_walk_psd / (2.0 * np.pi * np.maximum(grid, grid[1])) ** 2
+    wander = TUNING.least_wander / np.maximum(grid, 0.5 * grid[1]) ** 2
     alone, both = (
-        causal_limits(measured_spectra(grid, np.asarray(motion), walk, psd, angles), horizons_s)
+        causal_limits(measured_spectra(grid, np.asarray(motion), walk, psd + wander, angles), horizons_s)
         for angles in ((), (ROLL, PITCH))
     )
     assert found.ratios == pytest.approx(np.array(both) / np.array(alone), abs=0.03)
     assert found.ratios[0] < (0.95 if share < 0.8 else 0.85)
+
+
+def test_a_list_makes_no_heave_that_stays() -> None:
+    one = record(0.2)
+    found = joint_design.joint(SYSTEM, STEADY, one.a_mps2, one.angles_rad, ())
+    assert found is not None
+    assert found.ratios[0] < 0.9
+    fine, coarse = (
+        np.frombuffer(part, np.float16).astype(float).reshape(2, -1, 3) for part in (found.fine, found.coarse)
+    )
+    for k in (1, 2):
+        list_rad = np.radians(0.1)
+        stays_m = list_rad * abs(fine[0, :, k].sum() + coarse[0, :, k].sum())
+        assert stays_m < 0.2 * found.std_m
+        assert stays_m < 0.1 * list_rad * (np.abs(fine[0, :, k]).sum() + np.abs(coarse[0, :, k]).sum())
+
+
+def test_the_past_counts_since_the_vessel_has_headed_as_it_does() -> None:
+    t_s = np.arange(0.0, 100.0, 0.5)
+    yaw = np.radians(np.where(t_s < 40.0, 300.0, np.where(t_s < 60.0, 330.0, 355.0)) + 8.0 * np.sin(t_s)) % (
+        2.0 * np.pi
+    )
+    yaw[(t_s > 50.0) & (t_s < 55.0)] = nan
+    heading_rad, since_s = joint_design.heading(t_s, yaw)
+    assert abs(np.angle(np.exp(1j * (heading_rad - np.radians(355.0))))) < np.radians(1.5)
+    assert 58.0 < since_s < 60.0
+    assert joint_design.heading(t_s, np.full(len(t_s), nan)) == pytest.approx((nan, -np.inf), nan_ok=True)
+    assert joint_design.heading(t_s[:0], yaw[:0])[1] == -np.inf
 
 
 def test_horizons_that_are_close_share_a_node() -> None:
