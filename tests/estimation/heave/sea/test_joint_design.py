@@ -111,7 +111,7 @@ def test_the_filter_leaves_what_the_limit_of_three_channels_leaves(share: float)
     walk = SYSTEM.model.noise_psd + 2.0 * SYSTEM.model.bias_walk_psd / (2.0 * np.pi * np.maximum(grid, grid[1])) ** 2
     wander = TUNING.least_wander / np.maximum(grid, 0.5 * grid[1]) ** 2
     alone, both = (
-        causal_limits(measured_spectra(grid, np.asarray(motion), walk, psd + wander, angles), horizons_s)
+        causal_limits(measured_spectra(grid, np.asarray(motion), walk, psd + wander[:, None], angles), horizons_s)
         for angles in ((), (ROLL, PITCH))
     )
     assert found.ratios == pytest.approx(np.array(both) / np.array(alone), abs=0.03)
