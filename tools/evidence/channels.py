@@ -36,8 +36,8 @@ from evidence.commands import (
     add_duration,
     add_jobs,
     add_seeds,
+    count,
     in_order,
-    seeds_of,
 )
 from evidence.heave import estimators
 from evidence.heave.commands import add_observer
@@ -453,6 +453,7 @@ def run_channels(options: Options, output: Output) -> Report:
             raise ValueError(
                 f"{SHIP}: there is no record in {options.data or scenarios.DATA}: give its folder by --data"
             )
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
     todo = [
         Task(
             scenario=name,
@@ -464,14 +465,14 @@ def run_channels(options: Options, output: Output) -> Report:
         )
         for name in ([] if options.limits_only else names)
         for sensor in options.sensors
-        for number in ((1,) if name == SHIP else seeds_of(options))
+        for number in ((1,) if name == SHIP else seeds)
     ]
     found: dict[tuple[str, str], list[dict[str, Part]]] = {}
     for task, parts in zip(todo, in_order(run, todo, options.jobs), strict=True):
         found.setdefault((task.scenario, task.sensor), []).append(parts)
     made = rows(names, options.sensors, found, options.data)
     output.write("channels", made)
-    return Report(report(made, options.data), () if options.limits_only else tuple(seeds_of(options)))
+    return Report(report(made, options.data), () if options.limits_only else tuple(seeds))
 
 
 def _words(parser: Parser) -> None:
@@ -484,6 +485,7 @@ def _words(parser: Parser) -> None:
     parser.add_argument("--limits-only", action="store_true", help="do not run the product")
     parser.add_argument("--data", type=Path, metavar="DIR", help=f"where {scenarios.REAL[SHIP]} is")
     add_seeds(parser, 1)
+    parser.add_argument("--first-seed", type=count, default=1, metavar="N", help="of the records (default 1)")
     for add in (add_jobs, add_duration, add_observer, add_common):
         add(parser)
 
