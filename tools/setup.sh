@@ -20,7 +20,7 @@ prepare() {
         fi
         echo "$PWD" >.venv/place
     fi
-    .venv/bin/python -m pip install --quiet --disable-pip-version-check --editable ".$extra"
+    .venv/bin/python -m pip install --quiet --no-compile --disable-pip-version-check --editable ".$extra"
     wanted_stamp >".venv/installed$extra"
 }
 

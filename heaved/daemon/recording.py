@@ -1,8 +1,9 @@
 """The hand-over to the process that records: every call into the pipeline, and every frame, in order.
 
 The loop packs and appends, which takes it some ten microseconds a frame; a task of its own carries what has gathered to
-the process, five times a second. While that is away, or its disk hangs, a few minutes are kept; what is beyond is lost,
-and counted. Nothing here ever waits for a disk.
+the process, five times a second, and is kept until that has it on the disk: what a process had not written when it was
+killed, the next one gets. While none runs, or the disk hangs, a few minutes are kept; what is beyond is lost, and
+counted. Nothing here ever waits for a disk.
 """
 
 from __future__ import annotations
@@ -54,6 +55,9 @@ GRACE_S: Final = 0.6
 """What the process may take to write the rest, once the daemon stops."""
 HANGS_AFTER_S: Final = 10.0
 """A disk that takes nothing for so long is said to hang."""
+MOST_ENDS: Final = 3
+"""Processes that ended one after the other before they had written anything of what they were given: it is not given to
+another."""
 _HOUR_S: Final = 3600.0
 _WORDS_BYTES: Final = 2000
 
@@ -179,13 +183,12 @@ class RecordingOutput:
         self._journal = journal
         self._command = command
         self._vessel = params.vessel or socket.gethostname()
-        settings = Settings(
+        self._settings = Settings(
             directory=str(recording_directory(config).absolute()),
             max_bytes=round(1e9 * params.max_gb),
             max_age_s=86400.0 * params.max_days,
             retry_s=retry_s,
         )
-        self._settings = packed(Kind.SETTINGS, msgspec.json.encode(settings))
         self._what = params.what
         self._header = self._sent_header = b""
         self.config: Config
@@ -197,9 +200,15 @@ class RecordingOutput:
         self._gathered: list[bytes] = []
         self._gathered_bytes = self._rows = 0
         self._kept: deque[_Chunk] = deque()
+        self._given: deque[tuple[int, _Chunk]] = deque()
+        """What the process has been given and has not settled, each with the rows that it will then have settled."""
+        self._given_rows = 0
         self._kept_bytes = 0
-        self._lost_before = 0
-        """Rows of the processes before this one that were lost."""
+        """Of all that is kept, given or not."""
+        self._sent_before = self._lost_before = 0
+        """Rows of the processes before this one that were written, and that were lost."""
+        self._ends = 0
+        """Processes that ended, one after the other, without having settled anything."""
         self._pause_s = FIRST_PAUSE_S
         self._has_begun = asyncio.Event()
         """The process reads what it is given."""
@@ -289,6 +298,7 @@ class RecordingOutput:
         finally:
             self._journal.ended(self)
             self._cut()
+            self._take_back()
             if self._kept and has_extra():
                 await asyncio.to_thread(self._hand_over)
 
@@ -317,7 +327,10 @@ class RecordingOutput:
             await _end(process)
             await asyncio.wait(tasks)
             said = (await words).decode("utf-8", "replace").strip()
-        self._lost_before = self.health.lost["disk"]
+        self._lost_before, self._sent_before = self.health.lost["disk"], self.health.sent
+        self._ends += bool(self._given)
+        self._take_back()
+        self._settings = msgspec.structs.replace(self._settings, is_again=True)
         for task in tasks:
             if not task.cancelled() and task.exception() is not None and not isinstance(task.exception(), OSError):
                 task.result()  # A bug, for whoever supervises this.
@@ -325,11 +338,11 @@ class RecordingOutput:
 
     async def _carry(self, process: Process) -> None:
         assert process.stdin is not None
-        # What is under way is lost with a process that is killed: as little as can be, the rest waits here.
+        # What is under way comes again if the process is killed: as little as can be, the rest waits here.
         process.stdin.transport.set_write_buffer_limits(high=0)
-        process.stdin.write(self._settings)
+        process.stdin.write(packed(Kind.SETTINGS, msgspec.json.encode(self._settings)))
         self._sent_header = b""
-        # What has left us before it reads would be lost with it, and with us: until then all is kept here.
+        # What has left us before it reads would be lost with us: until then all is kept here.
         with suppress(TimeoutError):
             await asyncio.wait_for(self._has_begun.wait(), HANGS_AFTER_S)
         while True:
@@ -343,11 +356,31 @@ class RecordingOutput:
     def _send_first(self, process: Process) -> None:
         assert process.stdin is not None
         chunk = self._kept.popleft()
-        self._kept_bytes -= len(chunk.body)
+        self._given_rows += chunk.rows
+        self._given.append((self._given_rows, chunk))
         if chunk.header is not self._sent_header:
             self._sent_header = chunk.header
             process.stdin.write(chunk.header)
         process.stdin.write(chunk.body)
+
+    def _settle(self, rows: int) -> None:
+        """The process is done with that many rows of what it was given."""
+        while self._given and self._given[0][0] <= rows:
+            _, chunk = self._given.popleft()
+            self._kept_bytes -= len(chunk.body)
+            self._ends = 0
+
+    def _take_back(self) -> None:
+        """The process has ended: what it has not settled is kept for the next, unless it may be what ends them."""
+        given = [chunk for _, chunk in self._given]
+        self._given.clear()
+        self._given_rows = 0
+        if self._ends < MOST_ENDS:
+            self._kept.extendleft(reversed(given))
+        else:
+            self._ends = 0
+            self._kept_bytes -= sum(len(chunk.body) for chunk in given)
+            self.health.lost["given_up"] += sum(chunk.rows for chunk in given)
 
     async def _drain(self, process: Process) -> None:
         assert process.stdin is not None
@@ -380,7 +413,8 @@ class RecordingOutput:
                 self._pause_s = FIRST_PAUSE_S
             else:
                 self.health.down(report.detail)
-            self.health.sent = report.rows
+            self._settle(report.settled)
+            self.health.sent = self._sent_before + report.rows
             self.health.lost["disk"] = self._lost_before + report.lost
             if report.note:
                 _log.info("recording", detail=report.note)
@@ -398,9 +432,11 @@ class RecordingOutput:
                 self._send_first(process)
             process.stdin.close()
             await asyncio.wait_for(process.wait(), GRACE_S)
+            if process.returncode == 0:  # It has settled all, whether we have read so by now or not.
+                self._settle(self._given_rows)
 
     def _hand_over(self) -> None:
-        """Keep what no process has been given in a file of its own: it loads, or is to be started again."""
+        """Keep what no process has settled in a file of its own: it loads, is too slow, or is to be started again."""
         held, data, rows = b"", [], 0
         for chunk in self._kept:
             data += [chunk.body] if chunk.header is held else [chunk.header, chunk.body]

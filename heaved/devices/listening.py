@@ -18,6 +18,7 @@ from heaved.devices.profile import Decoded, DeviceSpec, Quantity, role_quantitie
 from heaved.devices.sentences import SentenceReader, name_of
 from heaved.devices.station import KINDS, PollResult
 from heaved.host_name import HostName
+from heaved.keep_alive import keep_alive
 from heaved.links import AnyLink, SerialLink, TcpLink, UdpListenLink, explain_open_failure, parse_any_link
 from heaved.networks import is_allowed, parse_networks
 from heaved.samples import Fault
@@ -132,9 +133,7 @@ class Listening:
                 raise
             else:
                 # A box that has lost its power is noticed although nothing is sent to it.
-                for option, value in ((socket.TCP_KEEPIDLE, 2), (socket.TCP_KEEPINTVL, 1), (socket.TCP_KEEPCNT, 3)):
-                    connection.setsockopt(socket.IPPROTO_TCP, option, value)
-                connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+                keep_alive(connection, idle_s=2, probe_s=1)
                 return connection
         raise failure
 

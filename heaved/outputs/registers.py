@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Final, cast
 
 import structlog
 
+from heaved.keep_alive import keep_alive
 from heaved.links import SerialLink, TcpLink, explain_open_failure, parse_link, silence_s
 from heaved.networks import checked_networks, is_allowed
 from heaved.outputs.listen import Listener, ListenError
@@ -228,10 +229,7 @@ class _Connection(asyncio.BufferedProtocol):
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
         # A PLC that has lost its power is noticed within a minute, so that those that remain have the room.
-        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 30)
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 10)
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, 3)
+        keep_alive(connection, idle_s=30, probe_s=10)
         self._transport.set_write_buffer_limits(high=0)
 
     def connection_lost(self, _error: Exception | None) -> None:

@@ -105,6 +105,8 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     """Rows are written when the first of them is so old: with what is on its way, less than a second."""
     retry_s: float = 60.0
     """A disk that takes nothing is tried again after so long, or as soon as it looks well again."""
+    is_again: bool = False
+    """A process before had rows of this run: some that come first may be on the disk already."""
 
 
 class Call(Enum):
@@ -149,6 +151,8 @@ class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """Written since it started."""
     lost: int = 0
     """Rows that could not be."""
+    settled: int = 0
+    """Rows that are no longer its concern: written, lost, or on the disk before it started."""
     size_bytes: int = 0
     """Of all files of the directory."""
     has_begun: bool = False

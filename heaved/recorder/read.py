@@ -6,6 +6,7 @@ Everything that is read is checked first: who wrote it, that all of it is of one
 from __future__ import annotations
 
 from collections import defaultdict
+from contextlib import suppress
 from itertools import pairwise
 from math import nan
 from pathlib import Path
@@ -19,8 +20,8 @@ import pyarrow.parquet as pq
 from heaved import samples
 from heaved.recorder.files import NAME, PARQUET, STREAM, whole_batches
 from heaved.recorder.found import SUFFIXES, RecordedError
-from heaved.recorder.layout import FRAMES, SAMPLES, Call, Column, Header, table_columns
-from heaved.recorder.tables import Doubles, header_of, numbers_to_values, samples_of
+from heaved.recorder.layout import FRAMES, HANDOVER, SAMPLES, Call, Column, Header, table_columns
+from heaved.recorder.tables import KEYS, Doubles, header_of, numbers_to_values, samples_of
 from heaved.samples import Fault, Sample
 
 if TYPE_CHECKING:
@@ -110,6 +111,11 @@ def open_recorded(path: Path, table: str) -> Recorded:
         hour = _hour(one, table, remarks)
         if hour is not None:
             hours.append(hour)
+    if path.is_dir():
+        remarks += [
+            f"{one.name} is the end of a run that its recorder had no time for: the next heaved run records it"
+            for one in sorted(path.glob(f"*{HANDOVER}"))
+        ]
     if not hours:
         raise RecordedError(f"{path}: holds no row" + "".join(f"; {remark}" for remark in remarks))
     vessels = {hour.header.vessel: hour.path for hour in hours}
@@ -126,6 +132,20 @@ def open_recorded(path: Path, table: str) -> Recorded:
                 f"{after.path}: begins before {before.path.name} ends: the same hour twice? Remove one of them"
             )
     return Recorded(hours=tuple(hours), remarks=tuple(remarks))
+
+
+def rows_there(directory: Path, table: str, run: str) -> list[tuple[int, int]]:
+    """First and last row, as :class:`Hour` has them, of each file that holds rows of that run of the daemon; what
+    cannot be read holds none.
+    """
+    found = []
+    for path in directory.iterdir():
+        if NAME.fullmatch(path.name) and f".{table}." in path.name and path.name.endswith(SUFFIXES):
+            with suppress(RecordedError):
+                hour = _hour(path, table, [], run)
+                if hour is not None:
+                    found.append((hour.first, hour.last))
+    return found
 
 
 def _files(path: Path, table: str) -> list[Path]:
@@ -161,14 +181,16 @@ def _file_of(path: Path, table: str) -> Path:
     raise RecordedError(f"{path}: holds {other} alone, and {stem}.{table}{PARQUET} is not beside it")
 
 
-def _hour(path: Path, table: str, remarks: list[str]) -> Hour | None:
-    """None: there is no row in it."""
-    name = "seq" if table == SAMPLES else "t_us"
+def _hour(path: Path, table: str, remarks: list[str], run: str | None = None) -> Hour | None:
+    """None: there is no row in it, or it is of another run than is asked for."""
+    name = KEYS[table]
     size = _size(path)
     try:
         if path.name.endswith(PARQUET):
             with pq.ParquetFile(path, page_checksum_verification=True) as file:
                 header = _header(path, file.schema_arrow, table)
+                if run not in (None, header.run):
+                    return None
                 ends = [(batch.column(0)[0].as_py(), batch.column(0)[-1].as_py())
                         for batch in file.iter_batches(_ROWS_AT_A_TIME, columns=[name], use_threads=False)
                         if len(batch)]  # fmt: skip
@@ -176,6 +198,8 @@ def _hour(path: Path, table: str, remarks: list[str]) -> Hour | None:
         else:
             with pa.OSFile(str(path)) as source:
                 header = _header(path, pa.ipc.open_stream(source).schema, table)
+            if run not in (None, header.run):
+                return None
             ends, rows, end = [], 0, 0
             for batch, end in whole_batches(path):  # noqa: B007  # How far the last of them goes is wanted below.
                 ends.append((batch.column(name)[0].as_py(), batch.column(name)[-1].as_py()))

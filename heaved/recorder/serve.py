@@ -18,9 +18,10 @@ from contextlib import suppress
 from math import inf, nan
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
+import numpy as np
 import pyarrow as pa
 
 from heaved.recorder import messages
@@ -38,10 +39,11 @@ from heaved.recorder.files import (
 )
 from heaved.recorder.layout import FORMAT, FRAMES, HANDOVER, SAMPLES, Header, Report, Settings
 from heaved.recorder.messages import Kind, MessageError, Splitter
-from heaved.recorder.tables import FrameRows, SampleRows
+from heaved.recorder.read import rows_there
+from heaved.recorder.tables import KEYS, FrameRows, SampleRows
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
 NICENESS: Final = 5
 """The daemon goes first. At 10 a busy machine lets it wait for seconds, and what waits may be lost."""
@@ -77,12 +79,16 @@ class Recorder:
         """``report`` sends a report; ``wake`` has old streams turned into Parquet, elsewhere."""
         self.settings: Settings | None = None
         self.rows = self.lost = 0
+        self._settled = 0
         self._report, self._wake = report, wake
         self._offset_s = 0.0
         self._samples: SampleRows | None = None
         self._frames: FrameRows | None = None
         self._files: tuple[StreamFile, StreamFile] | None = None
         self._stem = ""
+        self._run = ""
+        self._there: dict[str, list[tuple[int, int]]] | None = None
+        """Rows of this run that others have written, by their table: looked for before the first of ours."""
         self._lock: int | None = None
         self._first_s = 0.0
         """When the first of the rows that wait came."""
@@ -168,8 +174,7 @@ class Recorder:
             if not self._is_worth_while(now_s):
                 self.lost += rows
             else:
-                self._write(samples, frames)
-                self.rows += rows
+                self.rows += self._write(samples, frames)
                 self._fault, self._refused = "", None
         except (OSError, InUseError, pa.ArrowException) as error:
             self.lost += rows
@@ -180,6 +185,7 @@ class Recorder:
             self._refused = error if isinstance(error, OSError) else None
             self._fault = explain(error, self.directory, retry_s)
             self._close()
+        self._settled += rows
         samples.clear()
         frames.clear()
         self.tell()
@@ -209,6 +215,7 @@ class Recorder:
                 detail=self._fault,
                 rows=self.rows,
                 lost=self.lost,
+                settled=self._settled,
                 size_bytes=self._size_bytes,
                 note=note,
             )
@@ -222,10 +229,11 @@ class Recorder:
             raise MessageError(f"a header of format {header.format}, this program has {FORMAT}")
         self.write(now_s)
         self._close()
-        self._samples, self._frames = SampleRows(header), FrameRows(header)
+        self._samples, self._frames, self._run = SampleRows(header), FrameRows(header), header.run
         self._wake()
 
-    def _write(self, samples: SampleRows, frames: FrameRows) -> None:
+    def _write(self, samples: SampleRows, frames: FrameRows) -> int:
+        """How many rows were written: all that are new."""
         if self._lock is None:
             with suppress(FileExistsError):
                 # Not its parents: where a disk should be mounted and is not, nothing shall be filled in its place.
@@ -234,6 +242,10 @@ class Recorder:
             self._take_over(held)
             self._lock = held
             self._wake()
+        if self._there is None:
+            assert self.settings is not None
+            tables = (SAMPLES, FRAMES) if self.settings.is_again else ()
+            self._there = {table: rows_there(self.directory, table, self._run) for table in tables}
         if self._files is None:
             self._stem = new_stem(self.directory, time.time())
             first = StreamFile(self.directory / f"{self._stem}.{SAMPLES}{STREAM}", samples.schema)
@@ -243,16 +255,20 @@ class Recorder:
                 first.close()
                 raise
             self._files = (first, second)
-        if len(samples):
-            self._files[0].write(samples.batch())
-        if len(frames):
-            self._files[1].write(frames.batch())
+        batches = (samples.batch() if len(samples) else None, frames.batch() if len(frames) else None)
+        written = 0
+        for file, table, batch in zip(self._files, (SAMPLES, FRAMES), batches, strict=True):
+            if batch is not None and len(new := without(batch, KEYS[table], self._there.get(table, ()))):
+                file.write(new)
+                written += len(new)
+        return written
 
     def _take_over(self, held: int) -> None:
         """Write what an earlier daemon has left for us, in files of its own, before ours begin. ``held``: the lock."""
         for path in sorted(self.directory.glob(f"*{HANDOVER}")):
             scribe = Recorder(lambda _report: None, lambda: None)
-            scribe.settings, scribe._lock = self.settings, held
+            assert self.settings is not None
+            scribe.settings, scribe._lock = msgspec.structs.replace(self.settings, is_again=True), held
             try:
                 for kind, body in Splitter().push(path.read_bytes()):
                     scribe.take(kind, body, 0.0)
@@ -300,6 +316,14 @@ class Recorder:
             return
         if gone:
             self.tell(f"old recordings deleted, as [recording] max_gb and max_days say: {', '.join(gone)}")
+
+
+def without(batch: Any, key: str, there: Sequence[tuple[int, int]]) -> Any:
+    """The rows of a batch of Arrow whose key is in none of the ranges ``there``, first and last of each included."""
+    if not there:
+        return batch
+    keys = batch.column(key).to_numpy()
+    return batch.filter(pa.array(~np.any([(first <= keys) & (keys <= last) for first, last in there], axis=0)))
 
 
 class Converter:

@@ -41,6 +41,10 @@ _TYPES: Final[dict[Stored, Any]] = {
 _FAULTS: Final = tuple(Fault)
 
 
+KEYS: Final = {SAMPLES: "seq", FRAMES: "t_us"}
+"""By which the rows of a table are in order, and known again."""
+
+
 def schema_of(header: Header, table: str) -> Any:
     """The Arrow schema of a table of that file."""
     fields = [

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import itertools
 import os
 import signal
 import sys
@@ -36,8 +35,11 @@ from heaved.estimation.hull.remembered import SavedHull
 from heaved.estimation.imu.attitude_memory import SavedAttitudeError
 from heaved.estimation.motion_frame import LEFT_OUT
 from heaved.outputs import wire
-from heaved.recorder.layout import FRAMES, Call
+from heaved.recorder.files import lock
+from heaved.recorder.layout import FRAMES, Call, Settings
+from heaved.recorder.messages import Kind
 from heaved.recorder.read import frame_values, open_recorded
+from heaved.recorder.serve import Recorder
 from heaved.replay.live import LiveRecording, Rerun
 from heaved.samples import TrainedNetwork
 from heaved.simulate.faults import FaultKind, PlannedFault
@@ -131,6 +133,7 @@ def again(directory: Path) -> tuple[list[MotionFrame], Counter[Call], Counter[tu
     frames: list[MotionFrame] = []
     calls: Counter[Call] = Counter()
     became: Counter[tuple[str, str]] = Counter()
+    take_over(directory)
     source = LiveRecording(directory)
     for hour, rows in source.runs():
         rerun = Rerun(hour, None, frames.append, lambda what, result: became.update([(what, str(result))]), None)
@@ -138,6 +141,16 @@ def again(directory: Path) -> tuple[list[MotionFrame], Counter[Call], Counter[tu
             calls[row.call] += 1
             rerun.take(row)
     return frames, calls, became, source.remarks
+
+
+def take_over(directory: Path) -> None:
+    """As the next recorder does: on a busy machine there was no time for the end of it."""
+    recorder, held = Recorder(lambda _report: None, lambda: None), lock(directory)
+    settings = Settings(directory=str(directory), max_bytes=1 << 40, max_age_s=1e9)
+    recorder.take(Kind.SETTINGS, msgspec.json.encode(settings), 0.0)
+    recorder._take_over(held)
+    os.close(held)
+    assert not list(directory.glob("*.handover*"))
 
 
 def assert_same(found: list[MotionFrame], expected: list[MotionFrame]) -> None:
@@ -306,14 +319,14 @@ async def test_a_recorder_that_is_killed_is_started_again_and_the_stream_goes_on
         os.kill(_recorder_of(os.getpid()), signal.SIGKILL)
         await until(lambda: not health.is_up)
         assert "the recorder has ended" in health.detail
+        told = len(frames)
         await until(lambda: health.is_up and health.sent > 400)
+        assert len(frames) > told
+    # What it had been given, and had not written, the next one was given again; what it had written stands there once.
     found, _, _, remarks = again(recording_directory(config))
-    # What had gathered within the last second is missing, is said, and nothing else is.
-    missing = [remark for remark in remarks if "calls are missing" in remark]
-    assert len(missing) <= 1
-    assert len(frames) - 200 < len(found) <= len(frames)
-    steps = [after.t_s - before.t_s for before, after in itertools.pairwise(frames)]
-    assert max(steps) < 1.0
+    assert [remark for remark in remarks if "torn" not in remark] == []
+    assert_same(found, frames)
+    assert not any(health.lost.values())
 
 
 async def test_a_recorder_that_takes_nothing_costs_the_daemon_nothing(
@@ -339,6 +352,36 @@ async def test_a_recorder_that_takes_nothing_costs_the_daemon_nothing(
     assert any("calls are missing" in remark for remark in remarks)
 
 
+async def test_a_recorder_that_cannot_end_in_time_leaves_the_rest_to_the_next(tmp_path: Path) -> None:
+    """It hangs, and is killed: what it was given is as good as what it was not."""
+    config = recording_config(tmp_path)
+    async with published(config) as (daemon, frames):
+        health = health_of(daemon)
+        await until(lambda: health.sent > 100)
+        os.kill(_recorder_of(os.getpid()), signal.SIGSTOP)
+        told = len(frames)
+        await until(lambda: len(frames) > told + 150)
+    assert len(list(recording_directory(config).glob("*.handover"))) == 1
+    assert any("had no time for" in remark for remark in LiveRecording(recording_directory(config)).remarks)
+    async with published(config) as (daemon, _):
+        await until(lambda: health_of(daemon).is_up)
+    assert_same(rerun_of_the_first(recording_directory(config)), frames)
+
+
+async def test_what_ends_every_recorder_is_not_given_to_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It reads what it is given and ends, each time: rows are counted as lost, and what comes later has its chance."""
+    monkeypatch.setattr(recording, "FIRST_PAUSE_S", 0.01)
+    monkeypatch.setattr(recording, "LONGEST_PAUSE_S", 0.01)
+    ends = 'import os; print(\'{"is_up":false,"has_begun":true}\', flush=True); '
+    ends += "[os.read(0, 100) for _ in range(20)]"
+    made = partial(RecordingOutput, command=(sys.executable, "-c", ends))
+    monkeypatch.setattr(recording, "RecordingOutput", made)
+    async with published(recording_config(tmp_path)) as (daemon, _):
+        await until(lambda: health_of(daemon).lost["given_up"] > 0)
+
+
 @pytest.mark.parametrize("command", ["import time; time.sleep(100)", "raise SystemExit('no memory')"])
 async def test_a_daemon_that_stops_before_its_recorder_has_begun_loses_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
@@ -353,14 +396,20 @@ async def test_a_daemon_that_stops_before_its_recorder_has_begun_loses_nothing(
     assert len(list(recording_directory(config).iterdir())) == 1
     async with published(config) as (daemon, _):
         await until(lambda: health_of(daemon).is_up)
-    source = LiveRecording(recording_directory(config))
-    assert source.remarks == []
+    assert_same(rerun_of_the_first(recording_directory(config)), frames)
+
+
+def rerun_of_the_first(directory: Path) -> list[MotionFrame]:
+    """The frames of the first of the runs that a directory holds, made again."""
+    take_over(directory)
+    source = LiveRecording(directory)
+    assert [remark for remark in source.remarks if "torn" not in remark] == []
     emitted: list[MotionFrame] = []
     hour, rows = next(iter(source.runs()))
     rerun = Rerun(hour, None, emitted.append, lambda what, result: None, None)
     for row in rows:
         rerun.take(row)
-    assert_same(emitted, frames)
+    return emitted
 
 
 async def test_without_the_extra_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

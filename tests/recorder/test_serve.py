@@ -12,7 +12,7 @@ import msgspec
 import pytest
 from recorded_hours import Scribe
 
-from heaved.recorder.layout import SAMPLES, Report
+from heaved.recorder.layout import FRAMES, SAMPLES, Report
 from heaved.recorder.read import open_recorded, rows_of
 
 if TYPE_CHECKING:
@@ -68,6 +68,25 @@ def test_the_end_of_its_stdin_ends_it_with_everything_on_the_disk(tmp_path: Path
         pipe(running.stdin).close()
         assert running.wait(30) == 0
     assert seqs_in(out) == list(range(156))
+
+
+def test_what_the_one_before_had_written_is_not_written_again(tmp_path: Path) -> None:
+    """It was killed, and what it had not reported as settled comes again."""
+    scribe, out = Scribe(tmp_path), tmp_path / "out"
+    told = scribe.header() + scribe.offset() + scribe.instants(0, 100)
+    with process() as running:
+        tell(running, scribe.settings(out, batch_s=0.05) + told)
+        assert until(running, lambda report: report.rows >= 220).settled == 220
+        running.send_signal(signal.SIGKILL)
+        running.wait(30)
+    with process() as running:
+        tell(running, scribe.settings(out, batch_s=0.05, is_again=True) + told + scribe.instants(100, 150))
+        report = until(running, lambda report: report.settled >= 330)
+        assert (report.rows, report.lost) == (110, 0)
+        pipe(running.stdin).close()
+        assert running.wait(30) == 0
+    assert seqs_in(out) == list(range(180))
+    assert [hour.rows for hour in open_recorded(out, FRAMES).hours] == [100, 50]
 
 
 def test_killed_it_has_lost_what_was_not_reported_and_no_more(tmp_path: Path) -> None:

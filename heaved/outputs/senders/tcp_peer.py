@@ -11,6 +11,7 @@ from fcntl import ioctl
 from math import inf
 from typing import TYPE_CHECKING, Final, cast
 
+from heaved.keep_alive import keep_alive
 from heaved.outputs.senders.sender import DOWN, SLOW, STUCK_S, explain
 
 if TYPE_CHECKING:
@@ -31,10 +32,6 @@ _MOST_BEHIND_S: Final = 1.0
 has emptied its buffers, all would come at once. More than the way over a satellite and back."""
 _UNACKNOWLEDGED_MS: Final = 5000
 """A peer that is not there any more (cable, power) does not acknowledge what is sent."""
-_IDLE_S: Final = 10
-_PROBE_S: Final = 5
-_MOST_PROBES: Final = 3
-"""Of keepalive: the same is found within half a minute while nothing is sent."""
 _MOST_HEARD_BYTES: Final = 1 << 20
 """In a second. Whatever a peer says is thrown away; one that says more costs the others time."""
 
@@ -173,7 +170,5 @@ def _set_options(connection: socket.socket) -> None:
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, _UNSENT_BYTES)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNACKNOWLEDGED_MS)
-    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, _IDLE_S)
-    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, _PROBE_S)
-    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, _MOST_PROBES)
+    # Found within half a minute while nothing is sent.
+    keep_alive(connection, idle_s=10, probe_s=5)

@@ -25,7 +25,6 @@ Array = NDArray[np.float64]
 
 SIZES: Final = 2
 """Errors whose size is not known."""
-SHAPES: Final = slice(1, 1 + SIZES)
 LACKING: Final = 1 + SIZES
 """Columns of the record: time, the shapes, and what the acceleration was measured too little by, as is known by now."""
 
