@@ -83,8 +83,10 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """from how it has headed on average for so long."""
     hole: float = 5.5
     """Angles further apart than this many samples are not interpolated."""
+    long_hole_s: float = 3.0
+    """A longer hole in them ends the past that is looked at,"""
     known: float = 0.98
-    """Share of the record of which both angles must be known."""
+    """and of that share both must be known."""
     design_s: float = 1024.0
     """Period of the grid on which the filter is designed: four times its memory (with 512 s, what list and trim may do
     comes round again, and the heave of S6S with a coherence of 0.95 is 1.46 instead of 1.21 times the limit)."""
@@ -166,8 +168,19 @@ def joint(
     Raises:
         LinAlgError: the spectra cannot be factored.
     """
-    found = learned(system.model, a_mps2, angles_rad, steady.dt_s)
+    first = _known_since(angles_rad, steady.dt_s)
+    found = learned(system.model, a_mps2[first:], angles_rad[first:], steady.dt_s)
     return None if found is None else designed(system, steady, found, nodes(horizons_s), heading_rad)
+
+
+def _known_since(angles_rad: Array, dt_s: float) -> int:
+    """The first row of ``angles_rad`` (n, 2) after the last long hole."""
+    count = max(round(TUNING.long_hole_s / dt_s), 1)
+    if len(angles_rad) < count:
+        return 0
+    missing = np.convolve(~np.isfinite(angles_rad).all(axis=1), np.ones(count), "valid")
+    ends = np.flatnonzero(missing > count - 0.5)
+    return int(ends[-1]) + count if len(ends) else 0
 
 
 def heading(t_s: Array, yaw_rad: Array) -> tuple[float, float]:

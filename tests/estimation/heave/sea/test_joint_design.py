@@ -153,7 +153,7 @@ def test_horizons_that_are_close_share_a_node() -> None:
 
 @pytest.mark.parametrize(
     ("seconds", "missing"),
-    [(TUNING.least_s - 1.0, slice(0, 0)), (300.0, slice(100, 200)), (300.0, slice(0, None))],
+    [(TUNING.least_s - 1.0, slice(0, 0)), (300.0, slice(900, 1000)), (300.0, slice(0, None))],
     ids=["short", "hole", "no angles"],
 )
 def test_too_little_of_a_record_teaches_nothing(seconds: float, missing: slice) -> None:
@@ -161,6 +161,19 @@ def test_too_little_of_a_record_teaches_nothing(seconds: float, missing: slice) 
     angles = one.angles_rad[-count:].copy()
     angles[missing, 1] = nan
     assert joint_design.joint(SYSTEM, STEADY, one.a_mps2[-count:], angles, ()) is None
+
+
+def test_after_a_long_hole_the_past_begins_anew() -> None:
+    one = record(0.2)
+    count = round(300.0 / DT_S)
+    a, angles = one.a_mps2[-count:], one.angles_rad[-count:].copy()
+    angles[400:500, 0] = nan
+    angles[:400, 0] = 7.0
+    found = joint_design.joint(SYSTEM, STEADY, a, angles, ())
+    alone = joint_design.joint(SYSTEM, STEADY, a[500:], angles[500:], ())
+    assert found is not None
+    assert alone is not None
+    assert (found.fine, found.offsets_rad) == (alone.fine, alone.offsets_rad)
 
 
 def test_angles_are_interpolated_between_near_neighbours_alone() -> None:
