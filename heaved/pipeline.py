@@ -26,7 +26,7 @@ from heaved.estimation.heave import saved_state
 from heaved.estimation.heave.estimator import HeaveEstimator
 from heaved.estimation.heave.forecast_check import ForecastCheck
 from heaved.estimation.heave.laser.placement import LaserPlace
-from heaved.estimation.heave.observer import SavedObserver, Verdict
+from heaved.estimation.heave.observer import RollPitch, SavedObserver, Verdict
 from heaved.estimation.heave.saved_state import SavedState
 from heaved.estimation.imu.conditioning import Conditioner
 from heaved.estimation.imu.vertical import Vertical
@@ -242,6 +242,7 @@ class Pipeline:
             out_of_order=self._out_of_order,
             spikes=self.conditioner.spikes,
             rejected=observer.rejected,
+            roll_pitch=observer.roll_pitch,
             rock=self.rock_scores(),
         )
 
@@ -306,4 +307,5 @@ class PipelineSummary(msgspec.Struct, frozen=True, kw_only=True):
     spikes: int
     rejected: int
     """Means of 50 ms that the observer's own gate has kept out."""
+    roll_pitch: RollPitch
     rock: tuple[RockScore, ...]

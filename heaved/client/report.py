@@ -210,7 +210,8 @@ def _heave_rows(status: StatusRecord, motion: MotionRecord | None, age_s: float 
         fitted = "" if status.observer.fit_age_s is None else f", fitted {duration(status.observer.fit_age_s)} ago"
         resets = f", started afresh {status.observer.resets} times" if status.observer.resets else ""
         sea = f" at {lines} Hz" if lines else ", no sea fitted yet"
-        yield _row("observer", f"{status.observer.name}{sea}{fitted}{resets}")
+        beside = ", with roll and pitch" if status.observer.roll_pitch_weight else ""
+        yield _row("observer", f"{status.observer.name}{sea}{beside}{fitted}{resets}")
         if told := accelerometer_text(status.observer):
             yield _row("sensor", told)
     if status.lead_s is not None:

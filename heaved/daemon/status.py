@@ -120,6 +120,7 @@ def _observer(
     acquisition: Acquisition, summary: PipelineSummary, config: Config, sea: SeaState | None, now_s: float
 ) -> ObserverStatus:
     """``sea``: as it was fitted last, with what the accelerometer has shown beside it."""
+    told = summary.roll_pitch
     return ObserverStatus(
         name=config.heave.observer,
         frequencies_hz=tuple(round(frequency_hz, 5) for frequency_hz in summary.frequencies_hz),
@@ -128,6 +129,8 @@ def _observer(
         vibration=wire.vibration_record(sea.vibration) if sea is not None else (),
         noise_mps2_rthz=wire.density(sea.noise_mps2_rthz) if sea is not None else None,
         bias_walk_mps2_rts=wire.density(sea.bias_walk_mps2_rts) if sea is not None else None,
+        roll_pitch_coherence=rounded(round(told.coherence, 2)),
+        roll_pitch_weight=rounded(round(told.weight, 2)) if isfinite(told.coherence) else None,
     )
 
 

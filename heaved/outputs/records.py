@@ -388,6 +388,11 @@ class ObserverStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
     """These three as the SEA record has them."""
     noise_mps2_rthz: float | None = None
     bias_walk_mps2_rts: float | None = None
+    roll_pitch_coherence: float | None = None
+    """Squared, of roll and pitch together with the heave."""
+    roll_pitch_weight: float | None = None
+    """How much of what they tell is in the heave, 0 (none: the acceleration alone) to 1; absent: nothing is known of
+    them."""
 
 
 class CorrectionStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

@@ -170,7 +170,9 @@ def test_table_shows_what_there_is() -> None:
         devices=(IMU, LASER_DOWN),
         lead_s=0.0123,
         dropped=44,
-        observer=ObserverStatus(name="sea", frequencies_hz=(0.121, 0.2104), fit_age_s=12.0, resets=3),
+        observer=ObserverStatus(
+            name="sea", frequencies_hz=(0.121, 0.2104), fit_age_s=12.0, resets=3, roll_pitch_weight=0.9
+        ),
         correction=CorrectionStatus(
             state=CorrectionState.ACTIVE, runs=12, last_result="accepted", age_s=35.0, nothing_to_learn=3
         ),
@@ -189,7 +191,7 @@ def test_table_shows_what_there_is() -> None:
         "degraded   laser valid",
         "laser and estimate disagree",
         "roll +5.73°   pitch -2.86°   yaw -",
-        "sea at 0.121, 0.210 Hz, fitted 12.0 s ago, started afresh 3 times",
+        "sea at 0.121, 0.210 Hz, with roll and pitch, fitted 12.0 s ago, started afresh 3 times",
         "+12.3 ms",
         "active, 12 trainings, the last accepted, 3 times nothing to learn, network in use since 35.0 s",
         "rtu:///dev/ttyUSB0: no answer: check the cable",

@@ -44,6 +44,15 @@ def test_a_turn_begins_and_ends_at_the_limits_of_the_two_headings() -> None:
     np.testing.assert_allclose(after, channels.limits_at_sea("SL-beam-0.8", "C").errors_m, rtol=1e-9)
 
 
+def test_what_is_attainable_lies_between_the_limits() -> None:
+    """A list that wanders hides something, and what is learned of ten minutes is not all."""
+    both, alone = (channels.limits_at_sea("SL-bow-0.95", "A").errors_m[k][0] for k in (-1, 0))
+    wandering_m, learned_m = channels.attainable_at_sea("SL-bow-0.95", "A")
+    assert 1.02 * both < wandering_m < learned_m < 0.9 * alone
+    _, nothing_m = channels.attainable_at_sea("SL-bow-0", "A")
+    assert 0.97 * alone < nothing_m < 1.05 * alone
+
+
 def test_weights_fitted_to_one_record_come_near_the_limit_on_another() -> None:
     """Simulator, sensor and limit agree: no filter is below the limit on a record that it has not seen, and the best
     weights on 40 s of the three channels, from the covariances of a long record, come close to it.
@@ -178,7 +187,8 @@ def test_ours_is_shown_beside_the_limits() -> None:
     ours = channels.Part((0.05, 0.06, 0.07, 0.08, 0.09), 0.96)
     (row,) = channels.rows(["SL-bow-0.8"], ["C"], {("SL-bow-0.8", "C"): [{"": ours}]})
     text = channels.report([row])
-    times = f"| **{5.0 / row.sigma_m:.2f}** | {0.05 / row.alone_m[0]:.2f} | {0.05 / row.both_m[0]:.2f} | 96% |"
+    ratios = [0.05 / limit_m for limit_m in (row.alone_m[0], row.both_m[0], row.learned_m)]
+    times = f"| **{5.0 / row.sigma_m:.2f}** | {' | '.join(f'{ratio:.2f}' for ratio in ratios)} | 96% |"
     assert times in text
     assert f"{100.0 * row.alone_m[4] / row.sigma_m:.1f} / {100.0 * row.both_m[4] / row.sigma_m:.1f} / " in text
 

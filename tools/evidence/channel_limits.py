@@ -46,12 +46,13 @@ class Spectra(NamedTuple):
 
 
 def measured_spectra(
-    f_hz: Array, motion: Complex, acceleration_psd: Array | float, angle_psd: float, angles: Sequence[int] = ()
+    f_hz: Array, motion: Complex, acceleration_psd: Array | float, angle_psd: Array | float, angles: Sequence[int] = ()
 ) -> Spectra:
     """What a sensor shows of a motion: its vertical acceleration, and these of :data:`ROLL` and :data:`PITCH`.
 
     ``motion`` (n, 3, 3): spectra of true heave, roll and pitch (m, rad). ``acceleration_psd`` (n,) or a constant,
-    (m/s2)2/Hz; ``angle_psd`` rad2/Hz, the same for each angle; the noises have nothing to do with each other.
+    (m/s2)2/Hz; ``angle_psd`` (n, 2) of roll and of pitch, or one constant for both, rad2/Hz; the noises have nothing to
+    do with each other.
 
     Raises:
         ValueError: the grid does not start at 0 or is not uniform, or a noise is not positive.
@@ -60,15 +61,16 @@ def measured_spectra(
     noise = np.broadcast_to(np.asarray(acceleration_psd, dtype=np.float64), f.shape)
     if f[0] != 0.0 or not np.allclose(np.diff(f), f[1], rtol=1e-6):
         raise ValueError("f_hz must be uniform and start at 0")
-    if not (np.all(noise > 0.0) and angle_psd > 0.0):
+    of_angles = np.broadcast_to(np.asarray(angle_psd, dtype=np.float64), (f.size, 2))
+    if not (np.all(noise > 0.0) and np.all(of_angles > 0.0)):
         raise ValueError("the noise of the acceleration and of the angles must be positive at every frequency")
     seen = [HEAVE, *angles]
     shown = np.ones((f.size, len(seen)))
     shown[:, 0] = -((2.0 * np.pi * f) ** 2)
     measured = motion[:, seen][:, :, seen] * shown[:, :, None] * shown[:, None, :]
     measured[:, 0, 0] += noise
-    for place in range(1, len(seen)):
-        measured[:, place, place] += angle_psd
+    for place, angle in enumerate(angles, 1):
+        measured[:, place, place] += of_angles[:, angle - ROLL]
     return Spectra(f, motion[:, HEAVE, HEAVE].real.copy(), motion[:, HEAVE, seen] * shown, measured)
 
 

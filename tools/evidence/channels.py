@@ -36,14 +36,15 @@ from evidence.commands import (
     add_duration,
     add_jobs,
     add_seeds,
+    count,
     in_order,
-    seeds_of,
 )
 from evidence.heave import estimators
 from evidence.heave.commands import add_observer
 from evidence.heave.scores import rms
 from evidence.results import Output, Report
 from evidence.scenarios import HORIZONS_S, Setting, accelerometer_noise, grid, triplet
+from heaved.estimation.heave.sea.joint_design import TUNING as JOINT
 from heaved.simulate.directional import NAMES, directional
 from heaved.simulate.seaway import motion_spectra
 from heaved.simulate.sensors import REGISTER_STEPS, imu_model
@@ -63,6 +64,14 @@ CHANNELS: Final = ((), (ROLL,), (PITCH,), (ROLL, PITCH))
 """What is looked at besides the vertical acceleration."""
 PIECE_S: Final = 100.0
 """Spectra of a ship's record are means over pieces of so long, overlapping by half."""
+LEARNED_S: Final = JOINT.learned_s
+"""Of a record, that teaches what roll and pitch have in common with the heave,"""
+LOOKS: Final = round(1.9 * LEARNED_S / JOINT.piece_s)
+"""in so many independent looks at each frequency: windows of Hann that overlap by three quarters."""
+DRAWS: Final = 4
+"""Records of which the error of what is learned is the RMS."""
+COARSE: Final = 8193
+"""Frequencies of the grid for what is learned: 0.0012 Hz apart."""
 PARTS: Final = {"before": 0.0, "turning": 0.5, "after": 1.0}
 """Of a turn: how much of it is done in the middle of each."""
 
@@ -84,6 +93,12 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     """and with pitch,"""
     both_m: tuple[float, ...]
     """and with both."""
+    wandering_m: float
+    """The least now with both, where list and trim wander: as little as the product takes them to, at sea as they
+    did."""
+    learned_m: float
+    """The error then of the best filter of spectra whose angles were learned of :data:`LEARNED_S` of the record, with
+    the heave as it was."""
     unaware_m: tuple[float, ...]
     """RMS error with both, of the best filter of the heading before the turn; nan: there is none."""
     ours_m: tuple[float, ...]
@@ -136,6 +151,19 @@ def unaware_at_sea(scenario: str, sensor: str, turned_rad: float) -> tuple[float
     return tuple(error_of(one, now, horizon_s) for one, horizon_s in zip(filters, AHEAD_S, strict=True))
 
 
+@lru_cache
+def attainable_at_sea(scenario: str, sensor: str, turned_rad: float = 0.0) -> tuple[float, float]:
+    """:func:`attainable` of a simulated sea, for a vessel that has turned so far and keeps that heading."""
+    f = np.linspace(0.0, RATE_HZ / 2.0, COARSE)
+    return attainable(f, motion_spectra(scenario, f, turned_rad), sensor, least_wander(f))
+
+
+def attainable(f_hz: Array, motion: Complex, sensor: str, wander_psd: Array) -> tuple[float, float]:
+    """:attr:`Row.wandering_m` and :attr:`Row.learned_m`."""
+    (limit_m,) = causal_limits(seen(f_hz, motion, sensor, (ROLL, PITCH), wander_psd))
+    return limit_m, learned_m(f_hz, motion, sensor, wander_psd)
+
+
 def limits(f_hz: Array, motion: Complex, sensor: str) -> Limit:
     """Of heave, roll and pitch with these spectra (n, 3, 3), on a grid of :func:`evidence.scenarios.grid`."""
     found = [causal_limits(seen(f_hz, motion, sensor, angles), AHEAD_S) for angles in CHANNELS]
@@ -143,10 +171,41 @@ def limits(f_hz: Array, motion: Complex, sensor: str) -> Limit:
     return Limit(sigma_m, tuple(tuple(errors) for errors in found))
 
 
-def seen(f_hz: Array, motion: Complex, sensor: str, angles: Sequence[int]) -> Spectra:
-    """What a sensor shows of a motion."""
+def seen(f_hz: Array, motion: Complex, sensor: str, angles: Sequence[int], wander_psd: Array | float = 0.0) -> Spectra:
+    """What a sensor shows of a motion. ``wander_psd`` (n, 2): of list and trim beside it."""
     noise = accelerometer_noise(f_hz, sensor, RATE_HZ)
-    return measured_spectra(f_hz, motion, noise, angle_noise(sensor), angles)
+    return measured_spectra(f_hz, motion, noise, angle_noise(sensor) + wander_psd, angles)
+
+
+def least_wander(f_hz: Array) -> Array:
+    """(n, 2) spectra of list and trim as the product takes them to wander at least."""
+    psd = JOINT.least_wander / np.maximum(f_hz, 0.5e-3) ** 2
+    return np.column_stack([psd, psd])
+
+
+def learned_m(f_hz: Array, motion: Complex, sensor: str, wander_psd: Array) -> float:
+    """RMS error (m) now, in this sea, of the filter that is best for what :data:`LEARNED_S` of it show of the angles.
+
+    The heave's own spectrum is known. Estimates of a matrix of spectra are drawn (complex Wishart) as Welch's method
+    makes them, where the sea has a thousandth of its peak; beyond, they are held.
+    """
+    rng = np.random.default_rng(1)
+    at = np.flatnonzero(motion[:, 0, 0].real > 1e-3 * np.max(motion[:, 0, 0].real))
+    at = at[:: max(round(1.0 / JOINT.piece_s / f_hz[1]), 1)]
+    root = np.linalg.cholesky(motion[at] + 1e-6 * np.einsum("fii,ij->fij", motion[at], np.eye(3)))
+    truth = seen(f_hz, motion, sensor, (ROLL, PITCH), wander_psd)
+    squares = []
+    for _ in range(DRAWS):
+        drawn = rng.standard_normal((2, len(at), 3, LOOKS)) / sqrt(2.0 * LOOKS)
+        looks = root @ (drawn[0] + 1j * drawn[1])
+        found = looks @ looks.conj().transpose(0, 2, 1)
+        found /= found[:, :1, :1].real
+        flat = found.reshape(len(at), 9).T
+        held = [np.interp(f_hz, f_hz[at], x.real) + 1j * np.interp(f_hz, f_hz[at], x.imag) for x in flat]
+        learned = motion[:, :1, :1] * np.stack(held, axis=1).reshape(-1, 3, 3)
+        (filter_,) = causal_filters(seen(f_hz, learned, sensor, (ROLL, PITCH), wander_psd))
+        squares.append(error_of(filter_, truth) ** 2)
+    return sqrt(float(np.mean(squares)))
 
 
 def angle_noise(sensor: str) -> float:
@@ -156,11 +215,8 @@ def angle_noise(sensor: str) -> float:
     return float(variance / (RATE_HZ / 2.0))
 
 
-def ship_spectra(path: Path, f_hz: Array) -> Complex:
-    """Spectra (n, 3, 3) of heave, roll and pitch of a real ship, at ``f_hz``.
-
-    Means over K pieces find a coherence even between what has nothing in common, with two inputs about 2 / K: what of
-    heave does not follow from the angles is made greater by K / (K - 2), and its cross-spectra the smaller for it.
+def _ship_densities(path: Path) -> tuple[Array, Complex, int]:
+    """Frequencies (n,), spectra (n, 3, 3) of heave, roll and pitch of a real ship, and how many pieces these are of.
 
     Raises:
         ValueError: the file has not these columns, or is too short.
@@ -175,8 +231,37 @@ def ship_spectra(path: Path, f_hz: Array) -> Complex:
         raise ValueError(f"{path}: too short for spectra of pieces of {PIECE_S:g} s")
     # SciPy's cross-spectrum is that of conj(X) Y.
     found = [[csd(y, x, fs=RATE_HZ, nperseg=length) for y in series] for x in series]
-    at = found[0][0][0]
     motion = np.moveaxis(np.array([[density for _, density in row] for row in found]), 2, 0).astype(np.complex128)
+    return found[0][0][0], motion, pieces
+
+
+def ship_wander(path: Path, f_hz: Array) -> Array:
+    """(n, 2) spectra of what roll and pitch of a real ship do below its waves, at ``f_hz``, and at least
+    :func:`least_wander`.
+
+    Raises:
+        ValueError, OSError: as :func:`ship_spectra`.
+    """
+    at, motion, _ = _ship_densities(path)
+    below = (at > 0.0) & (at < recordings.SHIP_BAND_HZ[0])
+    psd = [
+        np.where(f_hz < recordings.SHIP_BAND_HZ[0], np.interp(f_hz, at[below], motion[below, k, k].real), 0.0)
+        for k in (ROLL, PITCH)
+    ]
+    return np.asarray(np.maximum(np.column_stack(psd), least_wander(f_hz)), dtype=np.float64)
+
+
+def ship_spectra(path: Path, f_hz: Array) -> Complex:
+    """Spectra (n, 3, 3) of heave, roll and pitch of a real ship, at ``f_hz``.
+
+    Means over K pieces find a coherence even between what has nothing in common, with two inputs about 2 / K: what of
+    heave does not follow from the angles is made greater by K / (K - 2), and its cross-spectra the smaller for it.
+
+    Raises:
+        ValueError: the file has not these columns, or is too short.
+        OSError: the file cannot be read.
+    """
+    at, motion, pieces = _ship_densities(path)
     motion[(at < recordings.SHIP_BAND_HZ[0]) | (at > recordings.SHIP_BAND_HZ[1])] = 0.0
     apparent = np.nan_to_num(multiple_coherence(motion))
     true = np.maximum(1.0 - (1.0 - apparent) * pieces / (pieces - 2.0), 0.0)
@@ -252,12 +337,16 @@ def rows(names: Sequence[str], sensors: Sequence[str], found: dict[tuple[str, st
                 unaware_m = (nan,) * len(AHEAD_S)
                 if asked is None:
                     f = grid(RATE_HZ)
-                    limit = limits(f, ship_spectra(scenarios.files(name, folder)[0], f), sensor)
+                    path = scenarios.files(name, folder)[0]
+                    limit = limits(f, ship_spectra(path, f), sensor)
+                    f = np.linspace(0.0, RATE_HZ / 2.0, COARSE)
+                    reached = attainable(f, ship_spectra(path, f), sensor, ship_wander(path, f))
                 elif turn is None:
-                    limit = limits_at_sea(name, sensor)
+                    limit, reached = limits_at_sea(name, sensor), attainable_at_sea(name, sensor)
                 else:
                     turned_rad = turn.angle_rad * PARTS[part]
                     limit = limits_at_sea(name, sensor, turned_rad)
+                    reached = attainable_at_sea(name, sensor, turned_rad)
                     unaware_m = unaware_at_sea(name, sensor, turned_rad)
                 there = [record[part] for record in records if part in record]
                 ours = together(there) if there else Part((nan,) * len(AHEAD_S), nan)
@@ -272,6 +361,8 @@ def rows(names: Sequence[str], sensors: Sequence[str], found: dict[tuple[str, st
                         roll_m=roll,
                         pitch_m=pitch,
                         both_m=both,
+                        wandering_m=reached[0],
+                        learned_m=reached[1],
                         unaware_m=unaware_m,
                         ours_m=ours.errors_m,
                         within=ours.within,
@@ -283,11 +374,14 @@ def rows(names: Sequence[str], sensors: Sequence[str], found: dict[tuple[str, st
 def report(made: Sequence[Row], folder: Path | None = None) -> str:
     """Markdown."""
     has_ours = any(row.ours_m[0] > 0.0 for row in made)
-    heads = ["sea", "sensor", "σ / m", "alone", "+ roll", "+ pitch", "+ both", "to be gained"]
-    heads += ["**ours**", "times alone", "times both", "within 1.96 std"] if has_ours else []
+    heads = ["sea", "sensor", "σ / m", "alone", "+ roll", "+ pitch", "+ both", "to be gained", "wandering", "learned"]
+    heads += ["**ours**", "times alone", "times both", "times learned", "within 1.96 std"] if has_ours else []
     lines = [
         f"RMS error of heave in % of σ, {RATE_HZ:g} Hz, no laser. Limits: the vertical acceleration alone, with roll, "
-        "with pitch, with both; in a turn, those of a vessel that keeps the heading it has then.",
+        "with pitch, with both; in a turn, those of a vessel that keeps the heading it has then. Wandering: with both, "
+        "while list and trim wander beside the waves (at sea as the product takes them to at least, "
+        f"{JOINT.least_wander:g} rad² Hz over f², of a ship as they did). Learned: then, what the angles have to do "
+        f"with heave being known of {LEARNED_S:g} s of it alone.",
         "",
         *_head(heads),
     ]
@@ -295,11 +389,13 @@ def report(made: Sequence[Row], folder: Path | None = None) -> str:
         now = [100.0 * errors[0] / row.sigma_m for errors in (row.alone_m, row.roll_m, row.pitch_m, row.both_m)]
         gain = max(1.0 - row.both_m[0] / row.alone_m[0], 0.0)
         cells = [_name(row), row.sensor, f"{row.sigma_m:.3f}", *[f"{value:.2f}" for value in now], f"{gain:.0%}"]
+        cells += [f"{100.0 * value / row.sigma_m:.2f}" for value in (row.wandering_m, row.learned_m)]
         if has_ours:
             cells += [
                 _known(100.0 * row.ours_m[0] / row.sigma_m, ".2f", "**"),
                 _known(row.ours_m[0] / row.alone_m[0], ".2f"),
                 _known(row.ours_m[0] / row.both_m[0], ".2f"),
+                _known(row.ours_m[0] / row.learned_m, ".2f"),
                 _known(row.within, ".0%"),
             ]
         lines.append(f"| {' | '.join(cells)} |")
@@ -357,6 +453,7 @@ def run_channels(options: Options, output: Output) -> Report:
             raise ValueError(
                 f"{SHIP}: there is no record in {options.data or scenarios.DATA}: give its folder by --data"
             )
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
     todo = [
         Task(
             scenario=name,
@@ -368,14 +465,14 @@ def run_channels(options: Options, output: Output) -> Report:
         )
         for name in ([] if options.limits_only else names)
         for sensor in options.sensors
-        for number in ((1,) if name == SHIP else seeds_of(options))
+        for number in ((1,) if name == SHIP else seeds)
     ]
     found: dict[tuple[str, str], list[dict[str, Part]]] = {}
     for task, parts in zip(todo, in_order(run, todo, options.jobs), strict=True):
         found.setdefault((task.scenario, task.sensor), []).append(parts)
     made = rows(names, options.sensors, found, options.data)
     output.write("channels", made)
-    return Report(report(made, options.data), () if options.limits_only else tuple(seeds_of(options)))
+    return Report(report(made, options.data), () if options.limits_only else tuple(seeds))
 
 
 def _words(parser: Parser) -> None:
@@ -388,6 +485,7 @@ def _words(parser: Parser) -> None:
     parser.add_argument("--limits-only", action="store_true", help="do not run the product")
     parser.add_argument("--data", type=Path, metavar="DIR", help=f"where {scenarios.REAL[SHIP]} is")
     add_seeds(parser, 1)
+    parser.add_argument("--first-seed", type=count, default=1, metavar="N", help="of the records (default 1)")
     for add in (add_jobs, add_duration, add_observer, add_common):
         add(parser)
 

@@ -99,7 +99,7 @@ class HeaveEstimator:
         if up.is_of_another_kind:
             observer.cut()
             axes.cut()
-        observer.step(t_s, axes.step(up) if self.has_laser else up.up_mps2)
+        observer.step(t_s, axes.step(up) if self.has_laser else up.up_mps2, up.roll_rad, up.pitch_rad, up.yaw_rad)
         if axes.amendment is not None:
             observer.amend(axes.amendment.t_s, axes.amendment.more_mps2)
             axes.amendment = None

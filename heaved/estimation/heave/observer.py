@@ -73,6 +73,15 @@ class SavedObserver(msgspec.Struct, frozen=True, kw_only=True):
     """how well."""
 
 
+class RollPitch(msgspec.Struct, frozen=True, gc=False):
+    """What roll and pitch have to do with the heave."""
+
+    coherence: float = nan
+    """Squared, of both together with the heave; nan: not known."""
+    weight: float = 0.0
+    """How much of what they tell is in the heave, 0 to 1."""
+
+
 class LaserAided(Protocol):
     """An observer, as one sees it that takes readings of the heave by a laser in as measurements."""
 
@@ -91,8 +100,12 @@ class HeaveObserver(Protocol):
 
     # --- input -------------------------------------------------------------------------------------------------------
 
-    def step(self, t_s: float, a_up_mps2: float) -> None:
-        """Take the vertical acceleration at ``t_s`` (later than the last one; nan: missing, nothing happens)."""
+    def step(
+        self, t_s: float, a_up_mps2: float, roll_rad: float = nan, pitch_rad: float = nan, yaw_rad: float = nan, /
+    ) -> None:
+        """Take the vertical acceleration at ``t_s`` (later than the last one; nan: missing, nothing happens), with the
+        angles of that moment (nan: not known).
+        """
 
     def cut(self) -> None:
         """What comes is measured otherwise than what was, with the tilt removed, or without."""
@@ -217,6 +230,10 @@ class HeaveObserver(Protocol):
     @property
     def resets(self) -> Counter[str]:
         """By reason."""
+
+    @property
+    def roll_pitch(self) -> RollPitch:
+        """What roll and pitch have to do with its heave."""
 
     # --- memory ------------------------------------------------------------------------------------------------------
 

@@ -27,6 +27,9 @@ class SeaParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     instability)."""
     delay_s: Annotated[float, msgspec.Meta(ge=10, le=300)] = 60.0
     """Age of the delayed heave."""
+    channels: Literal["auto", "single"] = "auto"
+    """"auto": roll and pitch beside the vertical acceleration, while they are shown to make the heave better; "single":
+    the vertical acceleration alone."""
     max_gap_s: Annotated[float, msgspec.Meta(gt=0, le=600)] = 60.0
     """After a longer gap the past is forgotten; the model stays until there is a new one."""
 

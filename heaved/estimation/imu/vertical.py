@@ -73,6 +73,11 @@ class VerticalAcceleration(msgspec.Struct, frozen=True, gc=False):
     """Noise that the acceleration has and does not show."""
     unsized: Unsized | None = None
     """The same of the last quarter of a second, as it came."""
+    roll_rad: float = nan
+    pitch_rad: float = nan
+    """Of that moment, as measured; nan: the tilt is not removed."""
+    yaw_rad: float = nan
+    """About then; nan: not known."""
     leaks_mps2: Leaks | None = None
     """What an IMU that is not as it is held to be would put into it; None: without an attitude nobody knows."""
 
@@ -160,7 +165,8 @@ class Vertical:
         amendment, noise, unsized = error.amendment, error.noise, error.unsized
         error.amendment = error.noise = error.unsized = None
         leaks = leaks_mps2(fx, fy, az, roll, pitch)
-        return VerticalAcceleration(t_s, up, is_of_another_kind, amendment, noise, unsized, leaks)
+        yaw = self.attitude.yaw_rad
+        return VerticalAcceleration(t_s, up, is_of_another_kind, amendment, noise, unsized, roll, pitch, yaw, leaks)
 
     def _is_of_another_kind(self, t_s: float, has_tilt: bool) -> bool:
         """Whether the tilt is removed from now on and was not, or the other way round; and whether the acceleration had

@@ -9,6 +9,7 @@ from evidence.commands import Command, Options, Parser, add_common, add_duration
 from evidence.faults import judge, table
 from evidence.faults.disasters import DISASTERS
 from evidence.results import Output, Report
+from heaved.simulate import directional
 
 
 def run_faults(options: Options, output: Output) -> Report:
@@ -39,7 +40,8 @@ def _faults(parser: Parser) -> None:
     plan = judge.Plan()
     parser.add_argument("disasters", nargs="*", metavar="DISASTER", help="default: all; see --list")
     parser.add_argument("--list", action="store_true", help="name them and say what they are")
-    parser.add_argument("--seas", nargs="+", default=judge.SEAS, choices=scenarios.SIMULATED, metavar="SEA")
+    seas = (*scenarios.SIMULATED, *directional.NAMES)
+    parser.add_argument("--seas", nargs="+", default=judge.SEAS, choices=seas, metavar="SEA")
     parser.add_argument("--rates", nargs="+", type=positive, default=judge.RATES_HZ, metavar="HZ")
     parser.add_argument("--first-seed", type=count, default=1, metavar="N", help="of the records (default 1)")
     parser.add_argument("--at", type=positive, default=plan.at_s, metavar="S", help=f"it happens ({plan.at_s:g})")

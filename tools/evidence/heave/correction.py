@@ -5,8 +5,9 @@ sensor, and what is left is what no past can foretell (the error of an estimate 
 uncorrelated with that past), so that hardly any network passes the guard. The trials of ``taught = False`` leave one
 something to learn: ``[heave.lead] enabled = false``, and the delay (2 Hz low-pass, 0.11 s) and the 2 % of sensor B stay
 in the observer's output. A sensor slower still (a low-pass of 0.5 Hz) leaves a little to learn though its lag is
-taught, now and then, and much that only looks like it. Networks are trained as in a replay, by the trainer's own
-process, which is waited for.
+taught, now and then, and much that only looks like it. Untaught, on a wave train, with the laser all the time, a
+network is in use from the first one on. Networks are trained as in a replay, by the trainer's own process, which is
+waited for.
 """
 
 from __future__ import annotations
@@ -103,6 +104,7 @@ TRIALS: Final = (
         for sensor in ("B", "slow B")
         for sea in ("S6", "T3")
     ),
+    Trial(sea="T3", laser="on", duration_s=480.0, sensor="slow B", rate_hz=10.0),
 )
 
 

@@ -26,7 +26,7 @@ from heaved.estimation.common import sigma
 from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.common.spectrum import dominant_frequencies, heave_spectrum
 from heaved.estimation.heave.harmonic.inertial_displacement import InertialDisplacement
-from heaved.estimation.heave.observer import LaserAided, Motion, SavedObserver, Verdict, foretold
+from heaved.estimation.heave.observer import LaserAided, Motion, RollPitch, SavedObserver, Verdict, foretold
 
 if TYPE_CHECKING:
     from heaved.estimation.heave.params import Params
@@ -78,6 +78,7 @@ class HarmonicObserver:
     notes: tuple[str, ...] = ()
     rejected: Final = 0
     steps: Final = 0
+    roll_pitch: Final = RollPitch()
 
     def __init__(self, params: Params, max_rate_hz: float = 250.0) -> None:
         self._params = params
@@ -115,7 +116,7 @@ class HarmonicObserver:
 
     # --- input -------------------------------------------------------------------------------------------------------
 
-    def step(self, t_s: float, a_up_mps2: float) -> None:
+    def step(self, t_s: float, a_up_mps2: float, /, *_angles: float) -> None:
         """Take the vertical acceleration at ``t_s`` (later than the last one; nan: missing, nothing happens)."""
         if not isfinite(a_up_mps2):
             return

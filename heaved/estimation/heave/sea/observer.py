@@ -14,7 +14,7 @@ of the sensor, and every sample gets its own output, moved from there.
 from __future__ import annotations
 
 from collections import Counter, deque
-from math import hypot, isfinite, nan, pi, sqrt
+from math import hypot, inf, isfinite, nan, pi, sqrt
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -24,11 +24,13 @@ from numpy.typing import NDArray
 from heaved.estimation.common import down_sampler
 from heaved.estimation.common.bounds import HEAVE_M
 from heaved.estimation.common.down_sampler import DownSampler
+from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.heave.laser.aiding import Aiding
 from heaved.estimation.heave.observer import (
     UNKNOWN,
     LaserAided,
     Motion,
+    RollPitch,
     SavedObserver,
     Verdict,
     foretold,
@@ -43,6 +45,9 @@ from heaved.estimation.heave.sea.disturbances import DisturbanceDetector
 from heaved.estimation.heave.sea.drift import TUNING as DRIFT
 from heaved.estimation.heave.sea.drift import DriftDetector, walk_of
 from heaved.estimation.heave.sea.filter import BiasRate, GaugeError, SeaFilter
+from heaved.estimation.heave.sea.joint import Experience, JointCorrection
+from heaved.estimation.heave.sea.joint_design import TUNING as JOINT
+from heaved.estimation.heave.sea.joint_design import even_angles
 from heaved.estimation.heave.sea.mistakes import Mistakes
 from heaved.estimation.heave.sea.model import SeaModel, SeaSystem, Steady, heave_std
 from heaved.estimation.heave.sea.output import BumplessTransfer, SeaHeave
@@ -65,6 +70,10 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     heave)."""
     cut_s: float = 0.2
     """Where what is measured changes, a few means are of both kinds."""
+    unsure_s: float = 60.0
+    """Roll and pitch do not correct the heave for so long after the filter was unsure, or they did what no waves do."""
+    most_missed: int = 1000
+    """Steps that were missed and are made up for."""
 
 
 TUNING: Final = Tuning()
@@ -102,6 +111,11 @@ class SeaObserver:
         self._before = SavedObserver()
         """What the trial began with."""
         self._down_sampler = DownSampler()
+        self._angle_samplers: tuple[DownSampler, ...] = ()
+        """Of roll and pitch; none: they are not looked at."""
+        self._angles = RingBuffer(int(JOINT.learned_s / down_sampler.TUNING.least_s), 4)
+        """Time, means of roll and pitch, and yaw."""
+        self._experience = Experience(self._late_steps)
         self._disturbance: tuple[Array, Array] | None = None
         self._mistakes = Mistakes()
         self._after_gap: AfterGap | None = None
@@ -115,13 +129,20 @@ class SeaObserver:
         self._bias_mps2 = nan
         self._is_warm = False
         self._after_gap = None
-        self._down_sampler = DownSampler(self._down_sampler.period_s)
+        period_s = self._down_sampler.period_s
+        self._down_sampler = DownSampler(period_s)
+        if self._params.channels == "auto":
+            self._angle_samplers = DownSampler(period_s), DownSampler(period_s)
+        self._angles.clear()
+        self._angle, self._yaw_rad, self._angles_s = (nan, nan), nan, -inf
+        self._experience.reset()
+        self._unsure_s = -inf
         self._record.clear()
         self._looked_s = nan
         self.refreshes = 0
         self.sea: SeaState | None = None
         self.delayed: DelayedHeave | None = None
-        self._consistency = Consistency(int((self._params.delay_s + 5.0) / down_sampler.TUNING.least_s))
+        self._consistency = Consistency(self._late_steps)
         self._smoother: FixedLagSmoother | None = None
         self._ripening: deque[DelayedHeave] = deque()
         """Delayed heave of a past with holes, not yet as old as it shall be."""
@@ -139,15 +160,26 @@ class SeaObserver:
             kept = self._heave.filter
             self._install(kept.system, kept.steady, nan, np.zeros(len(kept.x)), kept.system.stationary.copy())
 
+    @property
+    def _late_steps(self) -> int:
+        """Steps of the filter that the delayed heave is late, at most."""
+        return int((self._params.delay_s + 5.0) / down_sampler.TUNING.least_s)
+
     # --- input -------------------------------------------------------------------------------------------------------
 
-    def step(self, t_s: float, a_up_mps2: float) -> None:
-        """Take the vertical acceleration at ``t_s`` (later than the last one; nan: missing, nothing happens)."""
+    def step(
+        self, t_s: float, a_up_mps2: float, roll_rad: float = nan, pitch_rad: float = nan, yaw_rad: float = nan, /
+    ) -> None:
+        """Take the vertical acceleration at ``t_s`` (later than the last one; nan: missing, nothing happens), with the
+        angles of that moment (nan: not known).
+        """
         if not isfinite(a_up_mps2):
             return
         self._begin(t_s)
         self.t_s, self.acceleration_mps2 = t_s, a_up_mps2 - self._bias_mps2
         mean = self._down_sampler.step(t_s, a_up_mps2)
+        if self._angle_samplers:
+            self._keep_angles(t_s, roll_rad, pitch_rad, yaw_rad)
         if mean is None or not self._record.follows(mean[0]) or self._is_blow(*mean):
             return
         heave = self._heave
@@ -168,7 +200,36 @@ class SeaObserver:
                 self._follow_drift(heave, self._drift, mean[0], missed_s)
             if self._smoother is not None:
                 self._smooth(heave, self._smoother, mean[0], missed_s, predicted_m, innovation)
+            if heave.joint is not None:
+                self._join(heave, heave.joint, mean[0], missed_s, innovation)
             self._moved(heave)
+
+    def _keep_angles(self, t_s: float, roll_rad: float, pitch_rad: float, yaw_rad: float) -> None:
+        """Means of roll and pitch, of the very samples that those of the acceleration are of, and the heading then."""
+        samplers = self._angle_samplers
+        roll, pitch = samplers[0].step(t_s, roll_rad), samplers[1].step(t_s, pitch_rad)
+        if roll is not None and pitch is not None:
+            self._angle, self._yaw_rad = (roll[1], pitch[1]), yaw_rad
+            if not roll[0] <= self._angles_s:
+                self._angles_s = roll[0]
+                self._angles.push((roll[0], *self._angle, yaw_rad))
+
+    def _join(self, heave: SeaHeave, joint: JointCorrection, t_s: float, missed_s: float, innovation: float) -> None:
+        """What roll and pitch add to the heave, and how that has fared."""
+        f, dt_s = heave.filter, heave.filter.steady.dt_s
+        missed = min(round(missed_s / dt_s), TUNING.most_missed)
+        for i in range(missed, 0, -1):
+            joint.push(t_s - i * dt_s, 0.0, nan, nan)
+        joint.push(t_s, innovation, *self._angle)
+        more_m = joint.nodes()[0][0]
+        if not heave.is_converged or f.burst_variance > 0.0 or joint.is_too_much:
+            self._unsure_s = t_s
+        may_be_used = t_s - self._unsure_s > TUNING.unsure_s and joint.is_known(t_s) and joint.heads(self._yaw_rad)
+        may_be_used = may_be_used and f.gauge is None and f.rate is None
+        if may_be_used:
+            self._experience.say(t_s, float(f.system.heave.dot(f.x)), more_m)
+        heave.joint_weight = self._experience.step((1 + missed) * dt_s, may_be_used=may_be_used)
+        heave.joint_shown = self._experience.shown
 
     def _begin(self, t_s: float) -> None:
         """After a gap in which the past was lost, and at the very first sample."""
@@ -353,6 +414,7 @@ class SeaObserver:
             delayed = delayed or ripe
         if delayed is not None and (self.delayed is None or delayed.t_s > self.delayed.t_s):
             self._consistency.divergence.check(delayed)
+            self._experience.check(delayed, dt)
             # What a disturbance does is the same in hindsight.
             std_m = hypot(delayed.std_m, heave.disturbed_m)
             self.delayed = msgspec.structs.replace(delayed, std_m=std_m) if heave.disturbed_m else delayed
@@ -370,6 +432,7 @@ class SeaObserver:
         if self._aiding.step(self._heave, t_s, laser_m, std_m) or self._aiding.is_active != was_active:
             self._moved(self._heave)
         if self._aiding.is_active != was_active:
+            self._heave.joint_weight = self._experience.weight = 0.0
             self._transfer(self._heave, before)
 
     def stop_aiding(self, t_s: float, why: str) -> None:
@@ -476,6 +539,8 @@ class SeaObserver:
             spoilt_s=self._record.spoilt_s,
             blows_s=self._record.blows_s,
             drifts_s=self._record.drifts_s,
+            angles=np.ascontiguousarray(self._angles.since(-inf)).tobytes(),
+            horizons_s=(*self._horizons_s, self._lead_s),
         )
 
     def accept(self, fit: SeaFit) -> Verdict:
@@ -527,6 +592,8 @@ class SeaObserver:
         rows = np.frombuffer(fit.delayed).reshape(-1, 3).tolist()
         youth = self._consistency.youth
         self._ripening = deque([DelayedHeave(t_s=t, heave_m=h, std_m=youth * std) for t, h, std in rows])
+        if fit.joint is not None:
+            self._take_joint(heave, JointCorrection(fit.joint), fit)
         self._catch_up(heave, self._smoother, fit.t_s)
         if old is not None and aided is not None:
             # The laser's knowledge of the heave itself comes over; the rest of the state it teaches again.
@@ -545,11 +612,21 @@ class SeaObserver:
         self._moved(heave)
         return Verdict.ACCEPTED
 
+    def _take_joint(self, heave: SeaHeave, joint: JointCorrection, fit: SeaFit) -> None:
+        """With the innovations of the new model's filter, and the angles as they were."""
+        rows = self._angles.since(-inf)
+        known = even_angles(rows[:, :3], fit.t_s, fit.dt_s, round(JOINT.filter_s / fit.dt_s))
+        innovations = np.nan_to_num(np.frombuffer(fit.innovation))[-len(known) :]
+        before = np.zeros(len(known) - len(innovations))
+        joint.fill(fit.t_s, np.column_stack((np.concatenate((before, innovations)), known)))
+        heave.joint, heave.joint_weight, heave.joint_shown = joint, self._experience.weight, self._experience.shown
+
     def _catch_up(self, heave: SeaHeave, smoother: FixedLagSmoother, from_s: float) -> None:
         """Through the means that came while the fit was under way."""
         filters = [f for f in (heave.filter, self._aiding.unaided) if f is not None]
         cuts = deque(cut[1] for cut in self._record.cuts_s if cut[1] > from_s)
         blows = deque(blow_s for blow_s in self._record.blows_s if blow_s > from_s)
+        angles = self._angles.since(from_s)[:, :3]
         for t_s, a_mps2 in self._record.since(from_s).tolist():
             if t_s > heave.filter.t_s:
                 while cuts and cuts[0] <= t_s:
@@ -561,7 +638,14 @@ class SeaObserver:
                     for f in filters:
                         f.open_resonances()
                 # The weights of the smoother are those without the laser.
-                smoother.push(t_s, *[f.step(t_s, a_mps2) for f in filters][-1])
+                missed_s = t_s - heave.filter.t_s - heave.filter.steady.dt_s
+                predicted_m, innovation = [f.step(t_s, a_mps2) for f in filters][-1]
+                smoother.push(t_s, predicted_m, innovation)
+                if heave.joint is not None:
+                    for i in range(round(missed_s / heave.filter.steady.dt_s), 0, -1):
+                        heave.joint.push(t_s - i * heave.filter.steady.dt_s, 0.0, nan, nan)
+                    at = even_angles(angles, t_s, heave.filter.steady.dt_s, 1)[0].tolist()
+                    heave.joint.push(t_s, innovation, *at)
                 if self._drift is not None and heave.filter.rate is None:
                     self._drift.push(heave.filter.innovation / sqrt(heave.filter.innovation_variance))
         if cuts:
@@ -676,6 +760,13 @@ class SeaObserver:
     def rejected(self) -> int:
         """Samples that the gate has kept out, since the start or the last reset."""
         return 0 if self._heave is None else self._heave.filter.rejected
+
+    @property
+    def roll_pitch(self) -> RollPitch:
+        """What roll and pitch have to do with the heave, as the last fit has it."""
+        if self._heave is None or self._heave.joint is None:
+            return RollPitch()
+        return RollPitch(self._heave.joint.design.coherence, self._heave.joint_weight)
 
     # --- memory ------------------------------------------------------------------------------------------------------
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from heaved.estimation.heave.sea.filter import SeaFilter
+    from heaved.estimation.heave.sea.joint import JointCorrection
     from heaved.samples import HeaveForecast
 
 Array = NDArray[np.float64]
@@ -106,6 +107,9 @@ class SeaHeave:
         filter: whose state it is.
         scale: published over modelled standard deviation.
         transfer: from the model before.
+        joint, joint_weight: what roll and pitch add, if anything, and how much of that is taken.
+        joint_shown: standard deviation with them over that without, as it was of late; infinite: they are not trusted,
+            and what they add fades out.
         steady_std_m: standard deviation of the error of its heave once the filter is steady.
         sea_std_m: standard deviation of the heave of the fitted sea.
         omega_radps: mean frequency of the heave, standard deviation of its velocity over that of itself.
@@ -117,6 +121,9 @@ class SeaHeave:
         self.filter = f
         self.scale = 1.0
         self.transfer = NO_TRANSFER
+        self.joint: JointCorrection | None = None
+        self.joint_weight = 0.0
+        self.joint_shown = 1.0
         self.sea_std_m = _std(system.heave, system.stationary)
         self.omega_radps = _std(system.velocity, system.stationary) / self.sea_std_m
         self._propagation = Propagation(system, max((*horizons_s, lead_s, 0.0)) + TUNING.margin_s)
@@ -196,10 +203,28 @@ class SeaHeave:
             if self._state_series is None:
                 self._state_series = self._propagation.series(self.filter.x)
             motion = self._propagation.along(self._state_series, shift_s - self._learned_s + late)
+        if self.joint is not None and self.joint_weight > 0.0:
+            motion = self._joined(motion, shift_s - self._learned_s + late)
         if t_s < self.transfer.until_s:
             heave_m, velocity_mps = self.transfer.at(t_s + shift_s)
             motion = Motion(motion.heave_m + heave_m, motion.velocity_mps + velocity_mps)
         return motion
+
+    def _joined(self, motion: Motion, tau_s: float) -> Motion:
+        """With what roll and pitch add ``tau_s`` after the filter's state."""
+        if self.joint is None or self.joint_weight == 0.0:
+            return motion
+        more_m, more_mps = self.joint.at(tau_s)
+        weight = self.joint_weight
+        return Motion(motion.heave_m + weight * more_m, motion.velocity_mps + weight * more_mps)
+
+    def _joined_std(self, std_m: float, tau_s: float) -> float:
+        """What that is of the heave with roll and pitch, ``tau_s`` after the filter's state."""
+        if self.joint is None or self.joint_weight == 0.0:
+            return std_m
+        if self.joint_shown == inf:
+            return hypot(std_m, self.joint_weight * self.joint.at(tau_s)[0])
+        return std_m * (1.0 - self.joint_weight * (1.0 - self.joint.ratio(tau_s, self.joint_shown)))
 
     def unshifted(self, t_s: float, unaided: SeaFilter | None = None) -> Motion:
         """What the laser is compared with: nothing learned taken out, nothing left of another model. ``unaided``: the
@@ -209,7 +234,8 @@ class SeaHeave:
             return along(self._plain_row.dot(unaided.x).tolist(), t_s - unaided.t_s)
         if not self._unshifted:
             self._unshifted = self._plain_row.dot(self.filter.x).tolist()
-        return along(self._unshifted, t_s - self.filter.t_s)
+        late_s = t_s - self.filter.t_s
+        return self._joined(along(self._unshifted, late_s), late_s)
 
     def forecast(self, t_s: float, scale: float = 1.0, gain: float = 1.0) -> tuple[HeaveForecast, ...]:
         """:meth:`at` and ``scale`` times :meth:`std_m` for all the horizons, both times ``gain``."""
@@ -220,13 +246,19 @@ class SeaHeave:
             self._made_ready()
         transfer = self.transfer if t_s < self.transfer.until_s else None
         modelled, whole = self.scale, gain * scale
+        joint = self.joint if self.joint_weight > 0.0 else None
         found = []
         for h, (c0, c1, c2, c3, c4, c5), modelled_m in zip(
             self._horizons_s, self._ahead, self._stds(d).ahead_m, strict=True
         ):
             heave_m = ((((c5 * d + c4) * d + c3) * d + c2) * d + c1) * d + c0
             left_m = 0.0 if transfer is None else transfer.at(t_s + h)[0]
-            std_m = whole * hypot(modelled * modelled_m, left_m)
+            if joint is not None:
+                tau_s = h - self._learned_s + d
+                heave_m += self.joint_weight * joint.at(tau_s)[0]
+                std_m = whole * hypot(self._joined_std(modelled * modelled_m, tau_s), left_m)
+            else:
+                std_m = whole * hypot(modelled * modelled_m, left_m)
             found.append(foretold(h, gain * (heave_m + left_m), std_m))
         return tuple(found)
 
@@ -247,6 +279,8 @@ class SeaHeave:
             std_m = self._stds(late_s).near_m[place] * self.scale
         else:
             std_m = self._modelled_m(late_s, (shift_s,))[0] * self.scale
+        if self.joint_weight > 0.0:
+            std_m = self._joined_std(std_m, shift_s + late_s - (self._learned_s if isfinite(self._learned_s) else 0.0))
         if t_s < self.transfer.until_s:
             std_m = hypot(std_m, self.transfer.at(t_s + shift_s)[0])
         return std_m

@@ -23,10 +23,12 @@ from heaved.estimation.heave.sea import (
     blow_removal,
     drift_removal,
     gap_bridge,
+    joint_design,
     noise,
     whittle_fit,
 )
 from heaved.estimation.heave.sea.filter import SeaFilter
+from heaved.estimation.heave.sea.joint_design import Joint, even_angles
 from heaved.estimation.heave.sea.model import SeaModel, SeaSystem, Steady
 from heaved.estimation.heave.sea.record import EvenRecord, even, stretches_of
 from heaved.estimation.heave.sea.sea_state import longest_period_s, sea_state
@@ -157,6 +159,10 @@ class SeaWindow(msgspec.Struct, frozen=True, kw_only=True, tag="sea"):
     """First moments (s) after something struck the hull."""
     drifts_s: tuple[tuple[float, float], ...] = ()
     """Spans (s) in which the level goes on in one direction; until inf: it does still."""
+    angles: bytes = b""
+    """(m, 4) time, roll, pitch and yaw (rad), nan where they are not known; empty: they are not to be looked at."""
+    horizons_s: tuple[float, ...] = ()
+    """What they may tell of the heave is wanted for so long after the last sample, too."""
 
 
 class SeaFit(msgspec.Struct, frozen=True, kw_only=True):
@@ -188,7 +194,7 @@ class SeaFit(msgspec.Struct, frozen=True, kw_only=True):
     predicted_m: bytes = b""
     """(k,) heave before each of the last samples, for the smoother; one every ``dt_s`` up to ``t_s``."""
     innovation: bytes = b""
-    """(k,) m/s2"""
+    """(l,) of at least as many of the last samples, m/s2."""
     delayed: bytes = b""
     """(k, 3) time, heave and its standard deviation for times that are not yet as old as the delayed heave: where the
     recent past has holes, and the smoother's weights are not those of its filter."""
@@ -200,6 +206,8 @@ class SeaFit(msgspec.Struct, frozen=True, kw_only=True):
     """How many of the longest waves the record of that model holds."""
     waves: float = 0.0
     """How much likelier the record is with waves than with noise alone (log-likelihood)."""
+    joint: Joint | None = None
+    """What roll and pitch tell of the heave; None: nothing."""
 
 
 def look(window: SeaWindow) -> SeaFit:
@@ -272,13 +280,32 @@ def _look(window: SeaWindow, record: EvenRecord) -> SeaFit:
         rate_covariance=rate_covariance.tobytes(),
         steady_covariance=steady.P.tobytes(),
         predicted_m=done.predicted_m[-kept:].tobytes(),
-        innovation=done.innovation[-kept:].tobytes(),
+        innovation=done.innovation[-max(kept, round(joint_design.TUNING.filter_s / record.dt_s)) :].tobytes(),
         delayed=_delayed(window, system, steady, recent, settle, is_drifting=rate is not None).tobytes(),
         whiteness=whiteness(done.innovation, steady),
         newest=whiteness(done.innovation, steady, TUNING.newest_s),
         waves_seen=seconds[chosen] / longest_period_s(best.model),
         waves=waves,
+        joint=_joint(window, whole, system, steady),
     )
+
+
+def _joint(window: SeaWindow, whole: EvenRecord, system: SeaSystem, steady: Steady) -> Joint | None:
+    """What roll and pitch tell of the heave, of the past since the level was last another, after the last long hole,
+    and in which the vessel headed as it does now.
+    """
+    if not window.angles or not (whole.is_known.any() and whole.is_known[-1]):
+        return None
+    rows, count = np.frombuffer(window.angles).reshape(-1, 4), len(whole.a_mps2)
+    heading_rad, since_s = joint_design.heading(rows[:, 0], rows[:, 3])
+    missing = np.flatnonzero(~whole.is_known)
+    heads_for = int(min(max(whole.end_s - since_s, 0.0) / whole.dt_s, count))
+    a = whole.a_mps2[max([count - heads_for, *whole.cuts[-1:], *(missing[-1:] + 1).tolist()]) :]
+    angles = even_angles(rows[:, :3], whole.end_s, whole.dt_s, len(a))
+    try:
+        return joint_design.joint(system, steady, a, angles, window.horizons_s, heading_rad)
+    except np.linalg.LinAlgError:
+        return None  # The heave of the acceleration is no worse for that.
 
 
 def _drifted(window: SeaWindow, record: EvenRecord) -> drift_removal.Level | None:

@@ -6,7 +6,7 @@ Sensor A, no tilt, 20 Hz; seeds of waves, noise and start are those of the accur
 from __future__ import annotations
 
 from functools import cache
-from math import isfinite, isnan, nan
+from math import isfinite, isnan, nan, sqrt
 from typing import NamedTuple
 
 import msgspec
@@ -406,3 +406,40 @@ def test_a_still_ship_is_still() -> None:
     assert observer.sea.is_still
     assert observer.notes != ()
     assert isfinite(observer.error_std_m(0.0))
+
+
+@cache
+def _with_angles(channels: str, *, are_of_this_sea: bool = True) -> Array:
+    """In a swell, with a noisy accelerometer; pitch follows from the heave, or from that of another sea. (n, 5) errors
+    of the heave now and 1 s ahead, their standard deviations, and how much of what the angles tell is in them.
+    """
+    t = np.linspace(0.0, 330.0, 3301)
+    sea = seaway("SL", 1, attitude=False)
+    motion, other = sea.motion(t), seaway("SL", 2, attitude=False).motion(t)
+    noise = np.random.default_rng(3).normal(size=(2, len(t)))
+    a = motion.heave_acceleration_mps2 + 4e-3 * sqrt(5.0) * noise[0]
+    pitch = 0.02 * (motion if are_of_this_sea else other).heave_velocity_mps + 0.003 * other.heave_m + 3e-4 * noise[1]
+    observer = SeaObserver(msgspec.structs.replace(SMALL, channels=channels), (1.0,))
+    said = []
+    for at, a_mps2, pitch_rad in zip(t.tolist(), a.tolist(), pitch.tolist(), strict=True):
+        observer.step(at, a_mps2, 0.01, pitch_rad)
+        if (past := observer.due()) is not None:
+            assert observer.accept(look(past)) == "accepted"
+        (ahead,) = observer.forecast(0.0)
+        errors = observer.at(0.0).heave_m - sea.at(at).heave_m, ahead.heave_m - sea.at(at + 1.0).heave_m
+        said.append((*errors, observer.error_std_m(0.0), ahead.std_m, observer.roll_pitch.weight))
+    return np.array(said)[-700:]
+
+
+def test_pitch_makes_the_heave_better_where_it_is_of_the_same_waves() -> None:
+    alone, joint = _with_angles("single"), _with_angles("auto")
+    assert np.all(alone[:, 4] == 0.0)
+    assert np.mean(joint[:, 4]) > 0.5
+    for k in (0, 1):
+        assert np.std(joint[:, k]) < 0.9 * np.std(alone[:, k])
+        assert np.mean(joint[:, 2 + k]) < 0.95 * np.mean(alone[:, 2 + k])
+        assert np.mean(np.abs(joint[:, k]) < 1.96 * joint[:, 2 + k]) > 0.9
+
+
+def test_pitch_of_other_waves_changes_nothing() -> None:
+    assert np.array_equal(_with_angles("auto", are_of_this_sea=False), _with_angles("single"))

@@ -1,0 +1,477 @@
+"""What roll and pitch tell of the heave beside the vertical acceleration, learned of the recent past. Runs beside the
+event loop, with the fit of the sea (:mod:`heaved.estimation.heave.sea.refit`).
+
+Heave, roll and pitch are driven by the same waves. Where the accelerometer's noise hides the heave, at the lower end of
+the waves, the angles still show it, as far as they are coherent with it: that is measured, never assumed. Of the heave
+in hindsight (which knows the future of the acceleration, but not the angles) and the measured angles, pieces of a
+minute of the past give, with what is older counting less,
+
+    T = S_angle,heave / S_heave       and the rest of the angles      R = S_angles / S_heave - T T*,
+
+both less what so few pieces show by chance. With the spectrum S of the fitted sea, beyond the band where heave is known
+as they are at its ends, they make the matrix of spectra of what is there live: the innovations y of the filter of the
+acceleration (white, and all that is to be known of its past) and both angles. Its causal factor (Wilson 1972) gives
+Wiener's filter of the three for the heave of any moment. Less what the filter of the acceleration makes of y, this is a
+correction to its heave: weights on the last four minutes of y, roll and pitch. Old ones are small and smooth, and are
+weights of means.
+
+Spectra are one-sided; the one of x and y is that of X conj(Y), for amplitudes of exp(+i w t).
+"""
+
+from __future__ import annotations
+
+from math import inf, nan, radians, sqrt
+from typing import TYPE_CHECKING, Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import next_fast_len
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from heaved.estimation.heave.sea.model import SeaModel, SeaSystem, Steady
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+CHANNELS: Final = 3
+"""Innovations of the acceleration, roll, pitch."""
+
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """How it is learned, and how long the filter is."""
+
+    learned_s: float = 600.0
+    """Most of the past that is looked at,"""
+    least_s: float = 150.0
+    """and least;"""
+    memory_s: float = 400.0
+    """what is older counts less: the vessel turns, the sea changes."""
+    piece_s: float = 80.0
+    """Of the spectra: the resolution, 1/80 Hz, is that of a hull's own resonance."""
+    edge_s: float = 15.0
+    """At the end of the record heave is not known in hindsight yet."""
+    fade_s: float = 10.0
+    """At its ends the acceleration is faded out."""
+    in_band: float = 3e-3
+    """Where the sea has less than this of its largest density, what roll and pitch make of it is not looked at,"""
+    above_noise: float = 3.0
+    """nor where its acceleration is less than that of the noise times this."""
+    lowest_hz: float = 0.01
+    """Nothing below is heave: what the angles do there is trim and list."""
+    below_waves: float = 3e-4
+    """Where the sea has less than that, below its peak, the angles show how list and trim wander."""
+    clear_of_waves: float = 0.8
+    """So far below, as a share of that frequency."""
+    least_wander: float = 1e-11
+    """rad2 Hz, over the square of the frequency: list and trim may always wander by this, a hundredth of a degree in
+    two minutes (a ship under way: 1e-10 to 5e-8). Without it weights do not add up to nothing, and a list of 0.1
+    degrees makes half a metre of heave that stays."""
+    noise_band_hz: tuple[float, float] = (1.5, 6.0)
+    """Where they show their noise."""
+    never_known: float = 0.01
+    """This share of each angle is never taken to follow from the heave."""
+    doubt: float = 1.0
+    """Times that the square of the transfer function is less than what shows, by what few pieces show by chance."""
+    least_noise_rad: float = 5e-5
+    """That they have at least, rounded and smoothed as they may be: standard deviation of a sample at 20 Hz."""
+    turned_rad: float = radians(20.0)
+    """What was measured before the vessel turned by more than that is of other waves,"""
+    heading_s: float = 20.0
+    """from how it has headed on average for so long."""
+    hole: float = 5.5
+    """Angles further apart than this many samples are not interpolated."""
+    long_hole_s: float = 3.0
+    """A longer hole in them ends the past that is looked at,"""
+    known: float = 0.98
+    """and of that share both must be known."""
+    design_s: float = 1024.0
+    """Period of the grid on which the filter is designed: four times its memory (with 512 s, what list and trim may do
+    comes round again, and the heave of S6S with a coherence of 0.95 is 1.46 instead of 1.21 times the limit)."""
+    fine_s: float = 6.4
+    """So new samples have weights of their own;"""
+    mean_s: float = 0.5
+    """older ones have those of means over this,"""
+    filter_s: float = 256.4
+    """until here."""
+    apart_s: float = 0.4
+    """Horizons closer than this to another are interpolated."""
+    greatest: float = 1e3
+    """A weight that is greater is of an angle that hardly moves (in half precision it would be coarse, too)."""
+    least_ratio: float = 0.1
+    """Of standard deviations with the angles and without, that anything may be said to have."""
+    close: float = 1e-5
+    """So far may the product of the factor with itself be from the matrix of coherences."""
+    iterations: int = 25
+
+
+TUNING: Final = Tuning()
+
+
+class Joint(msgspec.Struct, frozen=True, kw_only=True):
+    """Weights on the last innovations and angles: what they add to the heave of the filter of the acceleration."""
+
+    nodes_s: tuple[float, ...]
+    """(k,) how long after the last sample, 0 first."""
+    ratios: tuple[float, ...]
+    """(k,) standard deviation of the heave's error with the angles, over that without, by the model."""
+    std_m: float
+    """Standard deviation of what is added to the heave now, by the model."""
+    coherence: float
+    """Squared, of heave with both angles together, each frequency weighing as much as its heave."""
+    dt_s: float
+    group: int
+    """Samples in each of the means."""
+    offsets_rad: tuple[float, float]
+    """List and trim, which are no part of the waves."""
+    heading_rad: float
+    """For which they are; nan: not known."""
+    fine: bytes
+    """(2 k, m, 3) weights, float16, of the last m samples, the newest last: heave of each node, then its velocity."""
+    coarse: bytes
+    """(2 k, l, 3) weights of the means of those before."""
+
+
+class Learned(msgspec.Struct, frozen=True, eq=False):
+    """What the angles have in common with the heave, at ``f_hz`` (n,)."""
+
+    f_hz: Array
+    transfer: Complex
+    """(n, 2) roll and pitch over heave, rad/m."""
+    rest: Complex
+    """(n, 2, 2) spectra of what does not follow from the heave, over that of heave, rad2/m2."""
+    noise_psd: tuple[float, float]
+    """Of their white noise, rad2/Hz,"""
+    wander_psd: tuple[float, float]
+    """and of what they do besides below the waves,"""
+    wander_hz: float
+    """up to about here."""
+    offsets_rad: tuple[float, float]
+    coherence: float
+
+
+def joint(
+    system: SeaSystem,
+    steady: Steady,
+    a_mps2: Array,
+    angles_rad: Array,
+    horizons_s: Sequence[float],
+    heading_rad: float = nan,
+) -> Joint | None:
+    """Learn and design. ``a_mps2`` (n,), ``angles_rad`` (n, 2): the past, every ``steady.dt_s``, in which the vessel
+    kept to ``heading_rad``; a nan is not known.
+
+    None: there is too little of it, or nothing to be gained.
+
+    Raises:
+        LinAlgError: the spectra cannot be factored.
+    """
+    first = _known_since(angles_rad, steady.dt_s)
+    found = learned(system.model, a_mps2[first:], angles_rad[first:], steady.dt_s)
+    return None if found is None else designed(system, steady, found, nodes(horizons_s), heading_rad)
+
+
+def _known_since(angles_rad: Array, dt_s: float) -> int:
+    """The first row of ``angles_rad`` (n, 2) after the last long hole."""
+    count = max(round(TUNING.long_hole_s / dt_s), 1)
+    if len(angles_rad) < count:
+        return 0
+    missing = np.convolve(~np.isfinite(angles_rad).all(axis=1), np.ones(count), "valid")
+    ends = np.flatnonzero(missing > count - 0.5)
+    return int(ends[-1]) + count if len(ends) else 0
+
+
+def heading(t_s: Array, yaw_rad: Array) -> tuple[float, float]:
+    """How the vessel heads at the end of ``t_s`` (n,), nan where that is not known, and since when about so."""
+    newest = yaw_rad[t_s > t_s[-1] - TUNING.heading_s] if len(t_s) else yaw_rad
+    newest = newest[np.isfinite(newest)]
+    if not len(newest):
+        return nan, -inf
+    now = np.exp(1j * newest).sum()
+    turned = np.abs(np.angle(np.exp(1j * yaw_rad) * np.conj(now)))
+    elsewhere = np.flatnonzero(turned > TUNING.turned_rad)  # What is not known has not turned.
+    return float(np.angle(now)), float(t_s[elsewhere[-1]]) if len(elsewhere) else -inf
+
+
+def even_angles(rows: Array, end_s: float, dt_s: float, count: int) -> Array:
+    """(count, 2) roll and pitch every ``dt_s`` up to ``end_s``, of ``rows`` (n, 3) with their times first; nan where
+    they are not known.
+    """
+    known = rows[np.isfinite(rows).all(axis=1)]
+    if len(known) < 2:
+        return np.full((count, 2), np.nan)
+    t_s = end_s - dt_s * np.arange(count - 1, -1, -1.0)
+    after = np.clip(np.searchsorted(known[:, 0], t_s), 1, len(known) - 1)
+    is_near = known[after, 0] - known[after - 1, 0] < TUNING.hole * dt_s
+    is_near &= (t_s > known[0, 0] - dt_s) & (t_s < known[-1, 0] + dt_s)
+    return np.column_stack([np.where(is_near, np.interp(t_s, known[:, 0], known[:, k]), np.nan) for k in (1, 2)])
+
+
+def nodes(horizons_s: Sequence[float]) -> tuple[float, ...]:
+    """Moments for which there are weights: now, and those horizons that are not close to another."""
+    found = [0.0]
+    for horizon_s in sorted(horizons_s):
+        if horizon_s - found[-1] >= TUNING.apart_s:
+            found.append(horizon_s)
+    return tuple(found)
+
+
+# --- what the angles have in common with the heave -------------------------------------------------------------------
+
+
+def learned(model: SeaModel, a_mps2: Array, angles_rad: Array, dt_s: float) -> Learned | None:
+    """See :func:`joint`; None: the record is too short, the angles are not known, or the sea is hidden in noise."""
+    count = min(len(a_mps2), round(TUNING.learned_s / dt_s))
+    piece, edge = round(TUNING.piece_s / dt_s), round(TUNING.edge_s / dt_s)
+    a, angles = a_mps2[-count:], _filled(angles_rad[-count:])
+    if angles is None or count * dt_s < TUNING.least_s or piece < CHANNELS:
+        return None
+    smooth = np.hanning(count + 2)[1:-1]
+    offsets = smooth @ angles / np.sum(smooth)
+    angles = angles - offsets
+    heave = in_hindsight(model, a, dt_s)
+    series = np.column_stack((heave, angles))[:-edge]
+    f_hz, spectra, pieces = _spectra(series, piece, dt_s)
+    sea = model.wave_spectrum(np.maximum(f_hz, 1e-6))
+    w4 = (2.0 * np.pi * f_hz) ** 4
+    in_band = (f_hz >= 1.5 / TUNING.piece_s) & (sea > TUNING.in_band * np.max(sea[1:]))
+    in_band &= w4 * sea > TUNING.above_noise * model.noise_psd
+    if np.count_nonzero(in_band) < CHANNELS:
+        return None
+    at = spectra[in_band]
+    own = at[:, 0, 0].real
+    transfer = at[:, 1:, 0] / own[:, None]
+    rest = at[:, 1:, 1:] / own[:, None, None] - transfer[:, :, None] * transfer[:, None, :].conj()
+    # Few pieces show a coherence even of what has nothing in common: 1 / pieces of the rest.
+    rest = rest * (pieces / (pieces - 1.0))
+    for k in range(2):
+        rest[:, k, k] += TUNING.never_known * at[:, 1 + k, 1 + k].real / own
+        by_chance = TUNING.doubt * rest[:, k, k].real / pieces
+        transfer[:, k] *= np.maximum(1.0 - by_chance / np.maximum(np.abs(transfer[:, k]) ** 2, 1e-30), 0.0)
+    noisy = (f_hz > TUNING.noise_band_hz[0]) & (f_hz < TUNING.noise_band_hz[1])
+    least = 2.0 * 0.05 * TUNING.least_noise_rad**2
+    floor = [max(float(np.median(spectra[noisy, k, k].real)) if noisy.any() else 0.0, least) for k in (1, 2)]
+    share, wander_hz = _coherence(transfer, rest), lower_end_hz(model)
+    wander = _wander(angles, smooth, dt_s, wander_hz)
+    return Learned(
+        f_hz=f_hz[in_band],
+        transfer=transfer,
+        rest=rest,
+        noise_psd=(floor[0], floor[1]),
+        wander_psd=(max(wander[0] - floor[0], 0.0), max(wander[1] - floor[1], 0.0)),
+        wander_hz=wander_hz,
+        offsets_rad=(float(offsets[0]), float(offsets[1])),
+        coherence=float(share @ own / np.sum(own)),
+    )
+
+
+def lower_end_hz(model: SeaModel) -> float:
+    """Where the waves begin."""
+    f_hz = np.arange(TUNING.lowest_hz, max(model.frequency_hz) + 1e-3, 1e-3)
+    sea = model.wave_spectrum(f_hz)
+    return float(f_hz[np.argmax(sea > TUNING.below_waves * np.max(sea))])
+
+
+def _wander(angles_rad: Array, window: Array, dt_s: float, below_hz: float) -> tuple[float, float]:
+    """Mean spectra (rad2/Hz) below the waves of angles (n, 2) without their mean under ``window`` (n,)."""
+    transforms = np.fft.rfft(angles_rad * window[:, None], axis=0)
+    # The first three are the mean itself, as the window has it.
+    first, end = 3, int(TUNING.clear_of_waves * below_hz * len(angles_rad) * dt_s)
+    if end <= first:
+        return 0.0, 0.0
+    psd = 2.0 * dt_s * np.mean(np.abs(transforms[first:end]) ** 2, axis=0) / float(window @ window)
+    return float(psd[0]), float(psd[1])
+
+
+def _coherence(transfer: Complex, rest: Complex) -> Array:
+    """(n,) share of the heave that follows from both angles: c / (1 + c), c = T* R^-1 T."""
+    small = 1e-9 * (np.trace(rest, axis1=1, axis2=2).real + 1e-30)
+    told = np.linalg.solve(rest + small[:, None, None] * np.eye(2), transfer[:, :, None])[:, :, 0]
+    c = np.maximum(np.sum(transfer.conj() * told, axis=1).real, 0.0)
+    return np.asarray(c / (1.0 + c))
+
+
+def _filled(angles_rad: Array) -> Array | None:
+    """(n, 2) with straight lines where an angle is not known; None: too little is."""
+    is_known: NDArray[np.bool_] = np.all(np.isfinite(angles_rad), axis=1)
+    if not len(is_known) or np.mean(is_known) < TUNING.known:
+        return None
+    if is_known.all():
+        return angles_rad
+    places = np.arange(len(is_known))
+    columns = [np.interp(places, places[is_known], angles_rad[is_known, k]) for k in range(2)]
+    return np.column_stack(columns)
+
+
+def in_hindsight(model: SeaModel, a_mps2: Array, dt_s: float) -> Array:
+    """(n,) heave that the whole record of the acceleration (n,) shows: Wiener's filter that waits for ever. Not to be
+    used near its ends.
+    """
+    count, fade = len(a_mps2), round(TUNING.fade_s / dt_s)
+    faded = a_mps2 - np.mean(a_mps2)
+    edge = np.sin(np.linspace(0.0, np.pi / 2.0, fade)) ** 2
+    faded[:fade] *= edge
+    faded[-fade:] *= edge[::-1]
+    size = next_fast_len(count + round(TUNING.design_s / dt_s), real=True)
+    f_hz = _frequencies(size, dt_s)
+    is_heave = f_hz >= TUNING.lowest_hz
+    f = f_hz[is_heave]
+    w2 = (2.0 * np.pi * f) ** 2
+    response = np.zeros(len(f_hz))
+    response[is_heave] = -w2 * model.wave_spectrum(f) / model.acceleration_spectrum(f, dt_s)
+    return np.asarray(np.fft.irfft(np.fft.rfft(faded, size) * response, size)[:count])
+
+
+def _spectra(series: Array, piece: int, dt_s: float) -> tuple[Array, Complex, float]:
+    """Frequencies (n,), spectra (n, k, k) of ``series`` (m, k), the newest last, and of how many pieces these are."""
+    window = np.hanning(piece + 2)[1:-1]
+    window /= sqrt(float(window @ window))
+    step = max(piece // 4, 1)
+    parts = [series[end - piece : end] for end in range(len(series), piece - 1, -step)]
+    transforms = np.fft.rfft(np.stack([(part - part.mean(axis=0)) * window[:, None] for part in parts]), axis=1)
+    weights = np.exp(-np.arange(len(parts)) * step * dt_s / TUNING.memory_s)
+    weights /= np.sum(weights)
+    spectra = 2.0 * dt_s * np.einsum("p,pfi,pfj->fij", weights, transforms, transforms.conj())
+    # Three quarters of each piece are the next one's too.
+    pieces = max(0.5 / float(weights @ weights), 1.5)
+    return _frequencies(piece, dt_s), spectra, pieces
+
+
+def _frequencies(size: int, dt_s: float) -> Array:
+    """(n,) of the transform of so many samples, Hz."""
+    return np.asarray(np.fft.rfftfreq(size, dt_s), dtype=np.float64)
+
+
+# --- the filter ------------------------------------------------------------------------------------------------------
+
+
+def designed(
+    system: SeaSystem, steady: Steady, found: Learned, nodes_s: tuple[float, ...], heading_rad: float = nan
+) -> Joint | None:
+    """Weights for each of ``nodes_s``; None: nothing is to be gained.
+
+    Raises:
+        LinAlgError: the spectra cannot be factored.
+    """
+    dt = steady.dt_s
+    size = next_fast_len(2 * round(0.5 * TUNING.design_s / dt), real=True)
+    size += size % 2
+    f = _frequencies(size, dt)
+    w = 2.0 * np.pi * f
+    sea, transfer, rest = _on_grid(system.model, found, f)
+    white = _whitening(system, steady, size)
+    seen = np.column_stack((-(w**2) * white, np.ones_like(f), np.ones_like(f)))
+    follows = np.column_stack((np.ones_like(f), transfer))
+    motion = sea[:, None, None] * follows[:, :, None] * follows[:, None, :].conj()
+    motion[:, 1:, 1:] += sea[:, None, None] * rest
+    measured = motion * seen[:, :, None] * seen[:, None, :].conj()
+    level = 2.0 * dt * steady.S
+    measured[:, 0, 0] = np.maximum(level, measured[:, 0, 0].real * (1.0 + 1e-4))
+    for k in range(2):
+        measured[:, 1 + k, 1 + k] += found.noise_psd[k]
+        measured[:, 1 + k, 1 + k] += found.wander_psd[k] / (1.0 + (f / found.wander_hz) ** 4)
+        measured[:, 1 + k, 1 + k] += TUNING.least_wander / np.maximum(f, f[1] / 2.0) ** 2
+    cross = motion[:, 0, :] * seen.conj()
+    factor = _factor(np.asarray(measured / 2.0, dtype=np.complex128))
+    whitened = np.linalg.solve(factor, np.conj(cross / 2.0)[:, :, None])[:, :, 0].conj()
+    alone = cross[:, 0] / 2.0 / sqrt(level / 2.0)
+    variance = float(np.sum(sea)) * f[1]
+    rows, ratios, std_m = [], [], 0.0
+    for tau_s in nodes_s:
+        turn = np.exp(1j * w * tau_s)
+        for is_velocity in (False, True):
+            wanted = turn * 1j * w if is_velocity else turn
+            told = np.fft.irfft(whitened * wanted[:, None], size, axis=0)
+            told_alone = np.fft.irfft(alone * wanted, size)
+            told[size // 2 :], told_alone[size // 2 :] = 0.0, 0.0
+            response = np.linalg.solve(factor.transpose(0, 2, 1), np.fft.rfft(told, axis=0)[:, :, None])[:, :, 0]
+            weights = np.fft.irfft(response, size, axis=0)
+            weights[:, 0] -= told_alone / sqrt(level / 2.0)
+            rows.append(weights)
+            if not is_velocity:
+                by = np.fft.rfft(weights, axis=0)
+                added = f[1] * float(np.einsum("fi,fij,fj", by, measured, by.conj()).real)
+                alone_left = max(variance - float(np.sum(told_alone**2)) / dt, added)
+                ratios.append(sqrt(max(1.0 - added / alone_left, TUNING.least_ratio**2)) if added > 0.0 else 1.0)
+                std_m = std_m if tau_s > 0.0 else sqrt(added)
+    group = max(round(TUNING.mean_s / dt), 1)
+    fine = round(TUNING.fine_s / dt)
+    coarse = max(round((TUNING.filter_s - TUNING.fine_s) / dt) // group, 1)
+    every = np.stack(rows)[:, : fine + group * coarse]
+    if not np.max(np.abs(every)) < TUNING.greatest:
+        return None
+    means = every[:, fine:].reshape(len(rows), coarse, group, CHANNELS).sum(axis=2)
+    return Joint(
+        nodes_s=nodes_s,
+        ratios=tuple(ratios),
+        std_m=std_m,
+        coherence=found.coherence,
+        dt_s=dt,
+        group=group,
+        offsets_rad=found.offsets_rad,
+        heading_rad=heading_rad,
+        fine=every[:, :fine][:, ::-1].astype(np.float16).tobytes(),
+        coarse=means[:, ::-1].astype(np.float16).tobytes(),
+    )
+
+
+def _on_grid(model: SeaModel, found: Learned, f_hz: Array) -> tuple[Array, Complex, Complex]:
+    """Spectrum of heave (n,), transfer (n, 2) and rest (n, 2, 2) at ``f_hz`` (n,), held beyond the ends."""
+    is_heave = f_hz >= TUNING.lowest_hz
+    sea = np.zeros(len(f_hz))
+    sea[is_heave] = model.wave_spectrum(f_hz[is_heave])
+    flat = np.column_stack((found.transfer, found.rest.reshape(-1, 4)))
+    parts = [np.interp(f_hz, found.f_hz, one.real) + 1j * np.interp(f_hz, found.f_hz, one.imag) for one in flat.T]
+    made = np.stack(parts, axis=1)
+    return sea, made[:, :2], made[:, 2:].reshape(-1, 2, 2)
+
+
+def _whitening(system: SeaSystem, steady: Steady, size: int) -> Complex:
+    """(n,) innovation over acceleration of the steady filter: the transform of 1, -H F K, -H F (I - K H) F K, ..."""
+    block = 64
+    F, K, H = steady.F, steady.K, system.H
+    loop = F - np.outer(F @ K, H)
+    within = np.empty((len(H), block))
+    within[:, 0] = F @ K
+    for j in range(1, block):
+        within[:, j] = loop @ within[:, j - 1]
+    jump, row, found = np.linalg.matrix_power(loop, block), H, [np.ones(1)]
+    for _ in range(0, size, block):
+        found.append(-row @ within)
+        row = row @ jump
+    return np.asarray(np.fft.rfft(np.concatenate(found)[:size]), dtype=np.complex128)
+
+
+def _factor(measured: Complex) -> Complex:
+    """The causal and causally invertible G (n, k, k) with G G* = ``measured`` (n, k, k), two-sided (Wilson 1972), each
+    channel whitened by its own minimum-phase factor first.
+
+    Raises:
+        LinAlgError: it does not exist, or the iteration does not end.
+    """
+    own = np.stack([_minimum_phase(measured[:, k, k].real) for k in range(measured.shape[1])], axis=1)
+    coherence = measured / (own[:, :, None] * own[:, None, :].conj())
+    unit = np.eye(measured.shape[1])
+    factor = np.tile(unit.astype(np.complex128), (len(coherence), 1, 1))
+    for _ in range(TUNING.iterations):
+        half = np.linalg.solve(factor, coherence)
+        ratio = np.linalg.solve(factor, half.conj().transpose(0, 2, 1))
+        response = np.fft.irfft(ratio + unit, axis=0)
+        middle = len(response) // 2
+        response[[0, middle]] /= 2.0
+        response[middle + 1 :] = 0.0
+        factor = np.asarray(factor @ np.fft.rfft(response, axis=0), dtype=np.complex128)
+        if np.max(np.abs(factor @ factor.conj().transpose(0, 2, 1) - coherence)) < TUNING.close:
+            return np.asarray(own[:, :, None] * factor, dtype=np.complex128)
+    raise np.linalg.LinAlgError("the spectra of acceleration, roll and pitch cannot be factored")
+
+
+def _minimum_phase(power: Array) -> Complex:
+    """The causal response (n,) with that square and a causal inverse, by its cepstrum."""
+    cepstrum = np.fft.irfft(0.5 * np.log(power))
+    middle = len(cepstrum) // 2
+    cepstrum[1:middle] *= 2.0
+    cepstrum[middle + 1 :] = 0.0
+    return np.asarray(np.exp(np.fft.rfft(cepstrum)), dtype=np.complex128)
