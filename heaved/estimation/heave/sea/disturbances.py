@@ -162,6 +162,8 @@ class DisturbanceDetector:
                 self.spoilt_s = self._burst_s, t_s
         elif count := self._suspects(f):
             self._judge(f, count)
+        if not f.burst_variance > 0.0:
+            f.maybe_off = None
         # What rings after a blow is taken out of the record: the waves are there, beneath.
         self._is_ringing = self._is_ringing and f.burst_variance > 0.0
         self.is_burst = f.burst_variance > 0.0 and t_s - self._burst_s < TUNING.burst_s and not self._is_ringing
@@ -201,7 +203,7 @@ class DisturbanceDetector:
 
     def rest(self, f: SeaFilter) -> None:
         """The filter goes on unguarded."""
-        f.burst_variance, self.is_burst = 0.0, False
+        f.burst_variance, f.maybe_off, self.is_burst = 0.0, None, False
         self.held = []
         self._forget_events()
         self._of = None
@@ -306,6 +308,7 @@ class DisturbanceDetector:
     def _resolve(self, f: SeaFilter) -> None:
         """What the burst is that lasts still: a blow, or a step, if either explains all of it; or it is over."""
         count = len(self._past)
+        f.maybe_off = None
         if self._is_struck and count <= TUNING.rings_still:
             blow = self._explanation(f, count, After.BLOW) if f.system.model.resonances else None
             step = self._explanation(f, count - 1, After.STEP)
@@ -321,9 +324,7 @@ class DisturbanceDetector:
                 self._go_on(f, step)
                 return
             if step is not None:
-                # If it is one, this is what the heave is off by until that is sure.
-                apart = step.state.x - f.x
-                f.P = f.covariance + np.outer(apart, apart)
+                f.maybe_off = step.state.x - f.x
                 return
             if count >= TUNING.rings_unknown:
                 self._learn_ringing()

@@ -141,6 +141,7 @@ class SeaFilter:
         burst_variance: of noise beside that of the model, for now, (m/s2)2.
         surprise: variance of averaged innovations over that of the model, in the last seconds; 1 when it is right.
         rate: at which the bias goes on; None: it wanders only.
+        maybe_off: (n,) by which the state is off if what is not sure yet is so, beside its covariance; None: nothing.
     """
 
     def __init__(self, system: SeaSystem, steady: Steady, t_s: float, x: Array, P: Array | None) -> None:
@@ -162,6 +163,7 @@ class SeaFilter:
         self.burst_variance = self.innovation = 0.0
         self.gauge: GaugeError | None = None
         self.rate: BiasRate | None = None
+        self.maybe_off: Array | None = None
 
     def laser_innovation(self, row: Array, laser_m: float) -> tuple[float, float]:
         """Of a reading of the laser, with the sign of heave: its difference from what is expected, and the variance of
@@ -202,8 +204,9 @@ class SeaFilter:
 
     @property
     def published_covariance(self) -> Array:
-        """(n, n) of x, and what laser and accelerometer differ by with it."""
-        return self.covariance if self.gauge is None else self.covariance + self.gauge.left_open(self.system)
+        """(n, n) of x, with what laser and accelerometer differ by, and what is not sure yet."""
+        P = self.covariance if self.gauge is None else self.covariance + self.gauge.left_open(self.system)
+        return P if self.maybe_off is None else P + np.outer(self.maybe_off, self.maybe_off)
 
     @property
     def is_steady(self) -> bool:

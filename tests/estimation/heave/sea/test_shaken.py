@@ -144,7 +144,7 @@ def trains_of_slams(t: Array) -> Array:
     return total
 
 
-@pytest.mark.parametrize(("added", "share"), [(thruster, 0.06), (trains_of_slams, 0.12)])
+@pytest.mark.parametrize(("added", "share"), [(thruster, 0.06), (trains_of_slams, 0.15)])
 def test_what_comes_and_goes_costs_little_and_never_lies(added: object, share: float) -> None:
     run = ran("S6", 20.0, added=added, duration_s=300.0)
     told = run.t_s >= 120.0
