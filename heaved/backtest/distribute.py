@@ -55,6 +55,7 @@ def local_workers(count: int) -> Iterator[Client]:
                 processes=True,
                 host=LOCAL,
                 dashboard_address=None,
+                scheduler_kwargs={"dashboard_address": f"{LOCAL}:0"},  # Without a dashboard, too, it has a port.
                 local_directory=scratch,
                 silence_logs=logging.CRITICAL,
                 env={"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},

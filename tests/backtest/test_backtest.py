@@ -111,7 +111,12 @@ async def test_ctrl_c_ends_all_processes(archive: Path, tmp_path: Path) -> None:
         shutil.copy(archive / "other.csv", directory / f"{i}.csv")
     command = [sys.executable, "-m", "heaved", "backtest", str(directory), "-o", str(out), "--workers", "1"]
     process = await asyncio.create_subprocess_exec(
-        *command, stdout=PIPE, stderr=PIPE, start_new_session=True, env=os.environ | {"TMPDIR": str(tmp_path)}
+        *command,
+        stdout=PIPE,
+        stderr=PIPE,
+        start_new_session=True,
+        env=os.environ | {"TMPDIR": str(tmp_path)},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # Where tests run in the background it is not.
     )
     await holds(lambda: list(out.rglob("*.json")))
     os.killpg(process.pid, signal.SIGINT)
@@ -317,7 +322,12 @@ def test_a_scheduler_without_workers() -> None:
 
     with (
         LocalCluster(
-            n_workers=0, host="127.0.0.1", dashboard_address=None, protocol="tcp://", processes=False
+            n_workers=0,
+            host="127.0.0.1",
+            dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+            protocol="tcp://",
+            processes=False,
         ) as cluster,
         pytest.raises(UnreachableError, match="has no workers"),
         distribute.remote_workers(cluster.scheduler_address),
