@@ -26,5 +26,8 @@ def set_real_time(priority: int) -> None:
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
     except OSError as error:
-        hint = f"give the unit LimitRTPRIO={priority} or the program CAP_SYS_NICE, or set [runtime] fifo_priority = 0"
+        hint = (
+            "a service: heaved install-service --write permits it (RestrictRealtime=no, "
+            f"LimitRTPRIO={priority}); else give the program CAP_SYS_NICE, or set [runtime] fifo_priority = 0"
+        )
         _log.warning("no real-time scheduling, ordinary scheduling instead", reason=error.strerror, hint=hint)

@@ -32,7 +32,6 @@ UNIT_PROGRAM: Final = "/opt/heaved/bin/heaved"
 """As the unit that comes with the program has it."""
 USUAL_PORTS: Final = re.compile(r"/dev/tty(USB|ACM|S|AMA)\d+|/dev/(serial/|heaved-).*")
 """Ports that the unit's DeviceAllow covers; a name that stays leads to one of them."""
-UNIT_RTPRIO: Final = 50
 LOW_PORT: Final = (
     "AmbientCapabilities=CAP_NET_BIND_SERVICE",
     "CapabilityBoundingSet=CAP_NET_BIND_SERVICE",
@@ -159,9 +158,10 @@ def _other_needs(config: Config) -> tuple[list[Need], list[str]]:
                 f"adduser --system --group --no-create-home heaved; install -d -o heaved -g heaved -m 0750 {directory}"
             )
     priority = config.runtime.fifo_priority
-    if priority > UNIT_RTPRIO:
-        setting = f"LimitRTPRIO={priority}"
-        found.append(Need(key="runtime.fifo_priority", setting=setting, said=f"priority {priority} may be taken"))
+    if priority > 0:
+        said = f"real-time scheduling up to priority {priority} may be taken"
+        for setting in ("RestrictRealtime=no", f"LimitRTPRIO={priority}", "SystemCallFilter=sched_setscheduler"):
+            found.append(Need(key="runtime.fifo_priority", setting=setting, said=said))
     return found, cautions
 
 
