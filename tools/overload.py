@@ -95,7 +95,8 @@ def _percent(before_s: float, after_s: float, passed_s: float) -> float:
 async def run(options: argparse.Namespace, folder: Path) -> list[Phase]:
     os.sched_setaffinity(0, set(range(os.cpu_count() or 1)) - {CORE} or {CORE})
     async with AsyncExitStack() as stack:
-        plant = stack.enter_context(child(partial(load.as_if_elsewhere, load.serve_plant), options.sea, options.rate))
+        serving = partial(load.as_if_elsewhere, partial(load.serve_plant, bandwidth_hz=options.bandwidth))
+        plant = stack.enter_context(child(serving, options.sea, options.rate))
         consumers = stack.enter_context(child(partial(load.as_if_elsewhere, load.consume)))
         registers, links = free_port(), dict(plant.recv())
         devices = [
@@ -160,6 +161,12 @@ def main() -> int:
     parser.add_argument("--hogs", type=int, nargs="+", default=[0, 2, 5, 0], metavar="N", help="default 0 2 5 0")
     parser.add_argument("--fifo", type=int, default=0, help="real-time priority of the daemon's loop (default 0: none)")
     parser.add_argument("--sea", default="S4")
+    parser.add_argument(
+        "--bandwidth",
+        type=positive,
+        metavar="HZ",
+        help="of the accelerometer: with 0.5 in T3 a network has something to learn, and is trained",
+    )
     parser.add_argument("--out", type=Path, metavar="DIR", help="keep everything there")
     parser.add_argument("--record", action="store_true", help="put the table into tools/RESULTS.md")
     options = parser.parse_args()

@@ -19,6 +19,7 @@ from heaved.config.read import data_directory, load
 from heaved.simulate.instruments import Instruments
 from heaved.simulate.plant import SimulatedPlant
 from heaved.simulate.seaway import seaway
+from heaved.simulate.sensors import SENSORS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -67,8 +68,10 @@ def leave_signals_to_the_tool() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def serve_plant(sea: str, rate_hz: float, pipe: Connection) -> None:
-    """The simulated slaves of ``config/sensors.toml``, the IMU at ``rate_hz``: says their links."""
+def serve_plant(sea: str, rate_hz: float, pipe: Connection, bandwidth_hz: float | None = None) -> None:
+    """The simulated slaves of ``config/sensors.toml``, the IMU at ``rate_hz``: says their links. ``bandwidth_hz``: of a
+    sensor that is late by more than a lead can take out, so that a network has something to learn.
+    """
     leave_signals_to_the_tool()
 
     async def run() -> None:
@@ -76,7 +79,8 @@ def serve_plant(sea: str, rate_hz: float, pipe: Connection) -> None:
             msgspec.structs.replace(device, rate_hz=rate_hz) if device.role == "imu" else device
             for device in load(data_directory() / "sensors.toml").device
         )
-        plant = SimulatedPlant(devices, Instruments(seaway(sea, 1), seed=1), any_port=True)
+        sensor = "A" if bandwidth_hz is None else msgspec.structs.replace(SENSORS["B"], bandwidth_hz=bandwidth_hz)
+        plant = SimulatedPlant(devices, Instruments(seaway(sea, 1), sensor=sensor, seed=1), any_port=True)
         await plant.start()
         pipe.send([(device.name, device.link) for device in plant.devices])
         await asyncio.to_thread(pipe.poll, None)
