@@ -92,7 +92,7 @@ class Recorder:
         self._lock: int | None = None
         self._first_s = 0.0
         """When the first of the rows that wait came."""
-        self._retry_s = 0.0
+        self._retry_s = -inf
         """The disk is not tried before, unless it looks well again:"""
         self._refused: OSError | None = None
         """why it took nothing; None: it does."""
@@ -175,7 +175,7 @@ class Recorder:
                 self.lost += rows
             else:
                 self.rows += self._write(samples, frames)
-                self._fault, self._refused = "", None
+                self._fault, self._refused, self._retry_s = "", None, -inf
         except (OSError, InUseError, pa.ArrowException) as error:
             self.lost += rows
             assert self.settings is not None

@@ -257,10 +257,15 @@ def test_a_disk_that_takes_nothing_is_said_counted_and_tried_again(
     desk.told(b"", elapsed_s=1.0)
     assert desk.reports[-1].is_up
     assert (desk.reports[-1].rows, desk.reports[-1].lost) == (440, 440)
+    # And from then on all goes there as ever.
+    for second in (4, 5):
+        desk.told(scribe.instants(100 * second, 100 * second + 100))
+        desk.told(b"", elapsed_s=1.0)
+        assert (desk.reports[-1].rows, desk.reports[-1].lost) == (220 * (second - 1), 440)
     desk.recorder.close(desk.now_s)
     recorded = open_recorded(out, SAMPLES)
     rows = [row.seq for hour in recorded.hours for row in rows_of(hour)]
-    assert rows == [*range(120), *range(360, 480)]
+    assert rows == [*range(120), *range(360, 720)]
     assert not any(hour.torn_bytes for hour in recorded.hours)  # The half that was taken was taken back.
 
 

@@ -104,6 +104,15 @@ def causal_heave_limit(f_hz: Array, s_heave: Array, noise_psd: Array | float, de
     return float(np.sqrt(max(residual, 0.0)))
 
 
+def causal_heave_filter(f_hz: Array, s_heave: Array, noise_psd: Array | float) -> Array:
+    """The filter that reaches :func:`causal_heave_limit`, with its parameters and ``Raises``: weights (m,) of the
+    acceleration now, a sample ago, ..., sampled at twice the last frequency.
+    """
+    f, heave, noise = _checked(f_hz, s_heave, noise_psd)
+    factor, causal = _factored(f, heave, noise, 0.0)
+    return np.asarray(np.fft.irfft(causal / factor)[: f.size - 1])
+
+
 def _factored(
     f: Array, heave: Array, noise: Array, delay_s: float
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:

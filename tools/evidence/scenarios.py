@@ -13,7 +13,7 @@ each other; all estimators get the same three.
 from __future__ import annotations
 
 from functools import lru_cache
-from math import hypot, inf, nan, sqrt
+from math import hypot, inf, isinf, nan, sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
@@ -22,9 +22,15 @@ import numpy as np
 import recordings
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import welch
+from scipy.signal import fftconvolve, welch
 
-from evidence.limits import DriftLimit, causal_heave_limit, drift_limit, noncausal_heave_limit
+from evidence.limits import (
+    DriftLimit,
+    causal_heave_filter,
+    causal_heave_limit,
+    drift_limit,
+    noncausal_heave_limit,
+)
 from heaved.simulate.directional import directional
 from heaved.simulate.seaway import HIGHEST_HZ, RAMPS, SEAS, STILL, TRAINS, heave_spectrum, seaway
 from heaved.simulate.sensors import REGISTER_STEPS, ImuModel, Recording, imu_model, record
@@ -104,6 +110,8 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
     noncausal_m: float = nan
     forecast_m: dict[float, float] = msgspec.field(default_factory=lambda: dict.fromkeys(HORIZONS_S, nan))
     """Horizon (s) -> RMS error (m)."""
+    weights: Array = msgspec.field(default_factory=lambda: np.empty(0))
+    """Of the filter that reaches the first; none: it is not known."""
     lies: float = 0.0
     """Share of the record in which the best of all estimators is off by more than 4 of its own standard deviations,
     because something has begun that cannot be seen yet."""
@@ -275,10 +283,32 @@ def limits_of(
     f = grid(rate_hz)
     heave, noise = spectrum(f), accelerometer_noise(f, sensor, rate_hz, shake)
     return Limits(
+        weights=causal_heave_filter(f, heave, noise),
         causal_m=causal_heave_limit(f, heave, noise),
         noncausal_m=noncausal_heave_limit(f, heave, noise),
         forecast_m={horizon: causal_heave_limit(f, heave, noise, -horizon) for horizon in HORIZONS_S},
     )
+
+
+def limit_here_m(case: Case) -> float:
+    """RMS error on this very record, while it is scored, of the filter that reaches the limit: of one that knows both
+    spectra, the bias and the attitude; nan: there is none.
+
+    Ten minutes hold some tens of the waves that the error of heave consists of, and records with the same seeds have
+    the same noise: by as much as this is off from the limit, any error is by chance.
+    """
+    shake, weights = shake_of(case.setting.shake), case.limits.weights
+    model = imu_model(case.setting.sensor)
+    is_stationary = shake.drift is None and shake.turn is None and shake.list is None
+    if not (weights.size and is_stationary and isinf(model.bandwidth_hz) and model.scale == 1.0):
+        return nan
+    r, angles = case.recording, case.recording.truth
+    mast = np.sin(angles.roll_rad) * r.ay_mps2 + np.cos(angles.roll_rad) * r.az_mps2
+    up = np.sin(angles.pitch_rad) * r.ax_mps2 + np.cos(angles.pitch_rad) * mast
+    known = np.isfinite(up)
+    up = np.where(known, up - np.mean(up[known]), 0.0)
+    error = fftconvolve(up, weights)[: up.size] - angles.heave_m
+    return float(np.sqrt(np.mean(error[case.scored] ** 2)))
 
 
 def _drifting(limits: Limits, scenario: str, setting: Setting, duration_s: float) -> Limits:

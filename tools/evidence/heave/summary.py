@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from evidence.heave.scores import ForecastScore, Score, scores, settled_from_s, sigma_of
-from evidence.scenarios import Case, Seeds, Setting
+from evidence.scenarios import Case, Seeds, Setting, limit_here_m
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,6 +36,10 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     """See :attr:`evidence.scenarios.Limits.lies`."""
     ratio_to_limit: float
     worst_ratio_to_limit: float
+    limit_here_m: float
+    """What the filter that reaches the limit makes of these very records (:func:`evidence.scenarios.limit_here_m`),"""
+    ratio_to_limit_here: float
+    """and the error over that."""
     gain: float
     optical_gain: float
     laser_rms_m: float
@@ -67,6 +71,7 @@ class Judged(msgspec.Struct, frozen=True, kw_only=True):
     sigma_m: float
     limit_m: float
     limit_lies: float
+    limit_here_m: float
     scores: tuple[Score, ...]
 
 
@@ -78,6 +83,7 @@ def judged(traces: Sequence[Trace], case: Case) -> Judged:
         sigma_m=sigma_of(case),
         limit_m=case.limits.causal_m,
         limit_lies=case.limits.lies,
+        limit_here_m=limit_here_m(case),
         scores=tuple(scores(traces, case)),
     )
 
@@ -118,6 +124,10 @@ def summary(records: Sequence[Judged]) -> list[Result]:
                 limit_m=_mean([record.limit_m for record in records]),
                 limit_lies=_mean([record.limit_lies for record in records]),
                 worst_ratio_to_limit=max(one.ratio_to_limit for one in row),
+                limit_here_m=_mean([record.limit_here_m for record in records]),
+                ratio_to_limit_here=_mean(
+                    [one.rms_m / record.limit_here_m for one, record in zip(row, records, strict=True)]
+                ),
                 worst_coverage=min(one.coverage for one in row),
                 states=_means([one.states for one in row]),
                 reasons=_means([one.reasons for one in row]),
