@@ -7,7 +7,7 @@ from functools import cache, partial
 import numpy as np
 import pytest
 from evidence import scenarios
-from evidence.limits import causal_heave_limit, drift_limit, noncausal_heave_limit
+from evidence.limits import causal_heave_filter, causal_heave_limit, drift_limit, noncausal_heave_limit
 from scipy.linalg import solve_toeplitz
 from scipy.signal import fftconvolve
 
@@ -140,3 +140,25 @@ def test_a_drift_costs_more_when_nobody_knows_when_it_began(sea: str) -> None:
     assert known < found.added_m2s < 8.0 * known
     assert 0.0 < found.lies_s < 10.0
     assert drift_limit(*grid(sea), NOISE_PSD, 1e-3 * rate).lies_s < 0.05
+
+
+def test_the_filter_that_reaches_the_limit_is_the_one_of_the_normal_equations() -> None:
+    """And makes that error of the acceleration's own spectra: by Parseval, of its response."""
+    f, heave = grid("S4")
+    weights = causal_heave_filter(f, heave, NOISE_PSD)
+    expected, error_m = optimal("S4", 0.0)
+    assert weights[: expected.size] == pytest.approx(expected, abs=2e-3 * float(np.max(np.abs(expected))))
+    response = np.fft.rfft(weights, 2 * (f.size - 1))
+    omega2 = (2 * np.pi * f) ** 2
+    left = heave * np.abs(1.0 + omega2 * response) ** 2 + NOISE_PSD * np.abs(response) ** 2
+    assert np.sqrt(np.trapezoid(left, f)) == pytest.approx(error_m, rel=0.01)
+
+
+def test_on_a_record_it_errs_about_as_much() -> None:
+    """Ten minutes hold some tens of the waves that the error consists of: by chance it is a fifth more or less."""
+    setting = scenarios.Setting(tilt="none", rate_hz=10.0, duration_s=600.0, scored_from_s=200.0)
+    cases = [scenarios.build("S4", scenarios.triplet(number), setting) for number in (1, 2, 3, 4)]
+    ratios = np.array([scenarios.limit_here_m(case) / case.limits.causal_m for case in cases])
+    assert np.sqrt(np.mean(ratios**2)) == pytest.approx(1.0, abs=0.15)
+    drifting = scenarios.build("S4", scenarios.triplet(1), scenarios.Setting(shake="warm-up", tilt="none"))
+    assert np.isnan(scenarios.limit_here_m(drifting))

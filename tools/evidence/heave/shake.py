@@ -161,7 +161,8 @@ def missed(result: Result, question: Question) -> list[str]:
 def report(results: Sequence[Result], rows: Rows) -> str:
     """Markdown: a line for each disturbance, sea and rate, in the order of ``rows``."""
     heads = (
-        *("disturbance", "sea", "Hz", "limit", "ours", "× limit", "× its filter here", "textbook", "asked", "", "valid", "in ±1.96 std"),
+        *("disturbance", "sea", "Hz", "limit", "ours", "× limit", "× its filter here", "textbook", "asked", ""),
+        *("valid", "in ±1.96 std"),
         *("lies ‰", "ahead: × limit", "ahead: in ±1.96 std", "delayed: × limit", "in ±1.96 std"),
     )
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
@@ -183,9 +184,8 @@ def report(results: Sequence[Result], rows: Rows) -> str:
             + " s. No laser, cold start.",
             "* Limit: causal and linear, with the vibration as coloured noise; of a drift, Bayes' estimate: "
             "neither its rate nor its beginning is known.",
-            "* Its filter here: what the filter that reaches it, which knows the spectra and the bias, makes of the same "
-            "records: by chance these are harder than others, or easier; an error that is within what is asked of either "
-            "is met.",
+            "* Its filter here: what the filter that reaches it, which knows the spectra and the bias, makes of the "
+            "same records, which are harder than others by chance, or easier. Met: within what is asked of either.",
             f"* Textbook: double integrator, a second-order Butterworth high-pass for each, {DOUBLE_CORNER_HZ:g} Hz.",
             f"* Turn and list: scored from {AFTER_S:g} s after; all others from {_ALL[0].scored_from_s:g} s on.",
             "* Lies: rows of the whole record that are valid and off by more than 4 published std (≥: of the limit).",

@@ -59,7 +59,10 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     wander_s: float = 60.0
     """The constant of the laser goes on wandering as it did for so long."""
     wander_every_s: float = 5.0
-    """Spacing of the constants that this is told from."""
+    """Spacing of the constants that this is told from,"""
+    wander_chance: float = 2.0
+    """and how many standard deviations of both a difference of two of them may be by chance: what is left open is taken
+    by the next, and would be opened further for it."""
     drift: tuple[float, float] = (1.0, 0.1)
     """Innovations are averaged over so many seconds, and no fewer readings than one over the second number: noise
     cancels, a target that moves stays."""
@@ -137,7 +140,9 @@ class Aiding:
     ) -> bool:
         f, gauge = heave.filter, heave.filter.gauge
         assert gauge is not None
-        opened_m = FILTER.wanders[0] * self._surprise**2 if self._surprise > TUNING.surprised[0] else 0.0
+        # By no more than the readings are off: what the model of the sea has wrong would go into the constant.
+        is_opened = self._surprise > TUNING.surprised[0] and gauge.V[0, 0] < self._drift_m**2
+        opened_m = FILTER.wanders[0] * self._surprise**2 if is_opened else 0.0
         gauge.wander(elapsed_s, max(self._wandered_m(t_s, gauge), opened_m))
         (row, missed_m2), counts_s = heave.row(t_s), min(elapsed_s, TUNING.silent_s)
         noise_m2 = noise_std_m**2 + missed_m2
@@ -173,7 +178,7 @@ class Aiding:
         most_m2 = 0.0
         for then_s, then_m, then_m2 in past:
             if t_s - then_s >= TUNING.wander_every_s:
-                moved_m2 = (constant_m - then_m) ** 2 - variance_m2 - then_m2
+                moved_m2 = (constant_m - then_m) ** 2 - TUNING.wander_chance**2 * (variance_m2 + then_m2)
                 most_m2 = max(most_m2, moved_m2 * 60.0 / (t_s - then_s))
         return sqrt(most_m2)
 

@@ -99,7 +99,7 @@ def ringing(record: EvenRecord, model: SeaModel, mixed: int) -> Rung:
     model: its waves tell what goes on beneath. mixed: samples from a blow's first on that are in part of before it.
 
     Raises:
-        LinAlgError: no filter of the model converges.
+        LinAlgError: no filter of the model converges, or it leaves the finite numbers.
     """
     count, dt = len(record.a_mps2), record.dt_s
     spoilt = mixed + TUNING.blow
@@ -110,7 +110,10 @@ def ringing(record: EvenRecord, model: SeaModel, mixed: int) -> Rung:
     steady = system.steady(dt)
     if steady is None:
         raise np.linalg.LinAlgError("the filter that blows are taken out with does not converge")
-    y = batch_filter.run(system, steady, record, full_start=False, full_holes=False).innovation
+    done = batch_filter.run(system, steady, record, full_start=False, full_holes=False)
+    if not np.isfinite(done.x).all():
+        raise np.linalg.LinAlgError("the filter that blows are taken out with leaves the finite numbers")
+    y = done.innovation
     is_told = np.isfinite(y) & record.is_known
     for place in places:
         is_told[place : place + spoilt] |= np.isfinite(y[place : place + spoilt])

@@ -37,6 +37,12 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """In which a blow reaches its height."""
     missed: float = 4.5
     """Readings of a blow may be withheld at first, as spikes: after so many intervals it still shows."""
+    longer: float = 1.5
+    """Two readings before that which are further apart, over the usual interval, tell nothing: what the waves do grows
+    with the square of the time."""
+    rarely: float = 0.25
+    """The usual interval is one that a quarter of the time is made of shorter ones, about: where most readings are
+    lost, that of those that are not."""
     least_mps2: float = 0.05
     """A smaller one costs nothing."""
 
@@ -51,7 +57,7 @@ class BlowDetector:
         self._last: tuple[float, float] | None = None
         self._before: tuple[float, float] | None = None
         self._usual = self._seconds = self._ringing = 0.0
-        self._sum2 = 0.0
+        self._interval_s = self._learned_s = self._sum2 = 0.0
         self._struck_s = -inf
 
     def step(self, t_s: float, a_mps2: float) -> float:
@@ -66,6 +72,13 @@ class BlowDetector:
         if not earlier < TUNING.missed * dt < TUNING.missed**2 * earlier:
             self._ringing = 0.0
             return 0.0
+        self._interval_s = _followed(self._interval_s or dt, dt, dt, TUNING.rarely)
+        if earlier > TUNING.longer * self._interval_s:
+            return 0.0
+        if not self._interval_s < TUNING.longer * self._learned_s < TUNING.longer**2 * self._interval_s:
+            # Readings come otherwise than they did.
+            self._seconds = self._sum2 = 0.0
+            self._learned_s = self._interval_s
         missed = dt / earlier
         # From where the two before it lead; what the waves do meanwhile grows with the square of the time.
         size = abs(a_mps2 - last[1] - missed * (last[1] - before[1]))
@@ -80,7 +93,7 @@ class BlowDetector:
         if is_blow:
             self._struck_s = t_s
         self._ringing = max(self._ringing, size)
-        if 0.5 < missed < 1.5:
+        if dt < TUNING.longer * self._interval_s:
             self._learn(size, dt)
         return size if is_blow else 0.0
 
@@ -90,6 +103,12 @@ class BlowDetector:
         if self._seconds < TUNING.at_first_s:
             self._sum2 += dt * size * size
             self._usual = sqrt(self._sum2 / self._seconds) / TUNING.of_normal
-        elif size != self._usual:
-            factor = exp(dt / TUNING.follows_s if size > self._usual else -dt / TUNING.follows_s)
-            self._usual = max(self._usual * factor, TUNING.quietest_mps2)
+        else:
+            self._usual = max(_followed(self._usual, size, dt), TUNING.quietest_mps2)
+
+
+def _followed(usual: float, value: float, dt: float, rises: float = 1.0) -> float:
+    """What is usual after one more value, a median; ``rises``: so much more slowly than it falls, a lower quantile."""
+    if value == usual:
+        return usual
+    return usual * exp(rises * dt / TUNING.follows_s if value > usual else -dt / TUNING.follows_s)

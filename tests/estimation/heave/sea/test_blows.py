@@ -67,3 +67,23 @@ def test_neither_is_what_follows_a_gap() -> None:
     later = T > 100.0
     taken = [blows.step(t, a) for t, a in zip((T + 5.0 * later).tolist(), (noise + 2.0 * later).tolist(), strict=True)]
     assert not any(taken)
+
+
+@pytest.mark.parametrize("lost", [0.3, 0.6, 0.75, 0.88])
+def test_what_the_waves_do_in_a_hole_is_no_blow(lost: float) -> None:
+    """From a moment on most of the readings are lost, at random: from two that are far apart nothing leads on."""
+    rng = np.random.default_rng(4)
+    waves = seaway("S6", 1, attitude=False).motion(T).heave_acceleration_mps2 + 3e-3 * rng.standard_normal(COUNT)
+    is_there = (T < 100.0) | (rng.random(COUNT) > lost)
+    blows = BlowDetector()
+    assert not any(
+        blows.step(t_s, a) > 0.0 for t_s, a in zip(T[is_there].tolist(), waves[is_there].tolist(), strict=True)
+    )
+
+
+def test_a_sensor_that_comes_more_slowly_is_learned_anew() -> None:
+    """Twenty readings a second, then two: what the waves do between two of those is none either."""
+    waves = seaway("S6", 1, attitude=False).motion(T).heave_acceleration_mps2
+    kept = (T < 100.0) | (np.arange(COUNT) % 10 == 0)
+    blows = BlowDetector()
+    assert not any(blows.step(t_s, a) > 0.0 for t_s, a in zip(T[kept].tolist(), waves[kept].tolist(), strict=True))
