@@ -42,6 +42,7 @@ from evidence.commands import (
 from evidence.heave import estimators
 from evidence.heave.commands import add_observer
 from evidence.heave.scores import rms
+from evidence.learned_limits import learned_heave_limit
 from evidence.results import Output, Report
 from evidence.scenarios import HORIZONS_S, Setting, accelerometer_noise, grid, triplet
 from heaved.estimation.heave.sea.joint_design import TUNING as JOINT
@@ -99,6 +100,9 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     learned_m: float
     """The error then of the best filter of spectra whose angles were learned of :data:`LEARNED_S` of the record, with
     the heave as it was."""
+    fitted_m: float
+    """That of the best filter of the vertical acceleration alone for a spectrum of the product's family that was fitted
+    to :data:`LEARNED_S` of it."""
     unaware_m: tuple[float, ...]
     """RMS error with both, of the best filter of the heading before the turn; nan: there is none."""
     ours_m: tuple[float, ...]
@@ -112,6 +116,8 @@ class Limit(msgspec.Struct, frozen=True):
 
     sigma_m: float
     errors_m: tuple[tuple[float, ...], ...]
+    fitted_m: float
+    """Now, of the vertical acceleration alone with a spectrum of heave that was learned, too."""
 
 
 class Task(msgspec.Struct, frozen=True, kw_only=True):
@@ -168,7 +174,8 @@ def limits(f_hz: Array, motion: Complex, sensor: str) -> Limit:
     """Of heave, roll and pitch with these spectra (n, 3, 3), on a grid of :func:`evidence.scenarios.grid`."""
     found = [causal_limits(seen(f_hz, motion, sensor, angles), AHEAD_S) for angles in CHANNELS]
     sigma_m = sqrt(float(np.trapezoid(motion[:, 0, 0].real, f_hz)))
-    return Limit(sigma_m, tuple(tuple(errors) for errors in found))
+    fitted_m = learned_heave_limit(f_hz, motion[:, 0, 0].real, accelerometer_noise(f_hz, sensor, RATE_HZ), LEARNED_S)
+    return Limit(sigma_m, tuple(tuple(errors) for errors in found), fitted_m)
 
 
 def seen(f_hz: Array, motion: Complex, sensor: str, angles: Sequence[int], wander_psd: Array | float = 0.0) -> Spectra:
@@ -363,6 +370,7 @@ def rows(names: Sequence[str], sensors: Sequence[str], found: dict[tuple[str, st
                         both_m=both,
                         wandering_m=reached[0],
                         learned_m=reached[1],
+                        fitted_m=limit.fitted_m,
                         unaware_m=unaware_m,
                         ours_m=ours.errors_m,
                         within=ours.within,
@@ -375,13 +383,15 @@ def report(made: Sequence[Row], folder: Path | None = None) -> str:
     """Markdown."""
     has_ours = any(row.ours_m[0] > 0.0 for row in made)
     heads = ["sea", "sensor", "σ / m", "alone", "+ roll", "+ pitch", "+ both", "to be gained", "wandering", "learned"]
+    heads += ["alone, fitted"]
     heads += ["**ours**", "times alone", "times both", "times learned", "within 1.96 std"] if has_ours else []
     lines = [
         f"RMS error of heave in % of σ, {RATE_HZ:g} Hz, no laser. Limits: the vertical acceleration alone, with roll, "
         "with pitch, with both; in a turn, those of a vessel that keeps the heading it has then. Wandering: with both, "
         "while list and trim wander beside the waves (at sea as the product takes them to at least, "
         f"{JOINT.least_wander:g} rad² Hz over f², of a ship as they did). Learned: then, what the angles have to do "
-        f"with heave being known of {LEARNED_S:g} s of it alone.",
+        f"with heave being known of {LEARNED_S:g} s of it alone. Alone, fitted: the acceleration alone, with a "
+        "spectrum of the product's family that is fitted to so much of it.",
         "",
         *_head(heads),
     ]
@@ -389,7 +399,7 @@ def report(made: Sequence[Row], folder: Path | None = None) -> str:
         now = [100.0 * errors[0] / row.sigma_m for errors in (row.alone_m, row.roll_m, row.pitch_m, row.both_m)]
         gain = max(1.0 - row.both_m[0] / row.alone_m[0], 0.0)
         cells = [_name(row), row.sensor, f"{row.sigma_m:.3f}", *[f"{value:.2f}" for value in now], f"{gain:.0%}"]
-        cells += [f"{100.0 * value / row.sigma_m:.2f}" for value in (row.wandering_m, row.learned_m)]
+        cells += [f"{100.0 * value / row.sigma_m:.2f}" for value in (row.wandering_m, row.learned_m, row.fitted_m)]
         if has_ours:
             cells += [
                 _known(100.0 * row.ours_m[0] / row.sigma_m, ".2f", "**"),
