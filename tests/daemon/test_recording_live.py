@@ -107,6 +107,9 @@ async def published(
             yield daemon, frames
     finally:
         await plant.stop()
+    # On a busy machine the recorder's end may be left behind, and hands over a little later.
+    if left := asyncio.all_tasks() - {asyncio.current_task()}:
+        await asyncio.wait(left, timeout=PATIENCE_S)
 
 
 async def until(holds: Callable[[], object]) -> None:
