@@ -49,6 +49,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """... this."""
     most_stds: float = 4.0
     """More of its standard deviations than these are not added: no wave does that, but a list, or another sea."""
+    doubted_stds: float = 1.5
+    """What is added beyond so many may as well be of a list that has begun: by as much the heave is not known."""
     reaches_s: float = 0.5
     """Before now and beyond the last node it goes on in a straight line for so long."""
 
@@ -63,6 +65,7 @@ class JointCorrection:
         design: the weights.
         known_s: since when what it is made of is known.
         is_too_much: more would be added now than waves explain; as of the last call of :meth:`nodes`.
+        doubted: share of what is added that may be none of the waves; likewise.
     """
 
     def __init__(self, design: Joint) -> None:
@@ -85,6 +88,7 @@ class JointCorrection:
         self._most_m = TUNING.most_stds * design.std_m
         self.known_s = -inf
         self.is_too_much = False
+        self.doubted = 0.0
 
     def fill(self, end_s: float, rows: Array) -> None:
         """Start with innovation, roll and pitch (n, 3) of the samples up to ``end_s``; nan: not known."""
@@ -124,6 +128,8 @@ class JointCorrection:
             self.is_too_much = not now_m <= self._most_m
             if self.is_too_much:
                 found *= self._most_m / now_m if isfinite(now_m) else 0.0
+            doubted_m = TUNING.doubted_stds * self.design.std_m
+            self.doubted = 1.0 - doubted_m / now_m if now_m > doubted_m else 0.0
             told = found.tolist()
             self._told = list(zip(told[::2], told[1::2], strict=True))
         return self._told

@@ -85,7 +85,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Angles further apart than this many samples are not interpolated."""
     long_hole_s: float = 3.0
     """A longer hole in them ends the past that is looked at,"""
-    known: float = 0.98
+    known: float = 0.9
     """and of that share both must be known."""
     design_s: float = 1024.0
     """Period of the grid on which the filter is designed: four times its memory (with 512 s, what list and trim may do

@@ -222,7 +222,7 @@ class SeaObserver:
             joint.push(t_s - i * dt_s, 0.0, nan, nan)
         joint.push(t_s, innovation, *self._angle)
         more_m = joint.nodes()[0][0]
-        if not heave.is_converged or f.burst_variance > 0.0 or joint.is_too_much:
+        if not heave.is_sure or f.burst_variance > 0.0 or joint.is_too_much:
             self._unsure_s = t_s
         may_be_used = t_s - self._unsure_s > TUNING.unsure_s and joint.is_known(t_s) and joint.heads(self._yaw_rad)
         may_be_used = may_be_used and f.gauge is None and f.rate is None

@@ -41,6 +41,9 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Beyond the longest horizon: how early a sensor may be, and the age of the state."""
     converged: float = batch_filter.TUNING.unsure
     """The covariance has converged when the error of the heave is within this factor of that of the steady filter."""
+    sure: float = 1.25
+    """Up to this factor roll and pitch correct the heave: a single reading that is missing, or some tenths of a second,
+    do not end that for a minute."""
     time_s: float = 1.5
     """Time constant T of the change from one model to the next."""
     least_m: float = 1e-5
@@ -224,7 +227,9 @@ class SeaHeave:
             return std_m
         if self.joint_shown == inf:
             return hypot(std_m, self.joint_weight * self.joint.at(tau_s)[0])
-        return std_m * (1.0 - self.joint_weight * (1.0 - self.joint.ratio(tau_s, self.joint_shown)))
+        std_m *= 1.0 - self.joint_weight * (1.0 - self.joint.ratio(tau_s, self.joint_shown))
+        more_m = self.joint.at(tau_s)[0]
+        return hypot(std_m, self.joint.doubted * self.joint_weight * more_m) if self.joint.doubted else std_m
 
     def unshifted(self, t_s: float, unaided: SeaFilter | None = None) -> Motion:
         """What the laser is compared with: nothing learned taken out, nothing left of another model. ``unaided``: the
@@ -321,9 +326,15 @@ class SeaHeave:
     def is_converged(self) -> bool:
         """Whether the covariance of the heave is near what it will be, and was before the last sample was taken in."""
         f = self.filter
-        if f.innovation_variance > TUNING.converged**2 * f.steady.S:
-            return False
-        return f.is_steady or self.state_std_m < TUNING.converged * self.steady_std_m
+        return f.innovation_variance <= TUNING.converged**2 * f.steady.S and self._is_within(TUNING.converged)
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the covariance of the heave is so near what it will be that weights for the steady filter serve."""
+        return self._is_within(TUNING.sure)
+
+    def _is_within(self, factor: float) -> bool:
+        return self.filter.is_steady or self.state_std_m < factor * self.steady_std_m
 
     @property
     def is_recovering(self) -> bool:

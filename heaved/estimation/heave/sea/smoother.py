@@ -22,6 +22,7 @@ from collections import deque
 from math import isfinite, isnan, sqrt
 from typing import TYPE_CHECKING, Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,6 +35,17 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True):
+    """What may be missing of the past. Without a source: held by the tests against the exact smoother."""
+
+    short_s: float = 0.25
+    """A hole that is no longer is felt less than the noise of the samples around it: the weights serve,"""
+    most: float = 0.03
+    """as long as no more than this share is missing."""
+
+
+TUNING: Final = Tuning()
 WEIGHTS_BLOCK: Final = 64
 
 
@@ -51,18 +63,20 @@ class FixedLagSmoother:
         self._innovations = np.zeros(2 * (count + 1))
         """Each is written twice, so that the last count + 1 always lie in one piece."""
         self._next = 0
+        self._short = max(2, round(TUNING.short_s / steady.dt_s))
+        self._missing = self._missing_on_end = 0
+        """Samples of those that are kept, and of these up to the last one."""
         self._whole = 0
-        """Samples on end, up to the last one, of which none is missing."""
+        """Samples since more were missing on end than in a short hole."""
 
     def fill(self, end_s: float, predicted_m: Array, innovation: Array) -> None:
         """Start with what the filter of this model would have said at samples up to ``end_s``."""
         size, count = len(self._weights), min(len(predicted_m), len(self._weights))
         times = end_s - self._dt_s * np.arange(count - 1, -1, -1)
-        self._predicted.extend(zip(times.tolist(), predicted_m[-count:].tolist(), strict=True))
         self._innovations[:count] = self._innovations[size : size + count] = innovation[-count:]
         self._next = count % size
-        missing = np.flatnonzero(np.isnan(predicted_m[-count:]))
-        self._whole = count - 1 - int(missing[-1]) if len(missing) else count
+        for t_s, heave_m in zip(times.tolist(), predicted_m[-count:].tolist(), strict=True):
+            self._keep(t_s, heave_m)
 
     def push(self, t_s: float, predicted_m: float, innovation: float) -> None:
         """One sample more, one interval after the last; innovation 0 where there was none to take in.
@@ -72,12 +86,21 @@ class FixedLagSmoother:
         at, size = self._next, len(self._weights)
         self._innovations[at] = self._innovations[at + size] = innovation
         self._next = at + 1 if at + 1 < size else 0
-        self._predicted.append((t_s, predicted_m))
-        self._whole = self._whole + 1 if not isnan(predicted_m) else 0
+        self._keep(t_s, predicted_m)
+
+    def _keep(self, t_s: float, predicted_m: float) -> None:
+        kept = self._predicted
+        if len(kept) == kept.maxlen:
+            self._missing -= isnan(kept[0][1])
+        kept.append((t_s, predicted_m))
+        is_missing = isnan(predicted_m)
+        self._missing += is_missing
+        self._missing_on_end = self._missing_on_end + 1 if is_missing else 0
+        self._whole = self._whole + 1 if self._missing_on_end <= self._short else 0
 
     def value(self) -> DelayedHeave | None:
-        """The newest delayed heave; None while the past is too short, or a sample in it is missing."""
-        if self._whole < len(self._weights):
+        """The newest delayed heave; None while the past is too short, or too much of it is missing."""
+        if self._whole < len(self._weights) or self._missing > TUNING.most * len(self._weights):
             return None
         t_s, predicted_m = self._predicted[0]
         after = self._innovations[self._next : self._next + len(self._weights)]

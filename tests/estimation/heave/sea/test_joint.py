@@ -96,6 +96,18 @@ def test_more_than_waves_explain_is_not_added() -> None:
     assert held.is_too_much
 
 
+def test_what_waves_hardly_explain_is_in_part_not_known() -> None:
+    free, held = JointCorrection(design()), JointCorrection(design(std_m=0.25))
+    surely_m = 0.25 * TUNING.doubted_stds
+    for i, row in enumerate(rows(200).tolist()):
+        for joint in (free, held):
+            joint.push(i * DT_S, *row)
+        wanted_m = abs(free.nodes()[0][0])
+        held.nodes()
+        assert (1.0 - held.doubted) * wanted_m == pytest.approx(min(wanted_m, surely_m))
+    assert free.doubted == 0.0
+
+
 @pytest.mark.parametrize(
     ("then_deg", "now_deg", "is_the_same"),
     [(10.0, 25.0, True), (350.0, 8.0, True), (-5.0, 361.0, True), (350.0, 15.0, False), (0.0, 180.0, False),

@@ -409,7 +409,7 @@ def test_a_still_ship_is_still() -> None:
 
 
 @cache
-def _with_angles(channels: str, *, are_of_this_sea: bool = True) -> Array:
+def _with_angles(channels: str, *, are_of_this_sea: bool = True, one_is_missing_in: int = 10**9) -> Array:
     """In a swell, with a noisy accelerometer; pitch follows from the heave, or from that of another sea. (n, 5) errors
     of the heave now and 1 s ahead, their standard deviations, and how much of what the angles tell is in them.
     """
@@ -421,8 +421,9 @@ def _with_angles(channels: str, *, are_of_this_sea: bool = True) -> Array:
     pitch = 0.02 * (motion if are_of_this_sea else other).heave_velocity_mps + 0.003 * other.heave_m + 3e-4 * noise[1]
     observer = SeaObserver(msgspec.structs.replace(SMALL, channels=channels), (1.0,))
     said = []
-    for at, a_mps2, pitch_rad in zip(t.tolist(), a.tolist(), pitch.tolist(), strict=True):
-        observer.step(at, a_mps2, 0.01, pitch_rad)
+    for i, (at, a_mps2, pitch_rad) in enumerate(zip(t.tolist(), a.tolist(), pitch.tolist(), strict=True), 1):
+        if i % one_is_missing_in:
+            observer.step(at, a_mps2, 0.01, pitch_rad)
         if (past := observer.due()) is not None:
             assert observer.accept(look(past)) == "accepted"
         (ahead,) = observer.forecast(0.0)
@@ -439,6 +440,14 @@ def test_pitch_makes_the_heave_better_where_it_is_of_the_same_waves() -> None:
         assert np.std(joint[:, k]) < 0.9 * np.std(alone[:, k])
         assert np.mean(joint[:, 2 + k]) < 0.95 * np.mean(alone[:, 2 + k])
         assert np.mean(np.abs(joint[:, k]) < 1.96 * joint[:, 2 + k]) > 0.9
+
+
+def test_a_reading_that_is_missing_now_and_then_takes_little_of_that() -> None:
+    """One in a hundred, every ten seconds."""
+    alone, joint = _with_angles("single"), _with_angles("auto", one_is_missing_in=100)
+    assert np.mean(joint[:, 4]) > 0.5
+    assert np.std(joint[:, 0]) < 0.9 * np.std(alone[:, 0])
+    assert np.mean(np.abs(joint[:, 0]) < 1.96 * joint[:, 2]) > 0.9
 
 
 def test_pitch_of_other_waves_changes_nothing() -> None:
