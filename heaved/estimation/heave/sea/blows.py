@@ -73,6 +73,7 @@ class BlowDetector:
             self._ringing = 0.0
             return 0.0
         self._interval_s = _followed(self._interval_s or dt, dt, dt, TUNING.rarely)
+        self._ringing *= exp(-dt / TUNING.rings_s)
         if earlier > TUNING.longer * self._interval_s:
             return 0.0
         if not self._interval_s < TUNING.longer * self._learned_s < TUNING.longer**2 * self._interval_s:
@@ -83,7 +84,6 @@ class BlowDetector:
         # From where the two before it lead; what the waves do meanwhile grows with the square of the time.
         size = abs(a_mps2 - last[1] - missed * (last[1] - before[1]))
         limit = max(TUNING.stands_out * TUNING.of_normal * self._usual, TUNING.least_mps2) * max(missed, 1.0) ** 2
-        self._ringing *= exp(-dt / TUNING.rings_s)
         is_blow = (
             self._seconds > 0.5 * TUNING.usual_s
             and size > limit
@@ -93,7 +93,7 @@ class BlowDetector:
         if is_blow:
             self._struck_s = t_s
         self._ringing = max(self._ringing, size)
-        if dt < TUNING.longer * self._interval_s:
+        if 0.5 < missed < 1.5:
             self._learn(size, dt)
         return size if is_blow else 0.0
 
