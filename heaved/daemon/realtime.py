@@ -28,6 +28,7 @@ def set_real_time(priority: int) -> None:
     except OSError as error:
         hint = (
             "a service: heaved install-service --write permits it (RestrictRealtime=no, "
-            f"LimitRTPRIO={priority}); else give the program CAP_SYS_NICE, or set [runtime] fifo_priority = 0"
+            f"LimitRTPRIO={priority}, SystemCallFilter=sched_setscheduler); else give the program CAP_SYS_NICE, or set "
+            "[runtime] fifo_priority = 0"
         )
         _log.warning("no real-time scheduling, ordinary scheduling instead", reason=error.strerror, hint=hint)

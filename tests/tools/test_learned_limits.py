@@ -5,9 +5,8 @@ from __future__ import annotations
 from math import inf
 
 import numpy as np
-import pytest
-from evidence.learned_limits import error_of, learned_heave_limit
-from evidence.limits import causal_heave_filter, causal_heave_limit
+from evidence.learned_limits import learned_heave_limit
+from evidence.limits import causal_heave_limit
 
 from heaved.estimation.heave.sea.model import SeaModel
 
@@ -18,11 +17,6 @@ MEMBER = SeaModel(
     bias_walk_psd=1e-12,
 )  # fmt: skip
 SEA = MEMBER.wave_spectrum(np.maximum(F, 1e-4))
-
-
-def test_the_filter_of_the_true_spectrum_has_the_error_of_the_limit() -> None:
-    weights = causal_heave_filter(F, SEA, NOISE)
-    assert error_of(weights, F, SEA, NOISE) == pytest.approx(causal_heave_limit(F, SEA, NOISE), rel=1e-3)
 
 
 def test_the_shorter_the_record_the_more_it_costs() -> None:

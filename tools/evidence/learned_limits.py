@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from evidence.limits import causal_heave_filter
+from evidence.channel_limits import HEAVE, Spectra, causal_filters, error_of, measured_spectra
 from heaved.estimation.heave.params import SeaParams
 from heaved.estimation.heave.sea import whittle_fit
 from heaved.estimation.heave.sea.noise import Above
@@ -49,19 +49,18 @@ def learned_heave_limit(
     walk = max(float(np.interp(low_hz, f_hz, noise_psd)) - white, 0.0) * (2.0 * np.pi * low_hz) ** 2 / 2.0
     above = Above(ordinates[-10:], np.ones(10), np.ones(10), 1.0, 0.5 / float(f_hz[-1]))
     params = SeaParams()
-    squares = []
+    squares, truth = [], _alone(f_hz, s_heave, noise_psd)
     for periodogram in drawn:
         sp = whittle_fit.Spectrum(f, periodogram, white, above, is_noise_known=True)
         model = whittle_fit.fit([sp], params.stages, params.components, walk)[0].model
         found = model.wave_spectrum(np.maximum(f_hz, _LOWEST_HZ))
-        squares.append(error_of(causal_heave_filter(f_hz, found, noise_psd), f_hz, s_heave, noise_psd) ** 2)
+        (filter_,) = causal_filters(_alone(f_hz, found, noise_psd))
+        squares.append(error_of(filter_, truth) ** 2)
     return sqrt(float(np.mean(squares)))
 
 
-def error_of(weights: Array, f_hz: Array, s_heave: Array, noise_psd: Array) -> float:
-    """RMS error in metres of weights (m,) on the acceleration, as :func:`evidence.limits.causal_heave_filter` gives
-    them, where these are the spectra.
-    """
-    response = np.fft.rfft(weights, 2 * (f_hz.size - 1))
-    left = s_heave * np.abs(1.0 + (2.0 * np.pi * f_hz) ** 2 * response) ** 2 + noise_psd * np.abs(response) ** 2
-    return sqrt(float(np.trapezoid(left, f_hz)))
+def _alone(f_hz: Array, s_heave: Array, noise_psd: Array) -> Spectra:
+    """Who sees the vertical acceleration and nothing else."""
+    motion = np.zeros((f_hz.size, 3, 3), dtype=np.complex128)
+    motion[:, HEAVE, HEAVE] = s_heave
+    return measured_spectra(f_hz, motion, noise_psd, 1.0)

@@ -74,3 +74,16 @@ def test_rates_that_have_never_led_from_angle_to_angle_doubt_nothing() -> None:
     t, roll, pitch, roll_rate, pitch_rate = made
     wrong = t, roll, pitch, pitch_rate, -roll_rate
     assert checked(20.0, (roll, pitch), wrong).all()
+
+
+def test_one_angle_alone_is_as_the_last_two_were() -> None:
+    made = motion(20.0, 3.0, 1.5)
+    t, roll, pitch, roll_rate, pitch_rate = made
+    check, said = TurnCheck(), {}
+    for i, t_s in enumerate(t.tolist()):
+        sample = ImuSample(t_s=t_s, gx_radps=float(roll_rate[i]), gy_radps=-float(pitch_rate[i]), gz_radps=0.0)
+        is_alone = i % 2 == 1
+        read = (float(pitch[i]), float(roll[i])) if FROM_S <= t_s < UNTIL_S else (float(roll[i]), float(pitch[i]))
+        said[t_s] = check.step(sample, read[0], nan if is_alone else read[1], are_rates_there=True)
+    assert all(said[t_s] for t_s in t.tolist() if t_s < FROM_S)
+    assert not any(said[t_s] for t_s in t.tolist() if FROM_S + 1.0 < t_s < UNTIL_S)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from heaved.estimation.heave.sea import batch_filter
 from heaved.estimation.heave.sea.blow_removal import modes, ringing
 from heaved.estimation.heave.sea.model import SeaModel
 from heaved.estimation.heave.sea.record import EvenRecord, even
@@ -82,3 +83,11 @@ def test_a_blow_at_the_very_end_is_left_alone() -> None:
     still, _, record = struck(np.zeros(COUNT))
     record = even(T, still).cut((), (), (float(T[-1]),))
     assert not ringing(record, SEA, 1).a_mps2.any()
+
+
+def test_a_filter_that_leaves_the_finite_numbers_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, _, record = struck(rung(2.2, 0.03))
+    done = batch_filter.Run(x=np.full(2, np.inf), P=None, predicted_m=np.zeros(COUNT), innovation=np.zeros(COUNT))
+    monkeypatch.setattr(batch_filter, "run", lambda *_, **__: done)
+    with pytest.raises(np.linalg.LinAlgError, match="leaves the finite numbers"):
+        ringing(record, SEA, 1)
