@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
+from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from heaved.estimation.heave.sea.joint_design import CHANNELS, Joint
@@ -45,8 +46,15 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """In which the correction comes and goes."""
     hole_s: float = 60.0
     """Nothing is added for so long after a hole in the angles that is longer than ..."""
-    bridged_s: float = 1.0
-    """... this."""
+    bridged_s: float = 2.0
+    """... this. Over shorter ones a polynomial is drawn, once there is something on their other side: an angle of a
+    wave of 7 s is off by 3 % of its amplitude then in the middle of the longest,"""
+    sides: int = 4
+    """through so many samples on either side,"""
+    degree: int = 3
+    """of that degree, at most;"""
+    goes_on_s: float = 0.5
+    """until then they go on as they went for so long, and stay there."""
     most_stds: float = 4.0
     """More of its standard deviations than these are not added: no wave does that, but a list, or another sea."""
     doubted_stds: float = 1.5
@@ -66,6 +74,7 @@ class JointCorrection:
         known_s: since when what it is made of is known.
         is_too_much: more would be added now than waves explain; as of the last call of :meth:`nodes`.
         doubted: share of what is added that may be none of the waves; likewise.
+        amended: how many of the last innovations may be others than they were.
     """
 
     def __init__(self, design: Joint) -> None:
@@ -74,6 +83,7 @@ class JointCorrection:
         fine = np.frombuffer(design.fine, dtype=np.float16).reshape(count, -1, CHANNELS)
         coarse = np.frombuffer(design.coarse, dtype=np.float16).reshape(count, -1, CHANNELS)
         self._fine_count, self._coarse_count, self._group = fine.shape[1], coarse.shape[1], design.group
+        self.amended = self._fine_count
         self._fine = fine.reshape(count, -1).astype(np.float64)
         self._coarse = coarse.reshape(count, -1).astype(np.float64)
         # Each row is written twice, so that the last ones always lie in one piece.
@@ -82,8 +92,8 @@ class JointCorrection:
         self._means = np.zeros((2 * self._size, CHANNELS))
         self._average = np.full(self._group, 1.0 / self._group)
         self._next = 0
-        self._last = (0.0, 0.0)
-        self._unknown = 0
+        self._unknown, self._known = 0, 0
+        self._hole = 0
         self._told: list[tuple[float, float]] | None = None
         self._most_m = TUNING.most_stds * design.std_m
         self.known_s = -inf
@@ -100,19 +110,65 @@ class JointCorrection:
         they are not known.
         """
         offsets = self.design.offsets_rad
-        if isfinite(roll_rad + pitch_rad):
-            self._last = roll_rad - offsets[0], pitch_rad - offsets[1]
-            self._unknown = 0
+        row = self._next
+        self._next = row + 1 if row + 1 < self._size else 0
+        self._told = None
+        is_known = isfinite(roll_rad + pitch_rad)
+        if is_known:
+            if self._unknown:
+                self._hole, self._known, self._unknown = self._unknown, 0, 0
+            self._known += 1
+            angles = roll_rad - offsets[0], pitch_rad - offsets[1]
         else:
             self._unknown += 1
+            angles = self._gone_on()
             if self._unknown * self.design.dt_s > TUNING.bridged_s:
                 self.known_s = t_s
-        at, size, rows = self._next, self._size, self._rows
-        rows[at] = rows[at + size] = (innovation if isfinite(innovation) else 0.0, *self._last)
-        end = at + size + 1
-        self._means[at] = self._means[at + size] = self._average.dot(rows[end - self._group : end])
-        self._next = at + 1 if at + 1 < size else 0
+        self._write(0, innovation if isfinite(innovation) else 0.0, *angles)
+        if is_known and 0 < self._hole * self.design.dt_s <= TUNING.bridged_s and self._known <= TUNING.sides:
+            self._bridge()
+        # The newest mean that is used: all that may still change is newer.
+        row = (row - self._fine_count) % self._size
+        self._means[row] = self._means[row + self._size] = self._average.dot(
+            self._newest(self._group, self._fine_count)
+        )
+
+    def amend(self, innovations: Array) -> None:
+        """The last innovations (m,), m at most :attr:`amended`, as they are known by now."""
+        rows = (self._next + np.arange(-len(innovations), 0)) % self._size
+        self._rows[rows, 0] = self._rows[rows + self._size, 0] = innovations
         self._told = None
+
+    def _write(self, before: int, *values: float) -> None:
+        """The last values of the row that is so many before the newest."""
+        row = (self._next - 1 - before) % self._size
+        self._rows[row, -len(values) :] = self._rows[row + self._size, -len(values) :] = values
+
+    def _newest(self, count: int, before: int = 0) -> Array:
+        """A view of ``count`` rows up to the one that is ``before`` the newest."""
+        end = self._next + self._size - before
+        return self._rows[end - count : end]
+
+    def _gone_on(self) -> tuple[float, float]:
+        """The angles at a sample that has none."""
+        if self._unknown * self.design.dt_s > TUNING.goes_on_s:
+            _, roll_rad, pitch_rad = self._newest(1, 1)[0].tolist()
+            return roll_rad, pitch_rad
+        before = self._newest(TUNING.sides, self._unknown)[:, 1:]
+        slope = (before[-1] - before[0]) / (TUNING.sides - 1)
+        roll_rad, pitch_rad = (before[-1] + self._unknown * slope).tolist()
+        return roll_rad, pitch_rad
+
+    def _bridge(self) -> None:
+        """Draw what was missing between the last samples and those before the hole."""
+        sides, hole, known = TUNING.sides, self._hole, self._known
+        places = np.arange(sides + hole + known)
+        is_drawn = (places >= sides) & (places < sides + hole)
+        of = polynomial.polyfit(
+            places[~is_drawn], self._newest(len(places))[~is_drawn, 1:], min(known + 1, TUNING.degree)
+        )
+        for i, angles in enumerate(polynomial.polyval(places[is_drawn], of).T.tolist(), 1):
+            self._write(hole + known - i, *angles)
 
     def nodes(self) -> list[tuple[float, float]]:
         """Heave and its velocity to be added at each of the nodes, less of all of it where that is more than waves

@@ -20,6 +20,7 @@ Spectra are one-sided; the one of x and y is that of X conj(Y), for amplitudes o
 
 from __future__ import annotations
 
+import itertools
 from math import inf, nan, radians, sqrt
 from typing import TYPE_CHECKING, Final
 
@@ -45,16 +46,16 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
 
     learned_s: float = 600.0
     """Most of the past that is looked at,"""
-    least_s: float = 150.0
-    """and least;"""
+    least_s: float = 120.0
+    """and least that may be used: what is known is looked at in pieces, on both sides of a hole;"""
     memory_s: float = 400.0
     """what is older counts less: the vessel turns, the sea changes."""
     piece_s: float = 80.0
     """Of the spectra: the resolution, 1/80 Hz, is that of a hull's own resonance."""
     edge_s: float = 15.0
-    """At the end of the record heave is not known in hindsight yet."""
+    """At the ends of what is known of the acceleration heave is not known in hindsight."""
     fade_s: float = 10.0
-    """At its ends the acceleration is faded out."""
+    """There the acceleration is faded out."""
     in_band: float = 3e-3
     """Where the sea has less than this of its largest density, what roll and pitch make of it is not looked at,"""
     above_noise: float = 3.0
@@ -84,9 +85,9 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     hole: float = 5.5
     """Angles further apart than this many samples are not interpolated."""
     long_hole_s: float = 3.0
-    """A longer hole in them ends the past that is looked at,"""
+    """No piece goes over a longer one in them,"""
     known: float = 0.9
-    """and of that share both must be known."""
+    """and of each piece both must be known for that share."""
     design_s: float = 1024.0
     """Period of the grid on which the filter is designed: four times its memory (with 512 s, what list and trim may do
     comes round again, and the heave of S6S with a coherence of 0.95 is 1.46 instead of 1.21 times the limit)."""
@@ -168,19 +169,8 @@ def joint(
     Raises:
         LinAlgError: the spectra cannot be factored.
     """
-    first = _known_since(angles_rad, steady.dt_s)
-    found = learned(system.model, a_mps2[first:], angles_rad[first:], steady.dt_s)
+    found = learned(system.model, a_mps2, angles_rad, steady.dt_s)
     return None if found is None else designed(system, steady, found, nodes(horizons_s), heading_rad)
-
-
-def _known_since(angles_rad: Array, dt_s: float) -> int:
-    """The first row of ``angles_rad`` (n, 2) after the last long hole."""
-    count = max(round(TUNING.long_hole_s / dt_s), 1)
-    if len(angles_rad) < count:
-        return 0
-    missing = np.convolve(~np.isfinite(angles_rad).all(axis=1), np.ones(count), "valid")
-    ends = np.flatnonzero(missing > count - 0.5)
-    return int(ends[-1]) + count if len(ends) else 0
 
 
 def heading(t_s: Array, yaw_rad: Array) -> tuple[float, float]:
@@ -224,16 +214,20 @@ def nodes(horizons_s: Sequence[float]) -> tuple[float, ...]:
 def learned(model: SeaModel, a_mps2: Array, angles_rad: Array, dt_s: float) -> Learned | None:
     """See :func:`joint`; None: the record is too short, the angles are not known, or the sea is hidden in noise."""
     count = min(len(a_mps2), round(TUNING.learned_s / dt_s))
-    piece, edge = round(TUNING.piece_s / dt_s), round(TUNING.edge_s / dt_s)
-    a, angles = a_mps2[-count:], _filled(angles_rad[-count:])
-    if angles is None or count * dt_s < TUNING.least_s or piece < CHANNELS:
+    piece = round(TUNING.piece_s / dt_s)
+    is_measured: NDArray[np.bool_] = np.all(np.isfinite(angles_rad[-count:]), axis=1)
+    angles = _filled(angles_rad[-count:], is_measured, round(TUNING.long_hole_s / dt_s))
+    heave = _heave(model, a_mps2[-count:], dt_s)
+    series = np.column_stack((heave, angles))
+    ends = _pieces(series, is_measured, piece)
+    if piece < CHANNELS or _covered(ends, piece) * dt_s < TUNING.least_s:
         return None
-    smooth = np.hanning(count + 2)[1:-1]
-    offsets = smooth @ angles / np.sum(smooth)
-    angles = angles - offsets
-    heave = in_hindsight(model, a, dt_s)
-    series = np.column_stack((heave, angles))[:-edge]
-    f_hz, spectra, pieces = _spectra(series, piece, dt_s)
+    stretches = runs(np.isfinite(angles[:, 0]))
+    first, end = stretches[-1]
+    # Trim and list may be others since a hole.
+    since = first if (end - first) * dt_s >= TUNING.least_s else 0
+    offsets = _mean(angles[since:])
+    f_hz, spectra, pieces = _spectra(series, ends, piece, dt_s)
     sea = model.wave_spectrum(np.maximum(f_hz, 1e-6))
     w4 = (2.0 * np.pi * f_hz) ** 4
     in_band = (f_hz >= 1.5 / TUNING.piece_s) & (sea > TUNING.in_band * np.max(sea[1:]))
@@ -254,7 +248,8 @@ def learned(model: SeaModel, a_mps2: Array, angles_rad: Array, dt_s: float) -> L
     least = 2.0 * 0.05 * TUNING.least_noise_rad**2
     floor = [max(float(np.median(spectra[noisy, k, k].real)) if noisy.any() else 0.0, least) for k in (1, 2)]
     share, wander_hz = _coherence(transfer, rest), lower_end_hz(model)
-    wander = _wander(angles, smooth, dt_s, wander_hz)
+    first, end = max(stretches, key=lambda run: run[1] - run[0])
+    wander = _wander(angles[first:end] - offsets, dt_s, wander_hz)
     return Learned(
         f_hz=f_hz[in_band],
         transfer=transfer,
@@ -274,8 +269,15 @@ def lower_end_hz(model: SeaModel) -> float:
     return float(f_hz[np.argmax(sea > TUNING.below_waves * np.max(sea))])
 
 
-def _wander(angles_rad: Array, window: Array, dt_s: float, below_hz: float) -> tuple[float, float]:
-    """Mean spectra (rad2/Hz) below the waves of angles (n, 2) without their mean under ``window`` (n,)."""
+def _mean(angles_rad: Array) -> Array:
+    """(2,) of angles (n, 2) that are nan where they are not known: smooth, so that no wave is in it."""
+    smooth = np.where(np.isfinite(angles_rad), np.hanning(len(angles_rad) + 2)[1:-1, None], 0.0)
+    return np.asarray(np.sum(smooth * np.nan_to_num(angles_rad), axis=0) / np.sum(smooth, axis=0))
+
+
+def _wander(angles_rad: Array, dt_s: float, below_hz: float) -> tuple[float, float]:
+    """Mean spectra (rad2/Hz) below the waves of angles (n, 2)."""
+    window = np.hanning(len(angles_rad) + 2)[1:-1]
     transforms = np.fft.rfft(angles_rad * window[:, None], axis=0)
     # The first three are the mean itself, as the window has it.
     first, end = 3, int(TUNING.clear_of_waves * below_hz * len(angles_rad) * dt_s)
@@ -293,16 +295,47 @@ def _coherence(transfer: Complex, rest: Complex) -> Array:
     return np.asarray(c / (1.0 + c))
 
 
-def _filled(angles_rad: Array) -> Array | None:
-    """(n, 2) with straight lines where an angle is not known; None: too little is."""
-    is_known: NDArray[np.bool_] = np.all(np.isfinite(angles_rad), axis=1)
-    if not len(is_known) or np.mean(is_known) < TUNING.known:
-        return None
-    if is_known.all():
-        return angles_rad
-    places = np.arange(len(is_known))
-    columns = [np.interp(places, places[is_known], angles_rad[is_known, k]) for k in range(2)]
-    return np.column_stack(columns)
+def runs(is_known: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and end of each stretch that is known, of (n,), oldest first."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], is_known, [False]))))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def _filled(angles_rad: Array, is_measured: NDArray[np.bool_], longest: int) -> Array:
+    """Angles (n, 2) with straight lines over holes of up to ``longest`` samples; nan in others and at the ends."""
+    found = np.where(is_measured[:, None], angles_rad, np.nan)
+    places = np.flatnonzero(is_measured)
+    for first, end in runs(~is_measured):
+        if first > 0 and end < len(found) and end - first <= longest:
+            for k in range(2):
+                found[first:end, k] = np.interp(np.arange(first, end), places, angles_rad[places, k])
+    return found
+
+
+def _heave(model: SeaModel, a_mps2: Array, dt_s: float) -> Array:
+    """(n,) heave in hindsight; nan where the acceleration (n,) around is not known."""
+    found = np.full(len(a_mps2), np.nan)
+    edge = round(TUNING.edge_s / dt_s)
+    is_known: NDArray[np.bool_] = np.isfinite(a_mps2)
+    for first, end in runs(is_known):
+        if end - first > 2 * edge:
+            found[first + edge : end - edge] = in_hindsight(model, a_mps2[first:end], dt_s)[edge:-edge]
+    return found
+
+
+def _pieces(series: Array, is_measured: NDArray[np.bool_], piece: int) -> list[int]:
+    """Ends of the pieces of ``series`` (n, k) that are known, the newest first, each a quarter on from the one before;
+    ``is_measured`` (n,): where the angles are not drawn.
+    """
+    step = max(piece // 4, 1)
+    is_known: NDArray[np.bool_] = np.all(np.isfinite(series), axis=1)
+    ends = [end for first, last in reversed(runs(is_known)) for end in range(last, first + piece - 1, -step)]
+    return [end for end in ends if np.mean(is_measured[end - piece : end]) >= TUNING.known]
+
+
+def _covered(ends: Sequence[int], piece: int) -> int:
+    """Samples that are in any of the pieces, the newest first."""
+    return sum(min(piece, newer - end) for newer, end in itertools.pairwise(ends)) + piece if ends else 0
 
 
 def in_hindsight(model: SeaModel, a_mps2: Array, dt_s: float) -> Array:
@@ -324,14 +357,15 @@ def in_hindsight(model: SeaModel, a_mps2: Array, dt_s: float) -> Array:
     return np.asarray(np.fft.irfft(np.fft.rfft(faded, size) * response, size)[:count])
 
 
-def _spectra(series: Array, piece: int, dt_s: float) -> tuple[Array, Complex, float]:
-    """Frequencies (n,), spectra (n, k, k) of ``series`` (m, k), the newest last, and of how many pieces these are."""
+def _spectra(series: Array, ends: Sequence[int], piece: int, dt_s: float) -> tuple[Array, Complex, float]:
+    """Frequencies (n,), spectra (n, k, k) of the pieces of ``series`` (m, k) that end there, the newest first, and of
+    how many these are.
+    """
     window = np.hanning(piece + 2)[1:-1]
     window /= sqrt(float(window @ window))
-    step = max(piece // 4, 1)
-    parts = [series[end - piece : end] for end in range(len(series), piece - 1, -step)]
+    parts = [series[end - piece : end] for end in ends]
     transforms = np.fft.rfft(np.stack([(part - part.mean(axis=0)) * window[:, None] for part in parts]), axis=1)
-    weights = np.exp(-np.arange(len(parts)) * step * dt_s / TUNING.memory_s)
+    weights = np.exp((np.array(ends) - ends[0]) * dt_s / TUNING.memory_s)
     weights /= np.sum(weights)
     spectra = 2.0 * dt_s * np.einsum("p,pfi,pfj->fij", weights, transforms, transforms.conj())
     # Three quarters of each piece are the next one's too.

@@ -136,7 +136,7 @@ class SeaObserver:
         self._angles.clear()
         self._angle, self._yaw_rad, self._angles_s = (nan, nan), nan, -inf
         self._experience.reset()
-        self._unsure_s = -inf
+        self._unsure_s = self._missed_s = -inf
         self._record.clear()
         self._looked_s = nan
         self.refreshes = 0
@@ -218,11 +218,14 @@ class SeaObserver:
         """What roll and pitch add to the heave, and how that has fared."""
         f, dt_s = heave.filter, heave.filter.steady.dt_s
         missed = min(round(missed_s / dt_s), TUNING.most_missed)
-        for i in range(missed, 0, -1):
-            joint.push(t_s - i * dt_s, 0.0, nan, nan)
-        joint.push(t_s, innovation, *self._angle)
+        heave.push_joint(t_s, missed, innovation, self._angle)
         more_m = joint.nodes()[0][0]
-        if not heave.is_sure or f.burst_variance > 0.0 or joint.is_too_much:
+        if missed or innovation == 0.0:
+            self._missed_s = t_s
+        # What a hole leaves open it knows of; what opens the covariance otherwise it does not.
+        is_odd = f.burst_variance > 0.0 or f.withheld > 0 or self._disturbances.step_s is not None
+        is_open = not heave.is_sure and t_s - self._missed_s > TUNING.unsure_s
+        if is_odd or is_open or joint.is_too_much:
             self._unsure_s = t_s
         may_be_used = t_s - self._unsure_s > TUNING.unsure_s and joint.is_known(t_s) and joint.heads(self._yaw_rad)
         may_be_used = may_be_used and f.gauge is None and f.rate is None
@@ -619,7 +622,8 @@ class SeaObserver:
         innovations = np.nan_to_num(np.frombuffer(fit.innovation))[-len(known) :]
         before = np.zeros(len(known) - len(innovations))
         joint.fill(fit.t_s, np.column_stack((np.concatenate((before, innovations)), known)))
-        heave.joint, heave.joint_weight, heave.joint_shown = joint, self._experience.weight, self._experience.shown
+        heave.join(joint)
+        heave.joint_weight, heave.joint_shown = self._experience.weight, self._experience.shown
 
     def _catch_up(self, heave: SeaHeave, smoother: FixedLagSmoother, from_s: float) -> None:
         """Through the means that came while the fit was under way."""
@@ -642,10 +646,9 @@ class SeaObserver:
                 predicted_m, innovation = [f.step(t_s, a_mps2) for f in filters][-1]
                 smoother.push(t_s, predicted_m, innovation)
                 if heave.joint is not None:
-                    for i in range(round(missed_s / heave.filter.steady.dt_s), 0, -1):
-                        heave.joint.push(t_s - i * heave.filter.steady.dt_s, 0.0, nan, nan)
                     at = even_angles(angles, t_s, heave.filter.steady.dt_s, 1)[0].tolist()
-                    heave.joint.push(t_s, innovation, *at)
+                    missed = min(round(missed_s / heave.filter.steady.dt_s), TUNING.most_missed)
+                    heave.push_joint(t_s, missed, innovation, at)
                 if self._drift is not None and heave.filter.rate is None:
                     self._drift.push(heave.filter.innovation / sqrt(heave.filter.innovation_variance))
         if cuts:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from heaved.estimation.heave.observer import UNKNOWN, Motion, foretold, nothing_foretold
 from heaved.estimation.heave.sea import batch_filter
+from heaved.estimation.heave.sea.missed import MissedInnovations
 from heaved.estimation.heave.sea.mistakes import TUNING as MISTAKES
 from heaved.estimation.heave.sea.propagate import ORDER, Propagation, along
 
@@ -125,6 +126,7 @@ class SeaHeave:
         self.scale = 1.0
         self.transfer = NO_TRANSFER
         self.joint: JointCorrection | None = None
+        self._missed: MissedInnovations | None = None
         self.joint_weight = 0.0
         self.joint_shown = 1.0
         self.sea_std_m = _std(system.heave, system.stationary)
@@ -213,6 +215,24 @@ class SeaHeave:
             motion = Motion(motion.heave_m + heave_m, motion.velocity_mps + velocity_mps)
         return motion
 
+    def join(self, joint: JointCorrection) -> None:
+        """From now on with what roll and pitch add by that."""
+        self.joint = joint
+        self._missed = MissedInnovations(self.filter.steady, self.filter.system.H, joint.amended)
+
+    def push_joint(self, t_s: float, missed: int, innovation: float, angles_rad: Sequence[float]) -> None:
+        """Tell it of a sample: innovation (m/s2), roll and pitch; ``missed`` before it were not there."""
+        if self.joint is None or self._missed is None:
+            return
+        dt_s = self.filter.steady.dt_s
+        for i in range(missed, 0, -1):
+            self._missed.step(nan)
+            self.joint.push(t_s - i * dt_s, 0.0, nan, nan)
+        self.joint.push(t_s, innovation, *angles_rad)
+        amended = self._missed.step(innovation)
+        if len(amended):
+            self.joint.amend(amended)
+
     def _joined(self, motion: Motion, tau_s: float) -> Motion:
         """With what roll and pitch add ``tau_s`` after the filter's state."""
         if self.joint is None or self.joint_weight == 0.0:
@@ -227,7 +247,10 @@ class SeaHeave:
             return std_m
         if self.joint_shown == inf:
             return hypot(std_m, self.joint_weight * self.joint.at(tau_s)[0])
-        std_m *= 1.0 - self.joint_weight * (1.0 - self.joint.ratio(tau_s, self.joint_shown))
+        # They tell as much as ever: what less is known of the state than when it is steady is not less for them.
+        usual = 1.0 if self.filter.is_steady else min((self.steady_std_m / self.state_std_m) ** 2, 1.0)
+        ratio = sqrt(1.0 - usual * (1.0 - self.joint.ratio(tau_s, self.joint_shown) ** 2))
+        std_m *= 1.0 - self.joint_weight * (1.0 - ratio)
         more_m = self.joint.at(tau_s)[0]
         return hypot(std_m, self.joint.doubted * self.joint_weight * more_m) if self.joint.doubted else std_m
 

@@ -291,16 +291,16 @@ def _look(window: SeaWindow, record: EvenRecord) -> SeaFit:
 
 
 def _joint(window: SeaWindow, whole: EvenRecord, system: SeaSystem, steady: Steady) -> Joint | None:
-    """What roll and pitch tell of the heave, of the past since the level was last another, after the last long hole,
-    and in which the vessel headed as it does now.
+    """What roll and pitch tell of the heave, of the past since the level was last another, and in which the vessel
+    headed as it does now.
     """
     if not window.angles or not (whole.is_known.any() and whole.is_known[-1]):
         return None
     rows, count = np.frombuffer(window.angles).reshape(-1, 4), len(whole.a_mps2)
     heading_rad, since_s = joint_design.heading(rows[:, 0], rows[:, 3])
-    missing = np.flatnonzero(~whole.is_known)
     heads_for = int(min(max(whole.end_s - since_s, 0.0) / whole.dt_s, count))
-    a = whole.a_mps2[max([count - heads_for, *whole.cuts[-1:], *(missing[-1:] + 1).tolist()]) :]
+    since = max([count - heads_for, *whole.cuts[-1:]])
+    a = np.where(whole.is_known, whole.a_mps2, nan)[since:]
     angles = even_angles(rows[:, :3], whole.end_s, whole.dt_s, len(a))
     try:
         return joint_design.joint(system, steady, a, angles, window.horizons_s, heading_rad)

@@ -138,6 +138,48 @@ def test_a_hole_in_the_angles_silences_it_for_a_while() -> None:
         assert joint.is_known(t_s) == expected, i
 
 
+def at_sea(t_s: float) -> tuple[float, float]:
+    return 0.05 * np.sin(0.9 * t_s), 0.03 * np.sin(1.1 * t_s + 1.0)
+
+
+@pytest.mark.parametrize(("missing", "within"), [(3, 2e-3), (8, 6e-3), (16, 0.03)])
+def test_a_short_hole_in_the_angles_is_drawn_over(missing: int, within: float) -> None:
+    rng = np.random.default_rng(8)
+    fine = rng.normal(size=(2 * len(NODES_S), 40, 3)).astype(np.float16)
+    whole, holed = JointCorrection(design(fine=fine)), JointCorrection(design(fine=fine))
+    size, worst = 0.0, 0.0
+    for i in range(200):
+        angles = at_sea(i * DT_S)
+        whole.push(i * DT_S, 0.0, *angles)
+        holed.push(i * DT_S, 0.0, *((nan, nan) if 100 <= i < 100 + missing else angles))
+        size = max(size, float(np.max(np.abs(whole.nodes()))))
+        if i >= 100 + missing + TUNING.sides:
+            worst = max(worst, float(np.max(np.abs(np.array(whole.nodes()) - np.array(holed.nodes())))))
+    assert 0.0 < worst < within * size
+
+
+def test_within_a_hole_the_angles_go_on_as_they_went() -> None:
+    steady, holed = JointCorrection(design()), JointCorrection(design())
+    for i in range(60):
+        for joint, is_missing in ((steady, False), (holed, i >= 57)):
+            joint.push(i * DT_S, 0.2, *((nan, nan) if is_missing else (0.001 * i, -0.002 * i)))
+    assert np.ravel(holed.nodes()) == pytest.approx(np.ravel(steady.nodes()))
+
+
+def test_innovations_may_become_others() -> None:
+    amended, fed, past, now = JointCorrection(design()), JointCorrection(design()), rows(50), rows(50)
+    now[:, 1:] = past[:, 1:]
+    now[: -amended.amended, 0] = past[: -amended.amended, 0]
+    amended.fill(0.0, past)
+    fed.fill(0.0, now)
+    amended.amend(now[-amended.amended :, 0])
+    assert np.ravel(amended.nodes()) == pytest.approx(np.ravel(fed.nodes()))
+    for i, row in enumerate(rows(20).tolist(), 1):
+        for joint in (amended, fed):
+            joint.push(i * DT_S, *row)
+        assert np.ravel(amended.nodes()) == pytest.approx(np.ravel(fed.nodes()))
+
+
 def lived(more: float, error_m: float, seconds: float, experience: Experience, from_s: float = 0.0) -> Experience:
     """Heave alone is off by ``error_m`` times a noise, of which the correction takes the share ``more`` away."""
     noise = np.random.default_rng(5).normal(size=round(seconds / DT_S)) * error_m

@@ -153,27 +153,47 @@ def test_horizons_that_are_close_share_a_node() -> None:
 
 @pytest.mark.parametrize(
     ("seconds", "missing"),
-    [(TUNING.least_s - 1.0, slice(0, 0)), (300.0, slice(900, 1000)), (300.0, slice(0, None))],
-    ids=["short", "hole", "no angles"],
+    [
+        (TUNING.least_s + 2.0 * TUNING.edge_s - 1.0, slice(0, 0)),
+        (300.0, slice(450, 1000)),
+        (300.0, np.arange(1500) % 350 < 20),
+        (300.0, slice(0, None)),
+    ],
+    ids=["short", "hole", "holes", "no angles"],
 )
-def test_too_little_of_a_record_teaches_nothing(seconds: float, missing: slice) -> None:
+def test_too_little_of_a_record_teaches_nothing(seconds: float, missing: slice | Array) -> None:
     one, count = record(0.2), round(seconds / DT_S)
     angles = one.angles_rad[-count:].copy()
     angles[missing, 1] = nan
     assert joint_design.joint(SYSTEM, STEADY, one.a_mps2[-count:], angles, ()) is None
 
 
-def test_after_a_long_hole_the_past_begins_anew() -> None:
-    one = record(0.2)
-    count = round(300.0 / DT_S)
-    a, angles = one.a_mps2[-count:], one.angles_rad[-count:].copy()
-    angles[400:500, 0] = nan
-    angles[:400, 0] = 7.0
-    found = joint_design.joint(SYSTEM, STEADY, a, angles, ())
-    alone = joint_design.joint(SYSTEM, STEADY, a[500:], angles[500:], ())
+@pytest.mark.parametrize("is_of_angles", [True, False], ids=["angles", "acceleration"])
+def test_both_sides_of_a_long_hole_teach(is_of_angles: bool) -> None:
+    """Each by itself is too short."""
+    one, count = record(0.2), round(300.0 / DT_S)
+    a, angles = one.a_mps2[-count:].copy(), one.angles_rad[-count:].copy()
+    (angles[:, 0] if is_of_angles else a)[650:850] = nan
+    for part in (slice(0, 650), slice(850, count)):
+        assert joint_design.learned(SYSTEM.model, a[part], angles[part], DT_S) is None
+    found = joint_design.learned(SYSTEM.model, a, angles, DT_S)
     assert found is not None
-    assert alone is not None
-    assert (found.fine, found.offsets_rad) == (alone.fine, alone.offsets_rad)
+    inside = (found.f_hz > 0.08) & (found.f_hz < 0.2)
+    for k, (of_heave, of_velocity) in enumerate((ROLL_OF, PITCH_OF)):
+        truth = of_heave + 2j * np.pi * found.f_hz * of_velocity
+        error = np.abs(found.transfer[inside, k] - truth[inside]) / np.abs(truth[inside])
+        assert np.sqrt(np.mean(error**2)) < 0.3  # fewer pieces than in ten minutes
+    assert 0.85 < found.coherence < 1.0 / 1.02
+
+
+def test_trim_and_list_are_those_since_a_long_hole() -> None:
+    one = record(0.2)
+    angles = one.angles_rad.copy()
+    angles[:1500] += 0.05
+    angles[1500:1700] = nan
+    found = joint_design.learned(SYSTEM.model, one.a_mps2, angles, DT_S)
+    assert found is not None
+    assert found.offsets_rad == pytest.approx((0.02, -0.01), abs=1e-3)
 
 
 def test_angles_are_interpolated_between_near_neighbours_alone() -> None:
