@@ -650,7 +650,7 @@ class DirectPredictor:
 
     def _miss(self, c: int) -> None:
         """A sample of a channel is missing: where too many are, its filter takes over."""
-        row, channel, hole = self._row_index, self._channels[c], self.filters[c]
+        row, channel = self._row_index, self._channels[c]
         if channel.absent < self._bridged:
             return
         self._missing[c] = 1.0 + self._missing[c] * self._share_left(row - self._missed_row[c])
@@ -660,11 +660,16 @@ class DirectPredictor:
         is_holed = self._missing[c] * self._interval_s >= self._holes_s[0]
         if not is_holed and channel.absent * self._interval_s < TUNING.run_s:
             return
-        window = self._window
-        at = window.end - 1 - self._nodes
-        if hole.begin(row, window.x[at, c], window.known[at, c], channel.mean, channel.noise_square):
+        if self._begin_filter(c):
             self.holed.add(c)
             self._missing_share[c] = 1.0
+
+    def _begin_filter(self, c: int) -> bool:
+        window, channel = self._window, self._channels[c]
+        at = window.end - 1 - self._nodes
+        return self.filters[c].begin(
+            self._row_index, window.x[at, c], window.known[at, c], channel.mean, channel.noise_square
+        )
 
     def _share_left(self, rows: int) -> float:
         return exp(-rows * self._interval_s / TUNING.holes_memory_s)
@@ -674,13 +679,15 @@ class DirectPredictor:
         row, channel, hole = self._row_index, self._channels[c], self.filters[c]
         hole.to(row)
         measured = isfinite(value)
+        if measured and hole.is_astray:
+            self._begin_filter(c)
         self._missing_share[c] += (1.0 - self._share_left(1)) * ((not measured) - self._missing_share[c])
         if measured:
             at = row + late_s / self._interval_s
             x = value - channel.level
             if measured := hole.read(at, x - hole.mean):
                 x -= hole.value(at)[0] - hole.value(row)[0]
-            elif hole.is_lost(row):
+            if hole.is_lost(row):
                 self.begun_anew[Reset.LOST_TRACK] += 1
                 channel.forget()
         if not measured:

@@ -4,23 +4,24 @@ Regressions on lags want every lag. Filled with their own predictions, a quiet s
 are nobody's, and predict the next hole from those. A Kalman filter needs no filling: readings are taken at their own
 times, what lies between them is known as well as it is known, and that well is what is published as the deviation.
 
-Its state is the motion at the last 56 of nodes 0.2 s apart, its model the autoregression of order 50 between them. That
-is learned by exponentially forgetting least squares from stretches without a hole (one matrix of moments, looked at
-only when it is wanted); in holes from the filter's own state, each product of two nodes counted with its covariance:
-the expectation step of the EM algorithm for a state-space model (Shumway and Stoffer 1982), with the smoothing that a
-state of 11 s brings with it. Moments over their number are the covariance that a filter begins with.
+Its state is the motion at the last 56 of nodes 0.2 s apart, its model the autoregression of order 50 between them, and
+the level that this motion is about, for the vessel may list. The autoregression is learned by exponentially forgetting
+least squares from stretches without a hole (one matrix of moments, looked at only when it is wanted); in holes from the
+filter's own state, each product of two nodes counted with its covariance: the expectation step of the EM algorithm for
+a state-space model (Shumway and Stoffer 1982), with the smoothing that a state of 11 s brings with it. Moments over
+their number are the covariance that a filter begins with.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from math import comb, exp, inf, nan
+from math import comb, exp, inf, nan, radians
 from typing import Final, TypeVar
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import toeplitz
+from scipy.linalg import solve_triangular, toeplitz
 
 Array = NDArray[np.float64]
 Place = TypeVar("Place", float, NDArray[np.float64])
@@ -33,6 +34,8 @@ the newest an estimate that goes by the model says little but the model."""
 NODES: Final = ORDER + 1 + SMOOTHED
 NEWEST, OLDEST = slice(0, ORDER + 1), slice(SMOOTHED, NODES)
 """The nodes that are predicted from, and those that the model is learned from."""
+ALL, LEVEL = slice(0, NODES), NODES
+"""All nodes, and the place behind them of the level that they are about."""
 
 
 class Tuning(msgspec.Struct, frozen=True, kw_only=True):
@@ -53,6 +56,15 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Nodes seen (20 s) before anything is published."""
     solved_rows: int = 40
     """Nodes from one solution to the next while there are holes."""
+    level: float = 0.1
+    """Standard deviation of what the slow mean is off by, over that of the motion,"""
+    level_walk: float = 0.003
+    """and of what list and trim add to that, per root of a second. Waves have nothing at the lowest frequencies, so the
+    level shows well; a model that knows of none makes an error of 7 degrees within a second of a list of 3."""
+    listed: float = 1.0
+    """So many standard deviations of the motion may it have listed by unseen,"""
+    listed_rad: float = radians(2.0)
+    """and by so much."""
     noise_memory: float = 100.0
     """Readings by which the variance of their noise is followed, if that is all that is not known of them."""
     adjacent: int = 4
@@ -74,6 +86,15 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Readings held back in a row, over at least..."""
     refused_s: float = 0.5
     """...by which the filter has lost the motion: what it is fed is not what it follows."""
+    odd: float = 3.0
+    """Mean square of what a state is made of, over the usual, from which it is no motion that the model knows. (A list,
+    taken for one, is 4 to 60; waves are less than 1.3.) What was predicted from it would be anything."""
+    growth_memory: float = 300.0
+    """Nodes, a minute, in which the motion may become larger; a list comes in seconds."""
+    astray_nodes: int = 10
+    """So often, 2 s, it is tried anew with the readings of the last 11 s."""
+    odd_nodes: int = 100
+    """20 s of it: it lasts longer than the 11 s that the nodes look back."""
     position_noise: float = 1e-2
     """Least noise of a reading over the innovation from node to node: what cubic interpolation between nodes leaves."""
 
@@ -120,6 +141,8 @@ class Autoregression:
         """Of the innovations."""
         self.ahead = np.zeros((self._ahead + 3, ORDER + 1))
         """From the nodes to themselves and those to come: the last three, then the next, and so on."""
+        self._usual: Array = np.eye(ORDER + 1)
+        """Cholesky's factor of the covariance of the newest nodes."""
         self.grown = np.zeros(self._ahead + 3)
         """Variance of those, of known nodes, over that of the innovations."""
 
@@ -166,7 +189,26 @@ class Autoregression:
         self.square = max(square, TUNING.least_ridge * float(moments[0, 0]) / count, 1e-24)
         self.step[:ORDER] = found
         self._look_ahead()
+        usual = np.asarray(self._moments[NEWEST, NEWEST] / count)
+        usual[np.diag_indices(ORDER + 1)] += ridge / count + 1e-300
+        self._usual = np.linalg.cholesky(usual)
         return True
+
+    @property
+    def few(self) -> float:
+        """How much worse it predicts than it fits: more, the fewer rows it is fitted to (Akaike 1970: final prediction
+        error).
+        """
+        rows = min(self.rows, TUNING.memory_s / TUNING.node_s)
+        sets = max(0.5 * rows, TUNING.learned_rows)  # neighbours are half the same
+        return (sets + ORDER) / (sets - ORDER)
+
+    def oddness(self, nodes: Array) -> float:
+        """How far the newest nodes (51,) are from any motion that it has seen: mean square of what they are made of,
+        over what that is usually.
+        """
+        white = solve_triangular(self._usual, nodes, lower=True, check_finite=False)
+        return float(white @ white) / len(nodes) / self.few
 
     def _look_ahead(self) -> None:
         ahead, grown = self.ahead, self.grown
@@ -197,8 +239,10 @@ class HoleFilter:
         """The same, as it was when the filter began: what follows the model shall not lead it."""
         self.mean = 0.0
         """What the state is counted from."""
-        self._x = np.zeros(NODES)
-        self._P = np.zeros((NODES, NODES))
+        self._x = np.zeros(NODES + 1)
+        self._P = np.zeros((NODES + 1, NODES + 1))
+        self._level_walk = 0.0
+        """Variance that the level gains from node to node."""
         self._node = 0
         """Row of the newest node."""
         self._until_solved = 0
@@ -211,12 +255,16 @@ class HoleFilter:
         """What readings have told of their noise so far (the Fisher information, twice)."""
         self._refused = 0
         self._refused_row = 0.0
+        self._odd_nodes = 0
+        """So many nodes long its state has been of no motion that the model knows."""
+        self._larger = 1.0
+        """Mean square of the motion of late, over the model's."""
         self._assumed = False
 
     @property
     def known(self) -> bool:
         """Whether what it says may be published."""
-        return self.model.rows >= TUNING.learned_rows
+        return self.model.rows >= TUNING.learned_rows and not self._odd_nodes
 
     def begin(self, row: int, nodes: Array, measured: NDArray[np.bool_], mean: float, noise_square: float) -> bool:
         """Start from the values (56,) of the row and those ``every`` rows apart before it, where they were measured.
@@ -224,8 +272,10 @@ class HoleFilter:
         False: there is no model to start from.
         """
         model = self.model
+        # Where it was left is the best guess of where it is.
+        level = self.mean + float(self._x[LEVEL]) - mean if self._P[LEVEL, LEVEL] > 0.0 else 0.0
         self.mean = mean
-        y = nodes - mean
+        y = nodes - mean - level
         if model.rows < (TUNING.learned_rows if self._assumed else TUNING.prior_rows):
             self._assumed = True
             spread = float(np.mean(y[measured] ** 2)) if measured.any() else 0.0
@@ -238,20 +288,28 @@ class HoleFilter:
         self._ridge_square = self.noise_square
         self._told = TUNING.noise_memory * self.noise_square**-2.0
         self._latest.clear()
-        P = model.covariance
+        P = np.zeros((NODES + 1, NODES + 1))
+        P[ALL, ALL] = model.covariance
+        # The slow mean follows a list in minutes; that of 11 s shows it at once, and waves besides.
+        listed = float(np.mean(y[measured])) if measured.any() else level
+        P[LEVEL, LEVEL] = TUNING.level**2 * model.variance + listed**2
+        self._level_walk = TUNING.level_walk**2 * model.variance * self._every * self._interval_s
         here = np.flatnonzero(measured)
         if len(here):
-            S = P[np.ix_(here, here)]
+            seen = P[here] + P[LEVEL]
+            S = seen[:, here] + seen[:, [LEVEL]]
             S[np.diag_indices(len(here))] += self.noise_square
-            gain = np.linalg.solve(S, P[here]).T
+            gain = np.linalg.solve(S, seen).T
             self._x = gain @ y[here]
-            P = P - gain @ P[here]
+            P = P - gain @ seen
         else:
-            self._x = np.zeros(NODES)
+            self._x = np.zeros(NODES + 1)
+        self._x[LEVEL] += level
         self._P = 0.5 * (P + P.T)
         self._node = row
         self._doubt = 1.0
         self._refused = 0
+        self._larger = 1.0
         self._until_solved = TUNING.solved_rows
         return True
 
@@ -282,7 +340,7 @@ class HoleFilter:
 
     def move_mean(self, mean: float) -> None:
         """Count from another slow mean."""
-        self._x += self.mean - mean
+        self._x[LEVEL] += self.mean - mean
         self.mean = mean
 
     def to(self, row: float) -> None:
@@ -292,7 +350,11 @@ class HoleFilter:
 
     def _step(self) -> None:
         model, x, P = self.model, self._x, self._P
-        model.learn(np.multiply.outer(x, x) + P, 1)
+        is_odd = model.rows >= TUNING.learned_rows and model.oddness(x[NEWEST]) > TUNING.odd * max(self._larger, 1.0)
+        self._odd_nodes = self._odd_nodes + 1 if is_odd else 0
+        self._larger += (float(x[0]) ** 2 / max(model.variance, 1e-300) - self._larger) / TUNING.growth_memory
+        if not is_odd:
+            model.learn(np.multiply.outer(x[ALL], x[ALL]) + P[ALL, ALL], 1)
         self._until_solved -= 1
         if self._until_solved <= 0:
             self._until_solved = TUNING.solved_rows
@@ -300,11 +362,14 @@ class HoleFilter:
                 self._bound_noise(self._largest_noise)
         ahead = P[:, NEWEST] @ model.step
         newest = float(model.step @ ahead[NEWEST]) + model.square
-        P[1:, 1:] = P[:-1, :-1].copy()
+        P[1:NODES, 1:NODES] = P[: NODES - 1, : NODES - 1].copy()
+        P[1:NODES, LEVEL] = P[LEVEL, 1:NODES] = P[LEVEL, : NODES - 1].copy()
         P[0, 0] = newest
-        P[0, 1:] = P[1:, 0] = ahead[:-1]
+        P[0, 1:NODES] = P[1:NODES, 0] = ahead[: NODES - 1]
+        P[0, LEVEL] = P[LEVEL, 0] = ahead[LEVEL]
+        P[LEVEL, LEVEL] += self._level_walk
         first = float(model.step @ x[NEWEST])
-        x[1:] = x[:-1].copy()
+        x[1:NODES] = x[: NODES - 1].copy()
         x[0] = first
         self._node += self._every
 
@@ -316,15 +381,16 @@ class HoleFilter:
     def value(self, row: float) -> tuple[float, float]:
         """What is expected of a row up to the newest node, and its variance without noise."""
         w = self._weights(row)
-        return float(w @ self._x[:4]), float(w @ self._P[:4, :4] @ w)
+        K = self._P[:, :4] @ w + self._P[:, LEVEL]
+        return float(w @ self._x[:4] + self._x[LEVEL]), float(w @ K[:4] + K[LEVEL])
 
     def read(self, row: float, value: float) -> bool:
         """Take a reading, about the mean; False: it is held back."""
         self.to(row)
         w = self._weights(row)
-        K = self._P[:, :4] @ w
-        known = float(w @ K[:4])
-        e = value - float(w @ self._x[:4])
+        K = self._P[:, :4] @ w + self._P[:, LEVEL]
+        known = float(w @ K[:4] + K[LEVEL])
+        e = value - float(w @ self._x[:4] + self._x[LEVEL])
         S = known + self.noise_square
         is_armed = self.model.rows >= TUNING.learned_rows
         if not S > 0.0 or (is_armed and e * e > TUNING.gate**2 * S * max(self._doubt, 1.0)):
@@ -332,6 +398,9 @@ class HoleFilter:
                 self._refused_row = row
             self._refused += 1
             self._doubt = max(self._doubt, 1.0) * TUNING.doubled
+            if e * e <= max(TUNING.listed**2 * self.model.variance, TUNING.listed_rad**2):
+                # Either it is wrong, or the vessel lists: the next one will tell.
+                self._P[LEVEL, LEVEL] += e * e
             return False
         self._refused = 0
         self._see_noise(row, value)
@@ -349,8 +418,16 @@ class HoleFilter:
         return True
 
     def is_lost(self, row: float) -> bool:
-        """Whether readings have been held back for too long."""
-        return self._refused >= TUNING.refused and (row - self._refused_row) * self._interval_s >= TUNING.refused_s
+        """Whether readings have been held back for too long, or what it follows is nothing it knows for too long."""
+        is_refused = (
+            self._refused >= TUNING.refused and (row - self._refused_row) * self._interval_s >= TUNING.refused_s
+        )
+        return is_refused or self._odd_nodes >= TUNING.odd_nodes
+
+    @property
+    def is_astray(self) -> bool:
+        """Whether to begin it again from the readings themselves: what made it odd may be past."""
+        return self._odd_nodes > 0 and self._odd_nodes % TUNING.astray_nodes == 0
 
     def _places(self, row: float, ahead_s: Array) -> Array:
         """Of times so long after a row, among the nodes that the model looks ahead to."""
@@ -361,25 +438,24 @@ class HoleFilter:
         """Values, without the mean, so long after a row."""
         place = self._places(row, ahead_s)
         first = _first_of_four(place, len(self.model.ahead))
-        nodes = self.model.ahead @ self._x[NEWEST]
+        nodes = self.model.ahead @ self._x[NEWEST] + self._x[LEVEL]
         values: Array = (cubic(place - first) * nodes[first[:, None] + POINTS]).sum(axis=1)
         return values
 
     def variance(self, row: float, ahead_s: Array) -> Array:
         """Of the errors of :meth:`curve` against readings: what is not known of the nodes, what is to come, noise; by
-        as much more as innovations are larger than they should be, and as a model fitted to so few of them predicts
-        worse than it fits (Akaike 1970: final prediction error).
+        as much more as innovations are larger than they should be, and as the model predicts worse than it fits.
         """
         model = self.model
         place = self._places(row, ahead_s)
         first = _first_of_four(place, len(model.ahead))
         B = (cubic(place - first)[:, None, :] @ model.ahead[first[:, None] + POINTS])[:, 0]
         grown = np.interp(place, np.arange(len(model.grown)), model.grown)
-        unknown = np.maximum(((B @ self._P[NEWEST, NEWEST]) * B).sum(axis=1), 0.0)
+        level = self._P[LEVEL]
+        unknown = ((B @ self._P[NEWEST, NEWEST]) * B).sum(axis=1) + 2.0 * B @ level[NEWEST] + level[LEVEL]
+        unknown = np.maximum(unknown, 0.0)
         found = unknown + model.square * grown + self.noise_square
-        rows = min(model.rows, TUNING.memory_s / TUNING.node_s)
-        sets = max(0.5 * rows, TUNING.learned_rows)  # neighbours are half the same
-        variance: Array = max(self._doubt, 1.0) * (sets + ORDER) / (sets - ORDER) * found
+        variance: Array = max(self._doubt, 1.0) * model.few * found
         return variance
 
     def past(self, rows: Array) -> Array:
@@ -387,5 +463,5 @@ class HoleFilter:
         place = (self._node - rows) / self._every
         first = _first_of_four(place, NODES)
         weights = cubic(place - first)
-        values: Array = (weights * self._x[first[:, None] + POINTS]).sum(axis=1)
+        values: Array = (weights * self._x[first[:, None] + POINTS]).sum(axis=1) + self._x[LEVEL]
         return values

@@ -234,6 +234,24 @@ def test_a_step_in_holes_is_found() -> None:
     assert np.nanmax(np.abs(predicted)) <= ANGLE_RAD
 
 
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_list_in_holes_is_followed(seed: int) -> None:
+    """3 degrees within 5 s while angles come in bursts: what is said all the while is as far off as it says."""
+    t, x = measured(20.0, seed, 130.0)
+    x[(t > 80.0) & (t % 1.2 > 0.5)] = nan
+    list_rad = np.radians(3.0) * np.clip((t - 85.0) / 5.0, 0.0, 1.0)
+    x[:, 0] += list_rad
+    predicted, std, chain = predict(t, x)
+    error = (errors(t, predicted, seed)[:, :, 0] - list_rad[:, None])[:, HALF]
+    # What nobody could foresee is not counted.
+    judged = (t > 93.0) & (t < 125.0)
+    told = judged & np.isfinite(error)
+    assert np.mean(told[judged]) > 0.8
+    assert not np.any(np.abs(error[told]) > 4.0 * std[told][:, HALF, 0])
+    assert np.degrees(rms(error[told])) < 1.0
+    assert not chain.resets["rock", "lost track"]
+
+
 STAMPS = {
     "four in 3 microseconds": (np.arange(600)[:, None] * 0.1 + 1e-6 * np.arange(4)).ravel(),
     "four in 1.5 ms": (np.arange(600)[:, None] * 0.1 + 5e-4 * np.arange(4)).ravel(),

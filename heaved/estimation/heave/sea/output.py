@@ -22,14 +22,13 @@ from heaved.estimation.heave.sea import batch_filter
 from heaved.estimation.heave.sea.missed import MissedInnovations
 from heaved.estimation.heave.sea.mistakes import TUNING as MISTAKES
 from heaved.estimation.heave.sea.propagate import ORDER, Propagation, along
+from heaved.samples import HeaveForecast
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from heaved.estimation.heave.sea.filter import SeaFilter
     from heaved.estimation.heave.sea.joint import JointCorrection
-    from heaved.samples import HeaveForecast
-
 Array = NDArray[np.float64]
 
 
@@ -51,6 +50,10 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """It is over when less than that is left."""
     response_s: float = 400.0
     """Of the filter's answer to an impulse: nothing is left of it then."""
+    foretells: float = 1.5
+    """A forecast whose standard deviation is more than so many of the heave itself foretells nothing: to know the sea
+    alone is more. It is left out, if it is more than this, too."""
+    little_m: float = 0.05
     recovering: float = 0.2
     """Share of the heave that its error is more than while the filter finds its way back after a gap."""
 
@@ -275,6 +278,7 @@ class SeaHeave:
         transfer = self.transfer if t_s < self.transfer.until_s else None
         modelled, whole = self.scale, gain * scale
         joint = self.joint if self.joint_weight > 0.0 else None
+        most_m = max(TUNING.foretells * self.sea_std_m, TUNING.little_m)
         found = []
         for h, (c0, c1, c2, c3, c4, c5), modelled_m in zip(
             self._horizons_s, self._ahead, self._stds(d).ahead_m, strict=True
@@ -287,6 +291,9 @@ class SeaHeave:
                 std_m = whole * hypot(self._joined_std(modelled * modelled_m, tau_s), left_m)
             else:
                 std_m = whole * hypot(modelled * modelled_m, left_m)
+            if std_m > most_m:
+                found.append(HeaveForecast(horizon_s=h))
+                continue
             found.append(foretold(h, gain * (heave_m + left_m), std_m))
         return tuple(found)
 
