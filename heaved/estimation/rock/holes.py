@@ -189,9 +189,9 @@ class Autoregression:
         self.square = max(square, TUNING.least_ridge * float(moments[0, 0]) / count, 1e-24)
         self.step[:ORDER] = found
         self._look_ahead()
-        usual = np.asarray(self._moments[NEWEST, NEWEST] / count)
+        usual = self._moments[NEWEST, NEWEST] / count
         usual[np.diag_indices(ORDER + 1)] += ridge / count + 1e-300
-        self._usual = np.linalg.cholesky(usual)
+        self._usual = np.asarray(np.linalg.cholesky(usual), dtype=np.float64)
         return True
 
     @property
