@@ -404,6 +404,13 @@ def test_a_run_is_held_against_the_honest_one_of_its_own_record() -> None:
     assert fault_table.honest_beside([elsewhere, run], run) is None
 
 
+def test_of_forecasts_as_many_lies_as_chance_has_are_none() -> None:
+    """Two of 24000 Gaussian numbers are beyond four standard deviations."""
+    for count, found in ((2, []), (3, ["3 forecast lies"])):
+        assert fault_table.missed(outcome("gap_1", lies={"forecast": count}, forecasts=24_000), None) == found
+    assert fault_table.missed(outcome("gap_1", lies={"heave": 1}, forecasts=24_000), None) == ["1 heave lies"]
+
+
 def test_the_report_has_the_worst_of_each_column() -> None:
     runs = [
         outcome("clean", last_heave_m=0.01, last_rock_deg=0.1),

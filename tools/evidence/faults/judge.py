@@ -14,7 +14,7 @@ import resource
 import traceback
 from collections import Counter
 from functools import lru_cache
-from math import inf, isfinite, isinf, isnan, nan, radians
+from math import erfc, inf, isfinite, isinf, isnan, nan, radians, sqrt
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
@@ -55,6 +55,8 @@ ROCK_S: Final = (0.05, 0.15, 0.5, 1.0)
 AHEAD_S: Final = 0.5
 """The rock prediction that is compared with that of the honest record."""
 LIE: Final = 4.0
+BY_CHANCE: Final = erfc(LIE / sqrt(2.0))
+"""Share of Gaussian errors that are beyond so many standard deviations, 6.3e-5."""
 """Published standard deviations."""
 ATTITUDE_LIE_RAD: Final = radians(1.0)
 """Of a measured angle, which carries no standard deviation."""
@@ -103,6 +105,8 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     """The exception that ended it; empty: none."""
     lies: dict[str, int]
     """By kind; of all frames from the beginning of the disaster on."""
+    forecasts: int
+    """Those that are valid: of so many some are lies by chance."""
     off: dict[str, int]
     """The same in frames that are ``degraded`` or ``settling``: no lie, but nothing to be proud of."""
     beyond: int
@@ -402,9 +406,11 @@ def judged(
     error = heave_m - truth.heave_m(t)
     count("heave", np.abs(error) > LIE * std_m)
     ahead = np.array(published.ahead, dtype=np.float64).reshape(len(table), 2 * len(FORECASTS_S))[counted]
+    forecasts = 0
     for k, horizon_s in enumerate(FORECASTS_S):
         later_m, later_std_m = ahead[:, 2 * k : 2 * k + 2].T
         count("forecast", np.abs(later_m - truth.heave_m(t + horizon_s)) > LIE * later_std_m)
+        forecasts += int(np.sum(np.isfinite(later_m) & (states == VALID)))
     turned = np.array(published.rock, dtype=np.float64).reshape(len(table), 4 * len(ROCK_S))[counted]
     rock_ahead = (np.empty(0), np.empty(0))
     for k, horizon_s in enumerate(ROCK_S):
@@ -437,6 +443,7 @@ def judged(
         task=task,
         crash=crash,
         lies=lies,
+        forecasts=forecasts,
         off=off,
         beyond=_since(published.beyond, span.start_s),
         infinite=_since(published.infinite, span.start_s),

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from math import inf, isfinite, isnan, nan
+from math import ceil, inf, isfinite, isnan, nan
 from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
 
 from evidence.faults.disasters import DISASTERS, HONEST_OF, Asked
-from evidence.faults.judge import KINDS, LIE, WHOLE_FROM_S, Outcome, Task
+from evidence.faults.judge import BY_CHANCE, KINDS, LIE, WHOLE_FROM_S, Outcome, Task
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -56,7 +56,7 @@ def missed(outcome: Outcome, ratios: Ratios | None) -> list[str]:
     """What is asked of the run and was not met."""
     asked = DISASTERS[outcome.task.name].asked
     found = [outcome.crash.split(":", 1)[0]] if outcome.crash else []
-    found += [f"{count} {kind} lies" for kind, count in outcome.lies.items() if count]
+    found += [f"{count} {kind} lies" for kind, count in outcome.lies.items() if count > _by_chance(outcome, kind)]
     found += [f"{outcome.beyond} beyond physics"] if outcome.beyond else []
     found += [f"{outcome.infinite} not finite"] if outcome.infinite else []
     if ratios is None:
@@ -68,6 +68,13 @@ def missed(outcome: Outcome, ratios: Ratios | None) -> list[str]:
         if most is not None and not ratio <= most:
             found.append(f"{what} {_number(ratio, 2)} > {most:g}" if isfinite(ratio) else f"no {what} in the end")
     return found
+
+
+def _by_chance(outcome: Outcome, kind: str) -> int:
+    """How many would be beyond LIE standard deviations if these are right: of heave in the future, where what is to
+    come is most of the error, and not a bound of it.
+    """
+    return ceil(BY_CHANCE * outcome.forecasts) if kind == "forecast" else 0
 
 
 def report(outcomes: Sequence[Outcome], detail: bool = False) -> str:
@@ -101,10 +108,16 @@ def _row(heads: Sequence[str], name: str, what: str, runs: Sequence[Outcome], ou
     for run, found in zip(runs, beside, strict=True):
         misses.update(dict.fromkeys(missed(run, found)))
     lies = {kind: sum(run.lies[kind] for run in runs) for kind in KINDS}
+    chance = max((_by_chance(run, "forecast") for run in runs), default=0)
     cells = (
         name,
         what,
-        ", ".join(f"{count} {kind}" for kind, count in lies.items() if count) or "0",
+        ", ".join(
+            f"{count} {kind}" + (f" (chance: {chance} a run)" if kind == "forecast" else "")
+            for kind, count in lies.items()
+            if count
+        )
+        or "0",
         str(sum(count for run in runs for count in run.off.values())),
         str(sum(run.beyond + run.infinite for run in runs)),
         _number(_worst(run.worst_stds for run in runs), 1),
@@ -174,7 +187,8 @@ def _notes(outcomes: Sequence[Outcome]) -> list[str]:
         f"{LIE:g} published standard deviations (measured angles: beyond 1°); doubted: the same in frames that are "
         "`degraded` or `settling`. Beyond: numbers that no vessel has, in any state. Ratios: of the errors of the "
         f"last minute, or of all from {WHOLE_FROM_S:g} s on where it lasts from the start; median and worst. In "
-        "brackets what is asked; beside 0 lies and 0 beyond.",
+        "brackets what is asked; beside 0 lies and 0 beyond. Of forecasts as many lies as Gaussian errors with the "
+        f"published standard deviations have, {1e6 * BY_CHANCE:.0f} in a million, are none.",
         *(["", "Ended by an exception:", "", *crashes] if crashes else []),
     ]
 
