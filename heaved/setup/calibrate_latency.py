@@ -232,7 +232,8 @@ def _fitted(parts: Sequence[_Seen], seconds: float, lag_s: float) -> Latency:
         left, _ = _residuals(x, seen)
         moved += float(np.sum(np.abs(seen.derivative / seen.f[:, None]) ** 2))
         left_over += float(np.sum(np.abs(left / seen.f[:, None]) ** 2))
-    late_s, late_std_s, lean, lean_std = _averaged(x, np.asarray(np.linalg.inv(information)), float(held[LEAN]))
+    covariance: Array = np.linalg.solve(information, np.eye(len(information))).astype(np.float64)
+    late_s, late_std_s, lean, lean_std = _averaged(x, covariance, float(held[LEAN]))
     return Latency(
         late_s=late_s, late_std_s=late_std_s, lean_per_s=lean, lean_std_per_s=lean_std, seconds=seconds,
         explained=1.0 - left_over / moved if moved > 0.0 else 0.0,

@@ -109,10 +109,11 @@ class Memory:
         if not left > 0.0 or not unlike <= TUNING.unlike_nis:
             return None
         usual = np.diag(np.square(attitude_fit.TUNING.usual) ** -1.0)
-        own = np.linalg.inv(information + usual)
+        own = np.linalg.solve(information + usual, np.eye(len(usual)))
         open_square = np.diag(own) + np.square(own @ off)
         self._doubt_square = np.minimum(np.square(TUNING.doubt), TUNING.in_doubt**2 * open_square)
         self.is_confirmed = self.is_confirmed or bool(np.all(np.diag(own) <= np.square(TUNING.doubt)))
-        remembered = left * np.linalg.inv(self.covariance)
-        covariance = np.asarray(np.linalg.inv(remembered + information), dtype=np.float64)
-        return covariance @ (remembered @ self.mean + right), covariance
+        remembered = self.covariance / left
+        known = np.linalg.solve(np.eye(len(remembered)) + remembered @ information, remembered)
+        covariance = np.asarray(0.5 * (known + known.T), dtype=np.float64)
+        return self.mean + covariance @ off, covariance
