@@ -85,9 +85,8 @@ def test_leaks_and_bends_are_told_apart(wrong: Wrong, expected: tuple[float, ...
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_bend_that_shows_in_some_pieces_only_is_found_and_one_wild_piece_does_not_take_it_away(seed: int) -> None:
-    """On a swell 1 % for each g makes something where waves are high, and nothing that a laser sees elsewhere."""
-    made = record(seaway("S6S-bow-0.8", seed), 500.0, imu_rate_hz=RATE_HZ, sensor=UNBIASED, seed=seed)
+def test_one_wild_piece_does_not_take_away_what_was_found(seed: int) -> None:
+    made = record(seaway("S6-bow-0.8", seed), 500.0, imu_rate_hz=RATE_HZ, sensor=UNBIASED, seed=seed)
     axes = AxisErrors(RATE_HZ, 0.002, enabled=True)
     was_in_use = False
     for up, laser, tilt in readings(crooked(made, Wrong(bent_per_g=0.01))):
