@@ -109,7 +109,16 @@ class Pipeline:
         # Of a sensor that measures angles more slowly than it is polled, tilt is carried on by what is predicted.
         self._leave_out(self._is_relieved and not readings.attitude_is_slow)
         rock = self.rock.unknown if self._leaves_out else self.rock.step(readings)
-        up = self.vertical.step(readings, rock, lag_s=self.laser.lag_s, bias_mps2=self.heave.observer.bias_mps2)
+        axes = self.laser.axes
+        if axes.amendment is not None:
+            self.vertical.amend(axes.amendment)
+        up = self.vertical.step(
+            readings,
+            rock,
+            lag_s=self.laser.lag_s,
+            bias_mps2=self.heave.observer.bias_mps2,
+            leaking=axes.taken,
+        )
         if up is not None:
             self.heave.step(up)
         if self.heave.has_laser:

@@ -5,7 +5,7 @@ and a ship's record against the sea that it was made of.
 from __future__ import annotations
 
 import json
-from math import sqrt
+from math import inf, sqrt
 from typing import TYPE_CHECKING
 
 import accuracy
@@ -112,6 +112,16 @@ def test_the_errors_of_whoever_says_zero_are_the_heave_itself(
         assert found[part].errors_m[0] == pytest.approx(sqrt(np.mean(there**2)))
         assert found[part].errors_m[3] == pytest.approx(sqrt(np.mean(there[40:] ** 2)))
         assert found[part].within == pytest.approx(np.mean(np.abs(there) <= 1.96 * 0.2))
+
+
+def test_roll_and_pitch_are_in_use_again_when_their_weight_stays() -> None:
+    t = 600.0 + np.arange(0.0, 300.0, 0.5)
+    weight = np.where(t < 620.0, 0.9, 0.2)  # Of the old heading; a blip; and for good.
+    weight[(t >= 650.0) & (t < 660.0)] = 0.8
+    weight[t >= 700.0] = 0.6
+    assert channels.again_s(t, weight) == 100.0
+    assert channels.again_s(t, np.full(t.size, 0.5)) == inf
+    assert channels.again_s(t, np.ones(t.size)) == 0.0
 
 
 def test_records_are_put_together_by_their_squares() -> None:

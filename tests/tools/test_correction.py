@@ -79,7 +79,7 @@ def test_the_report_pools_by_time_and_names_the_worst() -> None:
     table = report([found])
     # sqrt((30 * 4^2 + 90 * 12^2) / 120)
     assert "| S6 | B | not learned | 2 | 1 / 3 | 99 s | off | 100 % | 10.00 | 10.58 | 1.058 | 1.200 |" in table
-    assert table.endswith("Worst ratio of any segment: 1.200.")
+    assert table.endswith("Worst segment with the laser: nan; without: 1.200, asked 1.02: missed.")
     none = msgspec.structs.replace(found, verdicts={"accepted": 0, "rejected": 4, "failed": 0}, accepted_s=nan,
                                    segments=())  # fmt: skip
     assert "| 0 / 4 | – |" in report([none])

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from math import nan, sqrt
 
+import msgspec
 import numpy as np
 import pytest
 from evidence.heave.left_over import lagged, least_left
@@ -43,6 +44,7 @@ def test_what_a_fault_puts_in_is_taken_out_and_right_physics_costs_nothing() -> 
     put_in = rms_m(without) - rms_m(of_right)
     assert put_in > 0.3 * rms_m(of_right)
     assert rms_m(without) - rms_m(corrected) > 0.5 * put_in
+    assert corrected.outages_m2 == pytest.approx((corrected.squares_m2[1],))
     assert corrected.squares_m2[1] < 1.02**2 * without.squares_m2[1]
     assert corrected.active > 0.8
     assert corrected.published == 1.0
@@ -53,19 +55,28 @@ def test_what_a_fault_puts_in_is_taken_out_and_right_physics_costs_nothing() -> 
 def test_a_line_says_what_was_put_in_and_what_was_taken_out() -> None:
     line = Line(
         case="crooked", sea="S6", limit_m=0.008, right_m=0.010, without_m=(0.020, 0.018, 0.022),
-        corrected_m=(0.012, 0.013, 0.011), delayed_m=(0.004, 0.002), within=0.95, active=0.9, first_s=123.0,
-        published=1.0,
+        corrected_m=(0.012, 0.013, 0.011), delayed_m=(0.004, 0.002), worst_outage=0.7, within=0.95, active=0.9,
+        first_s=123.0, published=1.0,
     )  # fmt: skip
     assert line.put_in == pytest.approx(1.0)
     assert line.taken_out == pytest.approx(0.8)
     assert line.outage_ratio == pytest.approx(0.5)
     text = report([line])
-    assert "| 18.0 / 22.0 | 13.0 / 11.0 | 100% | **80%** | 0.600 | 0.500 | 4.0 → 2.0 | 90% | 123 s | 95.0% |" in text
+    assert (
+        "| 18.0 / 22.0 | 13.0 / 11.0 | 100% | **80%** | 0.600 | 0.500 | 0.700 | 4.0 → 2.0 | 90% | 123 s | 95.0% | met |"
+        in text
+    )
+    assert text.endswith("1 rows: 1 met, 0 missed.")
+    little = msgspec.structs.replace(line, corrected_m=(0.016, 0.013, 0.011), active=0.7, worst_outage=1.03)
+    assert little.misses == ["worst outage 1.030", "40% out", "active 70%"]
+    assert msgspec.structs.replace(line, without_m=(0.0105,) * 3, corrected_m=(0.0108,) * 3).misses == ["1.029 > 1.02"]
+    assert msgspec.structs.replace(line, without_m=(0.0105,) * 3, corrected_m=(0.0107,) * 3).misses == []
+    assert msgspec.structs.replace(line, without_m=(0.0100,) * 3, corrected_m=(0.0102,) * 3).misses == ["1.020 > 1.01"]
     nothing = Line(
         case="right", sea="S6", limit_m=0.008, right_m=0.010, without_m=(0.0101,) * 3, corrected_m=(0.0101,) * 3,
-        delayed_m=(0.004, 0.004), within=0.95, active=0.0, first_s=nan, published=1.0,
+        delayed_m=(0.004, 0.004), worst_outage=1.0, within=0.95, active=0.0, first_s=nan, published=1.0,
     )  # fmt: skip
-    assert "| 1% | – | 1.000 | 1.000 |" in report([nothing])
+    assert "| 1% | – | 1.000 | 1.000 | 1.000 |" in report([nothing])
 
 
 def test_a_regression_leaves_what_its_inputs_do_not_hold() -> None:

@@ -75,6 +75,13 @@ COARSE: Final = 8193
 """Frequencies of the grid for what is learned: 0.0012 Hz apart."""
 PARTS: Final = {"before": 0.0, "turning": 0.5, "after": 1.0}
 """Of a turn: how much of it is done in the middle of each."""
+AFTER: Final = "after"
+IN_USE: Final = 0.5
+"""Weight above which roll and pitch count as in use,"""
+STAYS_S: Final = 30.0
+"""when it is for so long."""
+ASKED_AGAIN_S: Final = 180.0
+"""After a turn they are to be so again within that."""
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
@@ -109,6 +116,8 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     """RMS error of the product; nan: not run."""
     within: float
     """Share of its errors now within 1.96 of the standard deviations that it publishes."""
+    again_s: float = nan
+    """The longest time after a turn until roll and pitch were in use again, :func:`again_s`; nan: there was none."""
 
 
 class Limit(msgspec.Struct, frozen=True):
@@ -136,6 +145,8 @@ class Part(msgspec.Struct, frozen=True):
 
     errors_m: tuple[float, ...]
     within: float
+    again_s: float = nan
+    """See :func:`again_s`; nan: the vessel has not turned before it."""
 
 
 # --- limits ----------------------------------------------------------------------------------------------------------
@@ -314,14 +325,31 @@ def run(task: Task) -> dict[str, Part]:
         inside = (t >= start_s) & (t < end_s)
         std = trace.std_m if trace.std_m is not None else np.full(t.size, nan)
         covered = float(np.mean(np.abs(trace.heave_m - truth)[inside] <= 1.96 * std[inside]))
-        found[name] = Part(tuple(errors), covered)
+        weight = trace.angles_weight
+        has_turned = name == AFTER and weight is not None
+        found[name] = Part(
+            tuple(errors), covered, again_s(t[inside], weight[inside]) if has_turned and weight is not None else nan
+        )
     return found
+
+
+def again_s(t_s: Array, weight: Array) -> float:
+    """Time after the first of ``t_s`` (n,) from which the weight (n,) of roll and pitch is above one half for
+    :data:`STAYS_S` at least; inf: not in that time.
+    """
+    ends = np.append(np.flatnonzero(weight <= IN_USE), t_s.size)
+    begins = np.append(0, ends[:-1] + 1)
+    for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
+        if end > begin and t_s[end - 1] - t_s[begin] >= STAYS_S:
+            return float(t_s[begin] - t_s[0])
+    return inf
 
 
 def together(parts: Sequence[Part]) -> Part:
     """Several records: the RMS of their errors."""
     errors = np.sqrt(np.mean(np.square([part.errors_m for part in parts]), axis=0))
-    return Part(tuple(errors.tolist()), float(np.mean([part.within for part in parts])))
+    within = float(np.mean([part.within for part in parts]))
+    return Part(tuple(errors.tolist()), within, max(part.again_s for part in parts))
 
 
 # --- rows and tables -------------------------------------------------------------------------------------------------
@@ -374,6 +402,7 @@ def rows(names: Sequence[str], sensors: Sequence[str], found: dict[tuple[str, st
                         unaware_m=unaware_m,
                         ours_m=ours.errors_m,
                         within=ours.within,
+                        again_s=ours.again_s,
                     )
                 )
     return made
@@ -424,6 +453,14 @@ def report(made: Sequence[Row], folder: Path | None = None) -> str:
         for row in turned:
             cells = [f"{100.0 * error / row.sigma_m:.1f}" for error in row.unaware_m]
             lines.append(f"| {_name(row)} | {row.sensor} | {' | '.join(cells)} |")
+    if turned := [row for row in made if row.again_s >= 0.0]:
+        lines += ["", f"After the turn, until roll and pitch are in use again with a weight above {IN_USE:g}, for "
+                  f"{STAYS_S:g} s at least (the slowest of the records):", ""]  # fmt: skip
+        lines += _head(["sea", "sensor", "s", "asked"])
+        for row in turned:
+            met = "met" if row.again_s <= ASKED_AGAIN_S else "**missed**"
+            lines.append(f"| {row.scenario} | {row.sensor} | {_known(row.again_s, '.0f')} | {met} |")
+        lines += ["", f"Asked: {ASKED_AGAIN_S:g} s at most. –: not before the end of the record."]
     if any(row.scenario == SHIP for row in made):
         f = grid(RATE_HZ)
         share = coherence_of(ship_spectra(scenarios.files(SHIP, folder)[0], f))

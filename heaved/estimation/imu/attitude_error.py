@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from heaved.estimation.common.ring import RingBuffer
 from heaved.estimation.imu import attitude_fit
-from heaved.estimation.imu.attitude_fit import MEANS, TUNING, Noise, Run, Unsized
+from heaved.estimation.imu.attitude_fit import MEANS, TUNING, UP, Noise, Run, Unsized
 from heaved.estimation.imu.attitude_memory import TUNING as MEMORY
 from heaved.estimation.imu.attitude_memory import Memory, SavedAttitudeError
 from heaved.samples import GRAVITY_MPS2
@@ -201,6 +201,10 @@ class AttitudeError:
         if not are_rates_measured:
             self._are_rates_measured = False
         return up_mps2 - error
+
+    def amend(self, more: Amendment) -> None:
+        """Vertical accelerations of the past were too little by something that is no error of the attitude."""
+        self.record.add(UP, more.t_s / TUNING.row_s - 0.5, more.more_mps2)
 
     def _follow(self, along: float, across: float, roll_radps: float, pitch_radps: float) -> None:
         """Keep what is slow in the integrals, and the size of the rest, and of the rates, from their means over a row:

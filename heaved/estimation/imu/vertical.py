@@ -119,12 +119,19 @@ class Vertical:
         self._attitude_error = AttitudeError(attitude_late_s)
 
     def step(
-        self, readings: Conditioned, rock: Sequence[RockPrediction], *, lag_s: float, bias_mps2: float
+        self,
+        readings: Conditioned,
+        rock: Sequence[RockPrediction],
+        *,
+        lag_s: float,
+        bias_mps2: float,
+        leaking: Sequence[float] = (),
     ) -> VerticalAcceleration | None:
         """Take one sample; None: there is no vertical acceleration in it that can be used.
 
         ``rock``: the predictions from it. ``lag_s``: of the accelerometers after the attitude, as far as is known.
-        ``bias_mps2``: of the vertical accelerometer, likewise.
+        ``bias_mps2``: of the vertical accelerometer, likewise. ``leaking``: shares of the leaks that a laser has shown;
+        these stay in what is returned, but are not to be taken for errors of the attitude, whose marks are like theirs.
         """
         self.fault, self.notes, self.force_std_s = readings.fault, readings.notes, readings.force_std_s
         self.level_mps2 = NO_LEVEL
@@ -157,16 +164,25 @@ class Vertical:
         self.level_mps2 = x, y
         # Angles moved back to where the accelerometers are would seem late against the gyroscopes.
         are_of_gyros = propagator.are_rates_measured and lag_s == 0.0
-        up = error.step(t_s, x, y, up, roll, pitch, *propagator.rates, are_rates_measured=are_of_gyros)
+        leaks = leaks_mps2(fx, fy, az, roll, pitch)
+        leaked = sum([w * leak for w, leak in zip(leaking, leaks, strict=True)]) if leaking else 0.0
+        up = leaked + error.step(
+            t_s, x, y, up - leaked, roll, pitch, *propagator.rates, are_rates_measured=are_of_gyros
+        )
         # A bias across the deck is not all vertical on a vessel that rolls; what is left of it is the observer's.
         up += bias_mps2 * (1.0 - cos(roll) * cos(pitch))
         self._note_tilt(t_s, up - (az - GRAVITY_MPS2))
         level_bias.step(t_s, ax, ay, az, roll, pitch)
         amendment, noise, unsized = error.amendment, error.noise, error.unsized
         error.amendment = error.noise = error.unsized = None
-        leaks = leaks_mps2(fx, fy, az, roll, pitch)
         yaw = self.attitude.yaw_rad
         return VerticalAcceleration(t_s, up, is_of_another_kind, amendment, noise, unsized, roll, pitch, yaw, leaks)
+
+    def amend(self, more: Amendment) -> None:
+        """What is leaking has been found to be something else: in the past, too, from which errors of the attitude are
+        told.
+        """
+        self._attitude_error.amend(more)
 
     def _is_of_another_kind(self, t_s: float, has_tilt: bool) -> bool:
         """Whether the tilt is removed from now on and was not, or the other way round; and whether the acceleration had

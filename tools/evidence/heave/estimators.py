@@ -81,6 +81,8 @@ class Trace(msgspec.Struct, frozen=True, kw_only=True):
     states: tuple[HeaveState, ...] | None = None
     reasons: tuple[tuple[str, ...], ...] | None = None
     correction_m: Array | None = None
+    angles_weight: Array | None = None
+    """With which roll and pitch are in the heave, 0 to 1."""
 
 
 class Conditions(msgspec.Struct, frozen=True, kw_only=True):
@@ -119,7 +121,9 @@ def traces(name: str, samples: Sequence[Sample], conditions: Conditions) -> list
         return [Trace(estimator=title(name), heave_m=np.array(values))]
     if name not in OBSERVERS:
         raise ValueError(f"unknown estimator {name!r}: choose from {', '.join(NAMES)}")
-    return _observer_traces(name, frames(pipeline(name, conditions), samples), conditions)
+    pipe, weights = pipeline(name, conditions), []
+    found = frames(pipe, samples, lambda: weights.append(pipe.heave.observer.roll_pitch.weight))
+    return _observer_traces(name, found, conditions, np.array(weights))
 
 
 def pipeline(observer: str, conditions: Conditions) -> Pipeline:
@@ -136,18 +140,21 @@ def pipeline(observer: str, conditions: Conditions) -> Pipeline:
     )
 
 
-def frames(pipe: Pipeline, samples: Sequence[Sample]) -> list[MotionFrame]:
-    """Every frame of a record; what is due to be learned is learned before the next sample."""
+def frames(pipe: Pipeline, samples: Sequence[Sample], after: Callable[[], None] = lambda: None) -> list[MotionFrame]:
+    """Every frame of a record; what is due to be learned is learned before the next sample. ``after``: each frame."""
     result = []
     for sample in samples:
         frame = pipe.step(sample)
         learn(pipe)
         if frame is not None:
             result.append(frame)
+            after()
     return result
 
 
-def _observer_traces(name: str, found: Sequence[MotionFrame], conditions: Conditions) -> list[Trace]:
+def _observer_traces(
+    name: str, found: Sequence[MotionFrame], conditions: Conditions, angles_weight: Array
+) -> list[Trace]:
     published = Trace(
         estimator=title(name) + (WITH_LASER if conditions.has_laser else ""),
         heave_m=np.array([frame.heave_m for frame in found]),
@@ -157,6 +164,7 @@ def _observer_traces(name: str, found: Sequence[MotionFrame], conditions: Condit
         states=tuple(frame.quality.heave for frame in found),
         reasons=tuple(frame.quality.reasons for frame in found),
         correction_m=np.array([frame.correction_m for frame in found]) if conditions.has_laser else None,
+        angles_weight=angles_weight,
     )
     if not conditions.has_laser:
         return [published]

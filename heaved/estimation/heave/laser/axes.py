@@ -11,11 +11,12 @@ for what the integral begins with, and what the bias does meanwhile, is a cubic.
 for a lever arm: on a sea of more than one period they are not alike, a tilt a reads as a lever arm of g a / omega^2.
 
 A ridge regression (Hoerl and Kennard 1970), each unknown with the size that such things have as its prior, is fitted
-with few columns and with more. Each of the newest pieces is held out in turn, and more columns have to foretell them
-better by much than fewer do, nearly every one. What is in use is judged by the same pieces, and is let go when it is no
-better than nothing. Found, it
-is taken out of the acceleration, the past included, so that observer, forecasts and delayed heave have right physics;
-and it stays through an outage and a change of the sea, for it is a property of the sensor.
+with few columns and with more. Each piece is held out in turn: what some columns take off its sum of squares, over the
+variance that they leave, is twice a likelihood ratio. It is summed over the pieces, so that a thing which shows only
+when waves are high is found as well; each column has its price, no piece decides alone, and few may speak against it.
+Those are taken that are worth most beyond their price. What is in use stays until the newest pieces speak against it as
+surely. Found, it is taken out of the acceleration, the past included, so that observer, forecasts and delayed heave
+have right physics; and it stays through an outage and a change of the sea, for it is a property of the sensor.
 
 Without roll and pitch nothing of this is known: nothing is learned, and nothing taken out.
 """
@@ -36,6 +37,8 @@ from heaved.estimation.imu.attitude_error import Amendment
 from heaved.estimation.imu.leaks import Leak
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from heaved.estimation.heave.laser.geometry import Geometry
     from heaved.estimation.heave.laser.tilts import Tilt
     from heaved.estimation.imu.vertical import VerticalAcceleration
@@ -66,15 +69,15 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """Pieces: twenty minutes of laser."""
     least: int = 3
     """Pieces before anything is concluded."""
-    judging: int = 6
-    """The newest of them, each of which is held out in turn."""
-    early: float = 0.5
-    """While there are fewer, more columns must leave less than that of the mean square of held-out pieces, which fewer
-    columns leave: a little that is won within the waves may cost more below them,"""
-    worth: float = 0.8
-    """and less than that later,"""
-    nearly: float = 0.75
-    """and less than they do in that share of the pieces; in all, while there are few."""
+    price: float = 20.0
+    """Of an unknown, in twice a log likelihood: e^10 times as likely. At e^5, of 36 records of IMUs without such
+    errors, 5 show one: what an attitude leaves is not white; a bend of 1 % shows with that on half of the swells."""
+    loudest: float = 40.0
+    """A piece says no more than that for or against: one with something else in it is not to decide."""
+    against: float = 0.4
+    """Nor may those that speak against it say more than that share of what the others do."""
+    newest: int = 6
+    """Pieces which let go what is in use, when they say more against it than one may."""
     independent_s: float = 2.0
     """Residuals so far apart count as independent."""
     nuisances: tuple[float, float, float, float, float] = (0.1, 0.3, 0.1, 5.0, 5.0)
@@ -212,6 +215,11 @@ class AxisErrors:
         self.weights, self._weights = np.array(saved.weights), list(saved.weights)
         self.is_in_use = any(saved.weights)
 
+    @property
+    def taken(self) -> Sequence[float]:
+        """(COUNT,) shares of the leaks that are taken out of the acceleration; empty: none is."""
+        return self._weights if self.is_in_use else ()
+
     # --- input -------------------------------------------------------------------------------------------------------
 
     def step(self, up: VerticalAcceleration) -> float:
@@ -305,35 +313,30 @@ class AxisErrors:
     # --- what the pieces say -----------------------------------------------------------------------------------------
 
     def _look(self) -> bool:
-        everything = np.sum([gram for gram, _ in self._pieces], axis=0), sum(rows for _, rows in self._pieces)
-        newest = list(self._pieces)[-TUNING.judging :]
-        judging = _Sums(np.array([gram for gram, _ in newest]), np.array([float(rows) for _, rows in newest]))
-        others = _Sums(everything[0] - judging.grams, everything[1] - judging.rows)
+        grams, rows = np.array([gram for gram, _ in self._pieces]), np.array([float(n) for _, n in self._pieces])
+        pieces, everything = _Sums(grams, rows), _Sums(np.sum(grams, axis=0)[None], np.sum(rows)[None])
+        others = _Sums(everything.grams - grams, everything.rows - rows)
 
         def left(hypothesis: Columns, given: Array | None = None) -> Array:
-            """What each piece that is held out keeps of its mean square."""
-            return _left(judging, _fitted(others, hypothesis, given))
+            """What each piece keeps of its mean square when it is held out."""
+            return _left(pieces, _fitted(others, hypothesis, given))
 
-        nothing = plain = left(NOTHING)
-        worth = TUNING.worth if len(newest) == TUNING.judging else TUNING.early
-        best: Columns | None = None
-        for hypothesis in HYPOTHESES:
-            more = left(hypothesis)
-            if _is_better(more, plain, worth):
-                best, plain = hypothesis, more
+        nothing = left(NOTHING)
+        if self.is_in_use:
+            said = _said(nothing, left(NOTHING, self.weights), rows)[-TUNING.newest :]
+            if _worth(said, 0) > TUNING.loudest:
+                # It is another IMU, or stands otherwise: what the older pieces say is of before.
+                while len(self._pieces) > TUNING.least:
+                    self._pieces.popleft()
+                return self._take(np.zeros(COUNT))
+        best = _best([left(each) for each in HYPOTHESES], nothing, rows)
         if best is not None:
-            found = _fitted(_Sums(everything[0][None], np.array([float(everything[1])])), best)[0, :COUNT]
+            found = _fitted(everything, best)[0, :COUNT]
             if float(np.max(np.abs(found))) <= TUNING.most:
                 self._confirmed_s = self._t_s
                 return self._take(found)
-        if not self.is_in_use:
-            return False
-        if float(np.mean(left(NOTHING, self.weights))) > float(np.mean(nothing)):
-            # It is another IMU, or stands otherwise: what the older pieces say is of before.
-            while len(self._pieces) > TUNING.least:
-                self._pieces.popleft()
-            return self._take(np.zeros(COUNT))
-        self._confirmed_s = self._t_s
+        if self.is_in_use:
+            self._confirmed_s = self._t_s
         return False
 
     def _take(self, weights: Array) -> bool:
@@ -359,11 +362,38 @@ def _integral(t_s: Array, rates: Array) -> Array:
     return np.vstack((np.zeros((1, rates.shape[1])), np.cumsum(areas, axis=0)))
 
 
-def _is_better(more: Array, plain: Array, worth: float) -> bool:
-    """Whether the one leaves less of the pieces than the other: by that much over all, and in nearly each of them."""
-    are_less = more < plain
-    least = len(plain) if len(plain) < TUNING.judging else TUNING.nearly * len(plain)
-    return float(np.mean(more)) < worth * float(np.mean(plain)) and int(np.sum(are_less)) >= least
+def _said(more: Array, plain: Array, rows: Array) -> Array:
+    """(m,) what each piece says for that which leaves ``more`` of it, against what leaves ``plain``: twice the
+    logarithm of how much more likely it is.
+    """
+    variance = max(float(more @ rows) / float(np.sum(rows)), LEAST_M2)
+    said = (plain - more) * rows * TUNING.every_s / (TUNING.independent_s * variance)
+    return np.clip(said, -TUNING.loudest, TUNING.loudest)
+
+
+def _worth(said: Array, columns: int) -> float:
+    """What so many columns more are worth beyond their price; nothing where too many pieces speak against them."""
+    against = -float(np.sum(said[said < 0.0]))
+    if against > TUNING.against * float(np.sum(said[said > 0.0])):
+        return 0.0
+    return float(np.sum(said)) - TUNING.price * columns
+
+
+def _best(lefts: Sequence[Array], nothing: Array, rows: Array) -> Columns | None:
+    """The hypothesis that is worth most, given what each leaves of the pieces: first against nothing, where all may
+    say as much as they can, then against the best so far. None: none is worth its price.
+    """
+    best, plain = NOTHING, nothing
+    for _ in HYPOTHESES:
+        worths = [
+            _worth(_said(left, plain, rows), len(each.std) - len(best.std))
+            for left, each in zip(lefts, HYPOTHESES, strict=True)
+        ]
+        at = int(np.argmax(worths))
+        if not worths[at] > 0.0:
+            break
+        best, plain = HYPOTHESES[at], lefts[at]
+    return None if best is NOTHING else best
 
 
 def _fitted(known: _Sums, hypothesis: Columns, given: Array | None = None) -> Array:

@@ -11,12 +11,14 @@ learned correction from ever making the output worse than the physics underneath
   applied: nothing unless its regression coefficient is two standard errors above zero, counted for a residual that
   beats; then the coefficient, up to 1;
 * without the laser it goes on only while the sea resembles that of the training;
+* a network is dropped when what it corrects has become another output: a lead, a gain or axes that are learned take
+  out what it was trained to take out, and it would take it out once more, for as long as no laser says so;
 * it is clipped and faded, never switched.
 """
 
 from __future__ import annotations
 
-from math import exp, inf, isfinite, nan, sqrt
+from math import exp, hypot, inf, isfinite, nan, sqrt
 from typing import Annotated, Final, Literal
 
 import msgspec
@@ -84,6 +86,9 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     not."""
     same_frequency: tuple[float, float] = (1.12, 1.3)
     """The same for the dominant frequency."""
+    moved: float = 0.3
+    """A network is dropped when its observer's output has been moved by that share of the RMS residual that it was
+    trained on: its correction is then off by as much."""
 
 
 TUNING: Final = Tuning()
@@ -171,6 +176,8 @@ class ResidualCorrection:
         self._weight = 0.0
         self._replaced, self._left_m = False, 0.0
         """Left of the network before: it fades out while the new one is in use at once."""
+        self._moved = [0.0, 0.0, 0.0]
+        """Since the training: gain, phase (rad), and RMS of what else, m."""
         self._t_s = nan
         self.value_m = self.raw_m = 0.0
 
@@ -179,13 +186,18 @@ class ResidualCorrection:
         """Windows handed out so far."""
         return self._number - self.nothing_to_learn
 
+    @property
+    def is_applied(self) -> bool:
+        """Whether most of what the network says is."""
+        return self._weight > 0.5
+
     def state(self, *, laser_is_fresh: bool) -> CorrectionState:
         """What people should know of it."""
         if not self._params.enabled:
             return CorrectionState.OFF
         if self.network is None:
             return CorrectionState.LEARNING
-        return CorrectionState.ACTIVE if laser_is_fresh and self._weight > 0.5 else CorrectionState.HOLDING
+        return CorrectionState.ACTIVE if laser_is_fresh and self.is_applied else CorrectionState.HOLDING
 
     def step(self, t_s: float, observer_m: float, omega_radps: float) -> float:
         """Correction (m) to add to the observer's output at ``t_s``, which is not among the outputs yet."""
@@ -196,14 +208,16 @@ class ResidualCorrection:
         self._variance_weight = min(self._variance_weight + dt, TUNING.sea_time_s)
         if self._variance_weight > 0.0:
             self._variance += dt / self._variance_weight * (observer_m**2 - self._variance)
+        faded = exp(-dt / TUNING.fade_s)
         if self.network is None or self._in_use is None:
-            return 0.0
+            self._left_m *= faded
+            self.value_m = self._left_m
+            return self.value_m
         self.raw_m = target = 0.0
         if (inputs := self._inputs(t_s, observer_m)) is not None:
             limit = self._in_use.limit_m
             self.raw_m = min(max(self.network.predict(inputs), -limit), limit)
             target = self._evidence.share() * self._likeness(omega_radps)
-        faded = exp(-dt / TUNING.fade_s)
         self._weight += (1.0 - faded) * (target - self._weight)
         if self._replaced:
             self._left_m, self._replaced = self.value_m - self._weight * self.raw_m, False
@@ -244,6 +258,26 @@ class ResidualCorrection:
         self._row_t_s = -inf
         self._pending = None
         self._new_rows = 0
+
+    def move(self, gain: float = 0.0, phase_rad: float = 0.0, by_m: float = 0.0) -> None:
+        """What it corrects is another output from now on: larger by a share of it, turned by a phase, or moved by an
+        RMS of something else.
+        """
+        if (used := self._in_use) is None:
+            return
+        of_gain, turned, other_m = self._moved
+        self._moved = [of_gain + gain, turned + phase_rad, hypot(other_m, by_m)]
+        moved_m = hypot(used.input_std_m * hypot(*self._moved[:2]), self._moved[2])
+        if moved_m > TUNING.moved * used.limit_m / self._params.clip:
+            self._drop()
+
+    def _drop(self) -> None:
+        """Have no network; what the last one corrects fades out."""
+        self._left_m, self._weight, self.raw_m = self.value_m, 0.0, 0.0
+        self._replaced = False
+        self.network = self._in_use = None
+        self._evidence = _Evidence()
+        self.reset_rows()
 
     def reset(self) -> None:
         """The observer was restarted: its outputs do not continue the old ones, which are forgotten elsewhere."""
@@ -323,6 +357,7 @@ class ResidualCorrection:
         if not _mean_square(residuals - corrections) < TUNING.worth * pending.bar_m2:
             return Verdict.REJECTED
         self._replaced = self.network is not None
+        self._moved = [0.0, 0.0, 0.0]
         self.network = network
         self._in_use = SavedNetwork(
             weights=trained.weights,

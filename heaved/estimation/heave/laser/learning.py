@@ -121,8 +121,10 @@ class LaserLearning:
         if self._is_aiding:
             return 1.0
         scale = self.reference.scale.at(t_s)
-        # What agrees with it is right wherever the gauge is; what does not may be so by the gauge's place.
-        return 1.0 if scale > 1.0 and self.placement.is_open(t_s) else scale
+        # What agrees with it is right wherever the gauge is; what does not may be so by the gauge's place, which a
+        # network that is in use believes in.
+        is_doubtful = self.placement.is_open(t_s) and not self.correction.is_applied
+        return 1.0 if scale > 1.0 and is_doubtful else scale
 
     def is_fresh(self, t_s: float) -> bool:
         """Whether there is a reading young enough to be published, of a laser that shows the heave."""
@@ -215,6 +217,7 @@ class LaserLearning:
         """What the axes are taken to put into the acceleration has changed, and the heave with it."""
         self.reference.rebase(self._output_t_s)
         is_much = self.axes.moved_m > TUNING.straightened * self.reference.error_rms_m()
+        self.correction.move(by_m=self.axes.moved_m)
         if is_much:
             self.correction.reset_rows()
         if self.axes.begun == self._begun or not is_much:
@@ -281,7 +284,7 @@ class LaserLearning:
         rows = self._compared.since(t_s - self._params.window_s)
         if float(np.minimum(np.diff(rows[:, 0]), TUNING.longest_pause_s).sum()) < self._params.min_laser_s:
             return
-        is_first = self.lead.updates == 0
+        is_first, lead_s, gain = self.lead.updates == 0, self.lead.learned_s, self.lead.gain
         signed_m = heaves_m(self.placement.geometry, *rows[:, 3:].T)
         shown = lead.compare(rows[:, 0], rows[:, 1], rows[:, 2], signed_m, observer.omega_radps)
         is_learned = self.lead.update(
@@ -293,6 +296,8 @@ class LaserLearning:
         )
         if is_learned:
             self.reference.rebase(self._output_t_s)
+            turned = (self.lead.learned_s - lead_s) * observer.omega_radps
+            self.correction.move(gain=self.lead.gain / gain - 1.0, phase_rad=turned)
         was_doubted, self._remark = bool(self._remark), self._doubt(shown, rows[:, 1], observer)
         if (is_learned and is_first) or (self._remark and not was_doubted):
             self.correction.reset_rows()

@@ -84,6 +84,20 @@ def test_leaks_and_bends_are_told_apart(wrong: Wrong, expected: tuple[float, ...
     np.testing.assert_allclose(axes.weights, expected, atol=0.004)
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_one_wild_piece_does_not_take_away_what_was_found(seed: int) -> None:
+    made = record(seaway("S6-bow-0.8", seed), 500.0, imu_rate_hz=RATE_HZ, sensor=UNBIASED, seed=seed)
+    axes = AxisErrors(RATE_HZ, 0.002, enabled=True)
+    was_in_use = False
+    for up, laser, tilt in readings(crooked(made, Wrong(bent_per_g=0.01))):
+        bump_mps2 = 0.003 * math.sin(0.35 * up.t_s) if 400.0 < up.t_s < 415.0 else 0.0
+        axes.step(msgspec.structs.replace(up, up_mps2=up.up_mps2 + bump_mps2))
+        axes.push(up.t_s, laser, tilt, CONFIGURED)
+        assert axes.is_in_use or not was_in_use
+        was_in_use = was_in_use or axes.is_in_use
+    np.testing.assert_allclose(axes.weights, (0.0, 0.0, 0.0, 0.0, 0.0, 0.01), atol=0.005)
+
+
 @pytest.mark.parametrize("gauge", [AT_THE_IMU, Gauge(at_m=(12.0, 4.0, 2.0))])
 def test_right_physics_has_nothing_to_take_out_wherever_the_gauge_is(gauge: Gauge) -> None:
     axes, left = shown(right(gauge))

@@ -317,6 +317,33 @@ def test_a_network_that_has_gone_bad_is_faded_out_by_the_laser() -> None:
     assert rig.correction.state(laser_is_fresh=True) is CorrectionState.HOLDING
 
 
+@pytest.mark.parametrize("moved", [{"gain": 0.2}, {"phase_rad": -0.2}, {"by_m": 0.2 * WAVE_RMS}])
+def test_a_network_goes_when_what_it_corrects_is_another_output(moved: dict[str, float]) -> None:
+    """Without the laser nothing else would say that its correction has been made already; it is faded out."""
+    rig = Rig()
+    assert rig.learned(0.3, third) == "accepted"
+    rig.run(60.0, third)
+    rig.correction.move(**moved)
+    rig.run(80.0)
+    steps = np.abs(np.diff([v for t, v in rig.values if t > 55.0]))
+    assert steps.max() < 0.05 * 0.3 * 0.1 * OMEGA + 0.3 * 0.1 * 0.05 / 2.0 + 1e-4
+    assert rig.rms(70.0) < 0.01 * WAVE_RMS
+    assert rig.correction.state(laser_is_fresh=True) is CorrectionState.LEARNING
+    assert rig.correction.saved() is None
+
+
+def test_a_network_outlives_small_moves_until_they_add_up() -> None:
+    rig = Rig()
+    assert rig.learned(0.3, third) == "accepted"
+    for _ in range(20):
+        rig.correction.move(gain=0.02)
+        rig.correction.move(gain=-0.02)
+    assert rig.correction.network is not None
+    for _ in range(20):
+        rig.correction.move(gain=0.02)
+    assert rig.correction.network is None
+
+
 def beating(rng: np.random.Generator, t: np.ndarray) -> np.ndarray:
     """Waves of 7 s that grow and fade over a minute: 20 lines, 1/60 Hz wide (standard deviation 0.4 of that)."""
     f, phase = 1.0 / 7.0 + rng.normal(0.0, 0.4 / 60.0, 20), rng.uniform(0.0, 2.0 * np.pi, 20)
