@@ -106,3 +106,18 @@ def test_without_an_attitude_a_laser_elsewhere_is_no_reference() -> None:
     assert frames[-1].quality.laser is LaserState.STALE
     assert "laser: without roll and pitch nothing is known of the heave from where it is" in frames[-1].quality.reasons
     assert math.isnan(frames[-1].reference_m)
+
+
+def test_without_an_attitude_it_is_said_that_the_laser_is_believed_to_be_at_the_imu() -> None:
+    made = record(
+        seaway("S4", 1), 90.0, imu_rate_hz=10.0, laser_rate_hz=10.0, sensor="A", seed=101, laser="on", gauge=AHEAD
+    )
+    pipe = pipeline(
+        heave_params=heave.Params(forecast_horizons_s=()), correction_params=correction.Params(enabled=False)
+    )
+    samples = [
+        msgspec.structs.replace(sample, roll_rad=np.nan, pitch_rad=np.nan) if isinstance(sample, ImuSample) else sample
+        for sample in made.samples()
+    ]
+    frames = run(pipe, samples)
+    assert "laser: without roll and pitch it is believed to stand at the IMU" in frames[-1].quality.reasons

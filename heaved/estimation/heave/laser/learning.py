@@ -57,6 +57,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
 TUNING: Final = Tuning()
 UNTOLD: Final = (nan, nan)
 NO_TILT: Final = "laser: without roll and pitch nothing is known of the heave from where it is"
+UNPLACED: Final = "laser: without roll and pitch it is believed to stand at the IMU"
 
 
 class LaserLearning:
@@ -101,6 +102,10 @@ class LaserLearning:
         self._geometry = self.placement.geometry
         """Of the gauge, as its readings have been taken until now."""
         self._is_tilt_missing = False
+        self._is_unplaced = False
+        """Whether roll and pitch, which would show where it is, are missing, and nothing has shown it before: some metres
+        ahead of the IMU it looks like an accelerometer that is late, with no more left over.
+        """
         self._begun = 0
         """Axes that were found, as often as has been heeded."""
         self._output_t_s = nan
@@ -138,7 +143,7 @@ class LaserLearning:
     def remarks(self) -> tuple[str, ...]:
         """What people should know of the laser."""
         remarks = (
-            NO_TILT if self._is_tilt_missing else "",
+            NO_TILT if self._is_tilt_missing else UNPLACED if self._is_unplaced and not self._is_aiding else "",
             self.placement.remark,
             "" if self.placement.is_lost else self._remark or self.lead.remark,
         )
@@ -250,6 +255,7 @@ class LaserLearning:
         tilt = self.tilts.at(t_s)
         signed_m = self.placement.heave_m(sample.laser_m, tilt)
         self._is_tilt_missing = not isfinite(signed_m)
+        self._is_unplaced = tilt is None and not self.placement.is_known
         if not isfinite(observer_m + signed_m):
             return
         self._used_t_s = t_s
