@@ -376,7 +376,7 @@ def written(path: Path, sea: Recording, seconds: float, spoil: str) -> Path:
 def test_a_bad_recording_has_a_report_that_says_so(
     sea: Recording, tmp_path: Path, spoil: str, seconds: float, said: str
 ) -> None:
-    _, document = made(written(tmp_path / "bad.csv", sea, seconds, spoil), png_directory=tmp_path / "png")
+    _, document = made(written(tmp_path / "bad.csv", sea, seconds, spoil))
     assert said in document.words
 
 
