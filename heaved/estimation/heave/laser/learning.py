@@ -103,7 +103,7 @@ class LaserLearning:
         """Of the gauge, as its readings have been taken until now."""
         self._is_tilt_missing = False
         self._is_unplaced = False
-        """Whether roll and pitch, which would show where it is, are missing, and nothing has shown it before: some metres
+        """Whether roll and pitch, which would show where it is, are missing, and nothing has shown it before: metres
         ahead of the IMU it looks like an accelerometer that is late, with no more left over.
         """
         self._begun = 0

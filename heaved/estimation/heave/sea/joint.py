@@ -59,6 +59,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True):
     """More of its standard deviations than these are not added: no wave does that, but a list, or another sea."""
     doubted_stds: float = 1.5
     """What is added beyond so many may as well be of a list that has begun: by as much the heave is not known."""
+    least_m: float = 1e-5
+    """Nothing is less uncertain than that."""
     reaches_s: float = 0.5
     """Before now and beyond the last node it goes on in a straight line for so long."""
 
@@ -73,7 +75,6 @@ class JointCorrection:
         design: the weights.
         known_s: since when what it is made of is known.
         is_too_much: more would be added now than waves explain; as of the last call of :meth:`nodes`.
-        doubted: share of what is added that may be none of the waves; likewise.
         amended: how many of the last innovations may be others than they were.
     """
 
@@ -95,10 +96,11 @@ class JointCorrection:
         self._unknown, self._known = 0, 0
         self._hole = 0
         self._told: list[tuple[float, float]] | None = None
-        self._most_m = TUNING.most_stds * design.std_m
+        self._stds_m = [max(std_m, TUNING.least_m) for std_m in design.stds_m]
         self.known_s = -inf
         self.is_too_much = False
-        self.doubted = 0.0
+        self._beyond = [0.0] * len(design.nodes_s)
+        """Share of what is added at each node that may be none of the waves."""
 
     def fill(self, end_s: float, rows: Array) -> None:
         """Start with innovation, roll and pitch (n, 3) of the samples up to ``end_s``; nan: not known."""
@@ -171,23 +173,21 @@ class JointCorrection:
             self._write(hole + known - i, *angles)
 
     def nodes(self) -> list[tuple[float, float]]:
-        """Heave and its velocity to be added at each of the nodes, less of all of it where that is more than waves
-        explain.
-        """
+        """Heave and its velocity to be added at each of the nodes, less of it where that is more than waves explain."""
         if self._told is None:
             end, fine = self._next + self._size, self._fine_count
             newest = self._rows[end - fine : end].ravel()
             last = end - fine
             means = self._means[last - 1 - self._group * (self._coarse_count - 1) : last : self._group].ravel()
             found = self._fine.dot(newest) + self._coarse.dot(means)
-            now_m = abs(float(found[0]))
-            self.is_too_much = not now_m <= self._most_m
-            if self.is_too_much:
-                found *= self._most_m / now_m if isfinite(now_m) else 0.0
-            doubted_m = TUNING.doubted_stds * self.design.std_m
-            self.doubted = 1.0 - doubted_m / now_m if now_m > doubted_m else 0.0
+            self._told = []
+            self.is_too_much = not abs(float(found[0])) <= TUNING.most_stds * self._stds_m[0]
             told = found.tolist()
-            self._told = list(zip(told[::2], told[1::2], strict=True))
+            for k, (heave_m, velocity_mps, std_m) in enumerate(zip(told[::2], told[1::2], self._stds_m, strict=True)):
+                stds = abs(heave_m) / std_m
+                share = 1.0 if stds <= TUNING.most_stds else TUNING.most_stds / stds if isfinite(stds) else 0.0
+                self._told.append((share * heave_m, share * velocity_mps) if share else (0.0, 0.0))
+                self._beyond[k] = 1.0 - TUNING.doubted_stds / stds if stds > TUNING.doubted_stds else 0.0
         return self._told
 
     def at(self, tau_s: float) -> tuple[float, float]:
@@ -206,6 +206,13 @@ class JointCorrection:
         slope0, slope1, rise = v0 * width_s, v1 * width_s, h1 - h0
         c2, c3 = 3.0 * rise - 2.0 * slope0 - slope1, slope0 + slope1 - 2.0 * rise
         return h0 + u * (slope0 + u * (c2 + u * c3)), (slope0 + u * (2.0 * c2 + 3.0 * u * c3)) / width_s
+
+    def doubted(self, tau_s: float) -> float:
+        """Share of what is added ``tau_s`` after the last sample that may be none of the waves: that of the node which
+        is nearest.
+        """
+        self.nodes()
+        return self._beyond[min(range(len(self._beyond)), key=lambda k: abs(self.design.nodes_s[k] - tau_s))]
 
     def ratio(self, tau_s: float, shown: float) -> float:
         """Standard deviation of the heave with it over that without, ``tau_s`` after the last sample, 1 at most;

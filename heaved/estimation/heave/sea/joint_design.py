@@ -118,8 +118,8 @@ class Joint(msgspec.Struct, frozen=True, kw_only=True):
     """(k,) how long after the last sample, 0 first."""
     ratios: tuple[float, ...]
     """(k,) standard deviation of the heave's error with the angles, over that without, by the model."""
-    std_m: float
-    """Standard deviation of what is added to the heave now, by the model."""
+    stds_m: tuple[float, ...]
+    """(k,) standard deviations of what is added to the heave, by the model."""
     coherence: float
     """Squared, of heave with both angles together, each frequency weighing as much as its heave."""
     dt_s: float
@@ -412,7 +412,7 @@ def designed(
     whitened = np.linalg.solve(factor, np.conj(cross / 2.0)[:, :, None])[:, :, 0].conj()
     alone = cross[:, 0] / 2.0 / sqrt(level / 2.0)
     variance = float(np.sum(sea)) * f[1]
-    rows, ratios, std_m = [], [], 0.0
+    rows, ratios, stds_m = [], [], []
     for tau_s in nodes_s:
         turn = np.exp(1j * w * tau_s)
         for is_velocity in (False, True):
@@ -429,7 +429,7 @@ def designed(
                 added = f[1] * float(np.einsum("fi,fij,fj", by, measured, by.conj()).real)
                 alone_left = max(variance - float(np.sum(told_alone**2)) / dt, added)
                 ratios.append(sqrt(max(1.0 - added / alone_left, TUNING.least_ratio**2)) if added > 0.0 else 1.0)
-                std_m = std_m if tau_s > 0.0 else sqrt(added)
+                stds_m.append(sqrt(max(added, 0.0)))
     group = max(round(TUNING.mean_s / dt), 1)
     fine = round(TUNING.fine_s / dt)
     coarse = max(round((TUNING.filter_s - TUNING.fine_s) / dt) // group, 1)
@@ -440,7 +440,7 @@ def designed(
     return Joint(
         nodes_s=nodes_s,
         ratios=tuple(ratios),
-        std_m=std_m,
+        stds_m=tuple(stds_m),
         coherence=found.coherence,
         dt_s=dt,
         group=group,

@@ -255,7 +255,8 @@ class SeaHeave:
         ratio = sqrt(1.0 - usual * (1.0 - self.joint.ratio(tau_s, self.joint_shown) ** 2))
         std_m *= 1.0 - self.joint_weight * (1.0 - ratio)
         more_m = self.joint.at(tau_s)[0]
-        return hypot(std_m, self.joint.doubted * self.joint_weight * more_m) if self.joint.doubted else std_m
+        doubted = self.joint.doubted(tau_s)
+        return hypot(std_m, doubted * self.joint_weight * more_m) if doubted else std_m
 
     def unshifted(self, t_s: float, unaided: SeaFilter | None = None) -> Motion:
         """What the laser is compared with: nothing learned taken out, nothing left of another model. ``unaided``: the

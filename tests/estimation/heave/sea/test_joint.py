@@ -29,7 +29,7 @@ def design(
     return Joint(
         nodes_s=NODES_S,
         ratios=(0.6, 0.7, 0.9),
-        std_m=std_m,
+        stds_m=(std_m,) * len(NODES_S),
         coherence=0.9,
         dt_s=DT_S,
         group=GROUP,
@@ -89,7 +89,7 @@ def test_more_than_waves_explain_is_not_added() -> None:
             joint.push(i * DT_S, *row)
         wanted, told = np.array(free.nodes()), np.array(held.nodes())
         assert held.is_too_much == (abs(wanted[0, 0]) > largest_m)
-        assert told == pytest.approx(wanted * min(1.0, largest_m / abs(wanted[0, 0])))
+        assert told == pytest.approx(wanted * np.minimum(1.0, largest_m / np.abs(wanted[:, :1])))
     assert not free.is_too_much
     held.push(200 * DT_S, 1e308, 1e308, 1e308)
     assert np.all(np.isfinite(held.nodes()))
@@ -102,10 +102,10 @@ def test_what_waves_hardly_explain_is_in_part_not_known() -> None:
     for i, row in enumerate(rows(200).tolist()):
         for joint in (free, held):
             joint.push(i * DT_S, *row)
-        wanted_m = abs(free.nodes()[0][0])
-        held.nodes()
-        assert (1.0 - held.doubted) * wanted_m == pytest.approx(min(wanted_m, surely_m))
-    assert free.doubted == 0.0
+        for node_s, (wanted_m, _) in zip(NODES_S, free.nodes(), strict=True):
+            sure_m = (1.0 - held.doubted(node_s + 0.1)) * abs(wanted_m)
+            assert sure_m == pytest.approx(min(abs(wanted_m), surely_m))
+            assert free.doubted(node_s) == 0.0
 
 
 @pytest.mark.parametrize(
