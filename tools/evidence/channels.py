@@ -46,6 +46,7 @@ from evidence.learned_limits import learned_heave_limit
 from evidence.results import Output, Report
 from evidence.scenarios import HORIZONS_S, Setting, accelerometer_noise, grid, triplet
 from heaved.estimation.heave.sea.joint_design import TUNING as JOINT
+from heaved.estimation.heave.sea.joint_learning import TUNING as LEARNING
 from heaved.simulate.directional import NAMES, directional
 from heaved.simulate.seaway import motion_spectra
 from heaved.simulate.sensors import REGISTER_STEPS, imu_model
@@ -65,9 +66,9 @@ CHANNELS: Final = ((), (ROLL,), (PITCH,), (ROLL, PITCH))
 """What is looked at besides the vertical acceleration."""
 PIECE_S: Final = 100.0
 """Spectra of a ship's record are means over pieces of so long, overlapping by half."""
-LEARNED_S: Final = JOINT.learned_s
+LEARNED_S: Final = LEARNING.learned_s
 """Of a record, that teaches what roll and pitch have in common with the heave,"""
-LOOKS: Final = round(1.9 * LEARNED_S / JOINT.piece_s)
+LOOKS: Final = round(1.9 * LEARNED_S / LEARNING.piece_s)
 """in so many independent looks at each frequency: windows of Hann that overlap by three quarters."""
 DRAWS: Final = 4
 """Records of which the error of what is learned is the RMS."""
@@ -209,7 +210,7 @@ def learned_m(f_hz: Array, motion: Complex, sensor: str, wander_psd: Array) -> f
     """
     rng = np.random.default_rng(1)
     at = np.flatnonzero(motion[:, 0, 0].real > 1e-3 * np.max(motion[:, 0, 0].real))
-    at = at[:: max(round(1.0 / JOINT.piece_s / f_hz[1]), 1)]
+    at = at[:: max(round(1.0 / LEARNING.piece_s / f_hz[1]), 1)]
     root = np.linalg.cholesky(motion[at] + 1e-6 * np.einsum("fii,ij->fij", motion[at], np.eye(3)))
     truth = seen(f_hz, motion, sensor, (ROLL, PITCH), wander_psd)
     squares = []

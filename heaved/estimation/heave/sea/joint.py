@@ -16,10 +16,11 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from heaved.estimation.heave.sea.joint_design import CHANNELS, Joint
-from heaved.estimation.heave.sea.joint_design import TUNING as DESIGN
+from heaved.estimation.heave.sea.joint_learning import CHANNELS
+from heaved.estimation.heave.sea.joint_learning import TUNING as LEARNING
 
 if TYPE_CHECKING:
+    from heaved.estimation.heave.sea.joint_design import Joint
     from heaved.samples import DelayedHeave
 
 Array = NDArray[np.float64]
@@ -233,7 +234,7 @@ class JointCorrection:
         elsewhere move the hull otherwise.
         """
         turned_rad = (yaw_rad - self.design.heading_rad + pi) % (2.0 * pi) - pi
-        return not abs(turned_rad) > DESIGN.turned_rad
+        return not abs(turned_rad) > LEARNING.turned_rad
 
     def is_known(self, t_s: float) -> bool:
         """Whether what it is made of has no hole any more that matters."""

@@ -47,7 +47,8 @@ from heaved.estimation.heave.sea.drift import DriftDetector, walk_of
 from heaved.estimation.heave.sea.filter import BiasRate, GaugeError, SeaFilter
 from heaved.estimation.heave.sea.joint import Experience, JointCorrection
 from heaved.estimation.heave.sea.joint_design import TUNING as JOINT
-from heaved.estimation.heave.sea.joint_design import even_angles
+from heaved.estimation.heave.sea.joint_learning import TUNING as JOINT_LEARNING
+from heaved.estimation.heave.sea.joint_learning import even_angles
 from heaved.estimation.heave.sea.mistakes import Mistakes
 from heaved.estimation.heave.sea.model import SeaModel, SeaSystem, Steady, heave_std
 from heaved.estimation.heave.sea.output import BumplessTransfer, SeaHeave
@@ -113,7 +114,7 @@ class SeaObserver:
         self._down_sampler = DownSampler()
         self._angle_samplers: tuple[DownSampler, ...] = ()
         """Of roll and pitch; none: they are not looked at."""
-        self._angles = RingBuffer(int(JOINT.learned_s / down_sampler.TUNING.least_s), 4)
+        self._angles = RingBuffer(int(JOINT_LEARNING.learned_s / down_sampler.TUNING.least_s), 4)
         """Time, means of roll and pitch, and yaw."""
         self._experience = Experience(self._late_steps)
         self._disturbance: tuple[Array, Array] | None = None

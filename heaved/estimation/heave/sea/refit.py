@@ -28,7 +28,8 @@ from heaved.estimation.heave.sea import (
     whittle_fit,
 )
 from heaved.estimation.heave.sea.filter import SeaFilter
-from heaved.estimation.heave.sea.joint_design import Joint, even_angles
+from heaved.estimation.heave.sea.joint_design import Joint
+from heaved.estimation.heave.sea.joint_learning import even_angles, heading
 from heaved.estimation.heave.sea.model import SeaModel, SeaSystem, Steady
 from heaved.estimation.heave.sea.record import EvenRecord, even, stretches_of
 from heaved.estimation.heave.sea.sea_state import longest_period_s, sea_state
@@ -297,7 +298,7 @@ def _joint(window: SeaWindow, whole: EvenRecord, system: SeaSystem, steady: Stea
     if not window.angles or not (whole.is_known.any() and whole.is_known[-1]):
         return None
     rows, count = np.frombuffer(window.angles).reshape(-1, 4), len(whole.a_mps2)
-    heading_rad, since_s = joint_design.heading(rows[:, 0], rows[:, 3])
+    heading_rad, since_s = heading(rows[:, 0], rows[:, 3])
     heads_for = int(min(max(whole.end_s - since_s, 0.0) / whole.dt_s, count))
     since = max([count - heads_for, *whole.cuts[-1:]])
     a = np.where(whole.is_known, whole.a_mps2, nan)[since:]

@@ -14,8 +14,10 @@ import pytest
 from evidence.channel_limits import PITCH, ROLL, causal_limits, measured_spectra
 from seas import model, simulated
 
-from heaved.estimation.heave.sea import joint_design
-from heaved.estimation.heave.sea.joint_design import TUNING, Learned
+from heaved.estimation.heave.sea import joint_design, joint_learning
+from heaved.estimation.heave.sea.joint_design import TUNING
+from heaved.estimation.heave.sea.joint_learning import TUNING as LEARNING
+from heaved.estimation.heave.sea.joint_learning import Learned
 from heaved.estimation.heave.sea.model import SeaSystem, Steady
 
 Array = np.ndarray
@@ -62,7 +64,7 @@ def record(rest: float, seed: int = 1, seconds: float = 600.0) -> Record:
 
 def test_the_coefficients_of_a_small_system_are_found_again() -> None:
     one = record(0.2)
-    found = joint_design.learned(SYSTEM.model, one.a_mps2, one.angles_rad, DT_S)
+    found = joint_learning.learned(SYSTEM.model, one.a_mps2, one.angles_rad, DT_S)
     assert found is not None
     inside = (found.f_hz > 0.08) & (found.f_hz < 0.2)
     for k, (of_heave, of_velocity) in enumerate((ROLL_OF, PITCH_OF)):
@@ -85,7 +87,7 @@ def test_of_angles_of_another_sea_nothing_is_learned() -> None:
 
 def test_the_heave_in_hindsight_is_the_heave() -> None:
     one = record(0.2)
-    found = joint_design.in_hindsight(SYSTEM.model, one.a_mps2, DT_S)
+    found = joint_learning.in_hindsight(SYSTEM.model, one.a_mps2, DT_S)
     inside = slice(200, -200)
     assert np.std(found[inside] - one.heave_m[inside]) < 0.05 * np.std(one.heave_m)
 
@@ -139,11 +141,11 @@ def test_the_past_counts_since_the_vessel_has_headed_as_it_does() -> None:
         2.0 * np.pi
     )
     yaw[(t_s > 50.0) & (t_s < 55.0)] = nan
-    heading_rad, since_s = joint_design.heading(t_s, yaw)
+    heading_rad, since_s = joint_learning.heading(t_s, yaw)
     assert abs(np.angle(np.exp(1j * (heading_rad - np.radians(355.0))))) < np.radians(1.5)
     assert 58.0 < since_s < 60.0
-    assert joint_design.heading(t_s, np.full(len(t_s), nan)) == pytest.approx((nan, -np.inf), nan_ok=True)
-    assert joint_design.heading(t_s[:0], yaw[:0])[1] == -np.inf
+    assert joint_learning.heading(t_s, np.full(len(t_s), nan)) == pytest.approx((nan, -np.inf), nan_ok=True)
+    assert joint_learning.heading(t_s[:0], yaw[:0])[1] == -np.inf
 
 
 def test_horizons_that_are_close_share_a_node() -> None:
@@ -154,7 +156,7 @@ def test_horizons_that_are_close_share_a_node() -> None:
 @pytest.mark.parametrize(
     ("seconds", "missing"),
     [
-        (TUNING.least_s + 2.0 * TUNING.edge_s - 1.0, slice(0, 0)),
+        (LEARNING.least_s + 2.0 * LEARNING.edge_s - 1.0, slice(0, 0)),
         (300.0, slice(450, 1000)),
         (300.0, np.arange(1500) % 350 < 20),
         (300.0, slice(0, None)),
@@ -175,8 +177,8 @@ def test_both_sides_of_a_long_hole_teach(is_of_angles: bool) -> None:
     a, angles = one.a_mps2[-count:].copy(), one.angles_rad[-count:].copy()
     (angles[:, 0] if is_of_angles else a)[650:850] = nan
     for part in (slice(0, 650), slice(850, count)):
-        assert joint_design.learned(SYSTEM.model, a[part], angles[part], DT_S) is None
-    found = joint_design.learned(SYSTEM.model, a, angles, DT_S)
+        assert joint_learning.learned(SYSTEM.model, a[part], angles[part], DT_S) is None
+    found = joint_learning.learned(SYSTEM.model, a, angles, DT_S)
     assert found is not None
     inside = (found.f_hz > 0.08) & (found.f_hz < 0.2)
     for k, (of_heave, of_velocity) in enumerate((ROLL_OF, PITCH_OF)):
@@ -191,7 +193,7 @@ def test_trim_and_list_are_those_since_a_long_hole() -> None:
     angles = one.angles_rad.copy()
     angles[:1500] += 0.05
     angles[1500:1700] = nan
-    found = joint_design.learned(SYSTEM.model, one.a_mps2, angles, DT_S)
+    found = joint_learning.learned(SYSTEM.model, one.a_mps2, angles, DT_S)
     assert found is not None
     assert found.offsets_rad == pytest.approx((0.02, -0.01), abs=1e-3)
 
@@ -200,10 +202,10 @@ def test_angles_are_interpolated_between_near_neighbours_alone() -> None:
     t_s = np.array([0.0, 0.1, 0.2, 0.3, 2.0, 2.1, 2.2])
     rows = np.column_stack((t_s, t_s, -t_s))
     rows[1, 2] = nan
-    found = joint_design.even_angles(rows, 2.15, 0.1, 26)
+    found = joint_learning.even_angles(rows, 2.15, 0.1, 26)
     at = 2.15 - 0.1 * np.arange(25, -1, -1.0)
     near = ((at > -0.1) & (at < 0.3)) | (at > 2.0)
     assert np.array_equal(np.isfinite(found[:, 0]), near)
     inside = near & (at >= 0.0)
     assert found[inside] == pytest.approx(np.column_stack((at, -at))[inside])
-    assert np.isnan(joint_design.even_angles(rows[:1], 2.15, 0.1, 3)).all()
+    assert np.isnan(joint_learning.even_angles(rows[:1], 2.15, 0.1, 3)).all()
