@@ -44,13 +44,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heaved.estimation.rock import experts, gate, learner
+from heaved.estimation.rock.autoregression import NODES
+from heaved.estimation.rock.autoregression import TUNING as MODEL
 from heaved.estimation.rock.experts import Switch
 from heaved.estimation.rock.fading import finite_taps
 from heaved.estimation.rock.features import Regressors, SampleWindow, curve_spline, lag_knots, samples_per_step
 from heaved.estimation.rock.first_samples import FirstSamples, Sample
 from heaved.estimation.rock.gate import Channel, Timing
-from heaved.estimation.rock.holes import NODES, HoleFilter
-from heaved.estimation.rock.holes import TUNING as HOLES
+from heaved.estimation.rock.holes import HoleFilter
 from heaved.estimation.rock.learner import Learner, expert_count, first_choice
 from heaved.estimation.rock.rate_gate import RateGate
 
@@ -421,7 +422,7 @@ class DirectPredictor:
         judged = max(round(gate.TUNING.judged_s / interval_s), 3)
         self._unmeasured, self._rates = [nan] * n, [0.0] * n
 
-        self._nodes = max(1, round(HOLES.node_s / interval_s)) * np.arange(NODES)
+        self._nodes = max(1, round(MODEL.node_s / interval_s)) * np.arange(NODES)
         """Of the filters, in rows back from the newest."""
         learned = TUNING.learned_together * max(1, round(learner.TUNING.row_s / interval_s))
         batch = round((learner.TUNING.batch_s + 1.0) / interval_s)

@@ -16,8 +16,9 @@ from scipy.linalg import solve_discrete_lyapunov
 
 from heaved.estimation.common.bounds import ANGLE_RAD
 from heaved.estimation.rock import params as rock
+from heaved.estimation.rock.autoregression import NODES, ORDER, Autoregression
 from heaved.estimation.rock.estimator import DirectRockPredictor, RockEstimator
-from heaved.estimation.rock.holes import NODES, ORDER, Autoregression, HoleFilter
+from heaved.estimation.rock.holes import HoleFilter
 from heaved.estimation.rock.limits import Limits
 from heaved.samples import ImuSample
 from heaved.simulate.seaway import seaway
