@@ -375,7 +375,13 @@ def _write(path: Path, everybody: list[Examined], *, yes: bool, quiet: bool) -> 
     from heaved.setup.config_file import Addition, RefusedError
     from heaved.setup.device_table import toml
 
-    text = "\n".join(toml(one.table) for one in everybody if one.table is not None)
+    tables = [one.table for one in everybody if one.table is not None]
+    proved = {table.device.role: table.device.device_id for table in tables if not table.doubt}
+    for table in [one for one in tables if one.doubt and one.device.role in proved]:
+        role, known = table.device.role, proved[table.device.role]
+        say(f"id {table.device.device_id}: is not written: id {known} is the {role}, and this is a guess", err=True)
+        tables.remove(table)
+    text = "\n".join(map(toml, tables))
     if not text:
         fail(f"{path}: was left alone: there is no device that could be written", EX_CONFIG)
     try:

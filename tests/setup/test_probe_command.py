@@ -6,8 +6,9 @@ import json
 import subprocess
 import sys
 from types import SimpleNamespace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
+import msgspec
 import pytest
 import typer
 from lines_in_background import in_background
@@ -16,12 +17,17 @@ from serial.tools import list_ports
 from wt901 import Wt901
 
 from heaved.cli import main
-from heaved.config.read import load
+from heaved.cli.probe import _write
+from heaved.config.read import data_directory, load
 from heaved.devices import probe as probing
 from heaved.setup import scan as scanning
+from heaved.setup.device_table import Table
+from heaved.setup.probe_report import Examined
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from heaved.devices.probe import Device
 
 SETTINGS = ((9600, "N"), (115200, "N"))
 
@@ -129,6 +135,23 @@ def test_before_it_is_written_it_is_asked(
     (device,) = load(file).device
     assert (device.name, device.rate_hz) == ("deck", 40.0)
     assert "was left alone" in capsys.readouterr().err
+
+
+def test_a_guess_is_not_written_beside_what_is_proved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Something else on the line whose registers could be those of a laser, too, keeps nothing from being written."""
+    file = tmp_path / "heaved.toml"
+    imu, laser = [one for one in load(data_directory() / "heaved.toml").device if one.role in ("imu", "laser")]
+    guess = msgspec.structs.replace(laser, name="laser-2", device_id=4)
+    tables = [
+        Table(device=imu, is_packaged=True, heading="an IMU"),
+        Table(device=laser, is_packaged=True, heading="a laser"),
+        Table(device=guess, is_packaged=True, heading="perhaps a laser", doubt="such values alone prove nothing"),
+    ]
+    nobody = cast("Device", None)
+    _write(file, [Examined(device=nobody, table=table) for table in tables], yes=True, quiet=True)
+    assert [one.name for one in load(file).device] == [imu.name, laser.name]
+    said = f"id 4: is not written: id {laser.device_id} is the laser, and this is a guess"
+    assert said in capsys.readouterr().err
 
 
 def test_a_file_that_cannot_be_added_to_is_refused_before_anybody_is_asked(
