@@ -13,6 +13,7 @@ import socket
 import sys
 from collections.abc import AsyncIterator, Callable, MutableMapping, Sequence
 from contextlib import asynccontextmanager, closing
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -264,8 +265,7 @@ async def test_a_clock_step_of_an_hour_changes_no_estimate(tmp_path: Path) -> No
 
 
 def utc_s(record: Record) -> float:
-    hours, minutes, seconds = record["time"].rstrip("Z").split("T")[1].split(":")
-    return 3600 * int(hours) + 60 * int(minutes) + float(seconds)
+    return datetime.fromisoformat(record["time"]).timestamp()
 
 
 # ---- state -----------------------------------------------------------------------------------------------------------

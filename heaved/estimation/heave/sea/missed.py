@@ -12,7 +12,7 @@ for. Each of them follows from what came after (fixed-point smoothing: Anderson 
 
 from __future__ import annotations
 
-from math import isfinite
+from math import isfinite, nan
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,6 +41,14 @@ class MissedInnovations:
         """(m, n) covariance of each with the state before the next sample,"""
         self._P = np.zeros((n, n))
         """and that of the state itself."""
+
+    def miss(self, count: int) -> None:
+        """So many samples were not there; of more than it is asked for nothing is told."""
+        if count > self._most:
+            self._forget()
+            return
+        for _ in range(count):
+            self.step(nan)
 
     def step(self, innovation: float) -> Array:
         """One sample more: its ``innovation``, m/s2, 0 or nan where there was none to take in.

@@ -229,8 +229,8 @@ class SeaHeave:
             return
         dt_s = self.filter.steady.dt_s
         for i in range(missed, 0, -1):
-            self._missed.step(nan)
             self.joint.push(t_s - i * dt_s, 0.0, nan, nan)
+        self._missed.miss(missed)
         self.joint.push(t_s, innovation, *angles_rad)
         amended = self._missed.step(innovation)
         if len(amended):

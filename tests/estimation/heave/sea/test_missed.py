@@ -66,3 +66,7 @@ def test_nothing_is_told_where_nothing_is_missed_nor_of_what_is_long_past() -> N
     missed = MissedInnovations(STEADY, H, 5)
     lengths = [len(missed.step(y)) for y in (0.1, -0.2, 0.0, nan, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1)]
     assert lengths == [0, 0, 1, 2, 3, 4, 5, 5, 5, 0, 0]
+    missed.miss(3)
+    assert len(missed.step(0.1)) == 4
+    missed.miss(6)
+    assert len(missed.step(0.1)) == 0
