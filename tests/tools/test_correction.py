@@ -25,7 +25,7 @@ GAINED = 0.9
 """Over all: a network that is accepted takes a tenth off (the long runs: 0.3 to 0.75 is left)."""
 
 
-CHANCE = Trial(sea="S6", sensor="slow B", laser="50%", duration_s=480.0, taught=True)
+CHANCE = Trial(sea="S6", sensor="slow B", laser="50%", duration_s=360.0, taught=True)
 """A sensor whose lag the laser has taught: what is left beats, and for a minute a network may seem to follow it."""
 
 

@@ -7,7 +7,9 @@ against it all the time, and to go over takes more than to go back.
 
 from __future__ import annotations
 
+from bisect import bisect
 from collections import deque
+from itertools import pairwise
 from math import inf, isfinite, nan, pi, sqrt
 from typing import TYPE_CHECKING, Final
 
@@ -100,6 +102,7 @@ class JointCorrection:
         self._stds_m = [max(std_m, TUNING.least_m) for std_m in design.stds_m]
         self.known_s = -inf
         self.is_too_much = False
+        self._midways_s = [0.5 * (before + after) for before, after in pairwise(design.nodes_s)]
         self._beyond = [0.0] * len(design.nodes_s)
         """Share of what is added at each node that may be none of the waves."""
 
@@ -213,7 +216,7 @@ class JointCorrection:
         is nearest.
         """
         self.nodes()
-        return self._beyond[min(range(len(self._beyond)), key=lambda k: abs(self.design.nodes_s[k] - tau_s))]
+        return self._beyond[bisect(self._midways_s, tau_s)]
 
     def ratio(self, tau_s: float, shown: float) -> float:
         """Standard deviation of the heave with it over that without, ``tau_s`` after the last sample, 1 at most;
